@@ -38,6 +38,7 @@ class EarSettings:
     size: float = 0.0
     law: str = "viscous"
     head_mm: float = 0.12
+    band_hz: tuple[float, float] = (400.0, 5000.0)
 
     @property
     def runs(self) -> int:
@@ -125,7 +126,7 @@ def observation_rows(points: np.ndarray, beams: np.ndarray) -> np.ndarray:
 
 def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
     """Draw an ear, measure it with all errors, and return what the experimenter has."""
-    freq = np.tile(np.linspace(400.0, 5000.0, settings.lines), settings.runs)
+    freq = np.tile(np.linspace(*settings.band_hz, settings.lines), settings.runs)
     omega = 2.0 * np.pi * freq
     parameters = stapes_mass(rng, settings.head_mm)
     mass = mass_matrix(parameters)

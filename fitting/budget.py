@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fitting.estimators.problem import Problem
 from fitting.laws import LawFit
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
 from fitting.model.model import modes
 from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
@@ -171,7 +170,7 @@ def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
     step = 1e-5 * fit.law.unit_of_exponent(problem.scale.omega)
     gradients = []
     for sign in (1.0, -1.0):
-        moved = problem.with_law(DampingLaw(fit.law.name, fit.law.exponent + sign * step))
+        moved = problem.with_law(replace(fit.law, exponent=fit.law.exponent + sign * step))
         gradients.append(problem.gradient(parameters, moved.lines()))
     respond = implicit_response(problem, problem.lines(), fit.estimate)
     column = respond((gradients[0] - gradients[1]) / (2.0 * step))

@@ -3,16 +3,21 @@ evidence."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from fitting.calibrated import calibrated
 from fitting.causes.catalogue import title_of
-from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected, with_refits
+from fitting.causes.diagnosis import Diagnosis, diagnose, with_corrected, with_refits
 from fitting.causes.model_error import off_by_law
+from fitting.causes.refits import Refit
 from fitting.errors import FittingError
-from fitting.laws import LawFit, start_of_law, with_ligament
+from fitting.laws import LawFit, best_of_each, comparable, fits_of_laws, start_of_law, with_ligament
+from fitting.ligament.ligament import NotWithin
+from fitting.ligament.misfit import explained
 from fitting.model.laws import LAWS
 from fitting.model.observation import Observation
 from fitting.model.symmetric import join
@@ -22,7 +27,7 @@ from stapeskit.page.quantities import MASS
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-FLUID = "fluid"
+FLUID, LAW = "fluid", "law_"
 # Sizes below this many of their standard deviations are no mass.
 _SIGNIFICANT = 2.0
 
@@ -53,85 +58,178 @@ class FluidChoice:
 
 
 def choose_fluid(
-    best: LawFit, plain: LawFit, both: Observation, options: KDOptions, compared: Iterable[LawFit] = ()
-) -> tuple[LawFit, Diagnosis, FluidChoice]:
+    best: LawFit,
+    plain: Sequence[LawFit],
+    both: Observation,
+    options: KDOptions,
+    compared: tuple[LawFit, ...],
+) -> tuple[LawFit, Diagnosis, FluidChoice, tuple[LawFit, ...]]:
     """Diagnose a joint fit and take a mass of fluid into it where the data call for one.
 
     Parameters
     ----------
     best : LawFit
         With the plane of the ligament.
-    plain : LawFit
-        The same without it, from which it was extended.
+    plain : sequence of LawFit
+        The same, and those under other laws, without it: from them they are extended.
     both : Observation
     options : KDOptions
-    compared : iterable of LawFit
+    compared : tuple of LawFit
         Fits under all laws, where they were compared: their K and D differ by what the law is not known.
 
     Returns
     -------
-    fit, diagnosis, choice
+    fit, diagnosis, choice, compared
+        With the mass of fluid where it is part of the model.
     """
-    assert best.ligament is not None  # noqa: S101
-    laws = None if options.damping == COMPARE else lambda: _other_laws(best, plain, both, options)
-    diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws), best.ligament)
-    if options.damping == COMPARE:
-        diagnosis = with_refits(diagnosis, _compared(best, compared, both))
-    if FLUID in best.ligament.terms:
+    first = best.ligament
+    assert first is not None  # noqa: S101
+    if FLUID in first.terms:
         asked = FLUID in options.causes
         reason = (
             "asked for"
             if asked
             else "without it K or D is held at the limit of what is positive semidefinite"
         )
-        return best, diagnosis, _used(best, options, reason, asked)
+        if options.damping == COMPARE and not asked:
+            size = MASS.of(first.terms[FLUID][0])
+            best, compared = _joined(compared, _with_fluid(best, plain, both, options, size))
+        diagnosis = _diagnosed(best, plain, both, options, compared)
+        return best, diagnosis, _used(best, options, reason, asked), compared
+    diagnosis = _diagnosed(best, plain, both, options, compared)
+    found: tuple[LawFit, ...] = ()
+    if options.damping == COMPARE and not explained(first.joint):
+        found = _with_fluid(best, plain, both, options)
+        diagnosis = _under_any_law(diagnosis, [_refit_with_fluid(best, fit, both) for fit in found])
+    refit, reason, notices = speaks_for_fluid(diagnosis, options)
+    if reason or refit is None:
+        return best, diagnosis, _unused(options, reason, notices), compared
+    found = found or _with_fluid(best, plain, both, options, refit.size)
+    if not found:
+        return best, diagnosis, _unused(options, "the fit with it did not settle"), compared
+    chosen, compared = _joined(compared, found)
+    others = [title_of(name) for name in diagnosis.look_alikes if name != FLUID]
+    also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
+    reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
+    again = _diagnosed(chosen, plain, both, options, compared)
+    return chosen, again, _used(chosen, options, reason, False, also), compared
+
+
+def speaks_for_fluid(
+    diagnosis: Diagnosis, options: KDOptions
+) -> tuple[Refit | None, str, tuple[Notice, ...]]:
+    """Return the fit with fluid if it is to be part of the model, else why not, and warnings.
+
+    A relaxation that the law of the fit does not follow looks like a mass: where another law, without fluid,
+    explains the data nearly as well, only a closed cochlea makes a mass of fluid the likelier of the two.
+    """
     cause = diagnosis.named
     candidates = () if cause is None else (cause.name, *diagnosis.look_alikes)
     if FLUID not in candidates or options.fluid == "none":
         reason = "left out as asked for" if options.fluid == "none" else "the data do not call for it"
-        return best, diagnosis, _unused(options, reason)
+        return None, reason, ()
     refit = next(tried for tried in diagnosis.refits if tried.name == FLUID)
     expected = options.cochlea == "closed"
     if refit.size < _SIGNIFICANT * refit.sd or not (candidates[0] == FLUID or expected):
-        return best, diagnosis, _unused(options, f"{title_of(candidates[0])} explains the data better")
+        return None, f"{title_of(candidates[0])} explains the data better", ()
+    laws = [title_of(name) for name in candidates if name.startswith(LAW)]
+    if laws and not expected:
+        return None, f"{' or '.join(laws)} explains the data nearly as well", ()
     if options.cochlea in ("open", "drained"):
         text = (
             f"A mass of fluid of {plus_minus(refit.size, refit.sd)} {MASS.symbol} on the piston deflection "
             f"would lower chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
             f"Check that the window is dry, or use {named('fluid')} y."
         )
-        choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
-        return best, diagnosis, choice
-    law_fit = with_ligament(plain, both, (*options.causes, FLUID), sizes={FLUID: refit.size})
-    if law_fit.ligament is None:
-        return best, diagnosis, _unused(options, "the fit with it did not settle")
-    again = with_corrected(diagnose(law_fit.problem, law_fit.ligament), law_fit.ligament)
-    others = [title_of(name) for name in candidates if name != FLUID]
-    also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
-    reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
-    return law_fit, again, _used(law_fit, options, reason, False, also)
+        return None, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),)
+    return refit, "", ()
 
 
-def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptions) -> list[Refit]:
+def _with_fluid(
+    best: LawFit,
+    plain: Sequence[LawFit],
+    both: Observation,
+    options: KDOptions,
+    size: float | None = None,
+) -> tuple[LawFit, ...]:
+    """Return the fits with a mass of fluid, under the law of the best one and those that come near it.
+
+    Without a size they are fits under any law that explain the data.
+    """
+    from scipy.special import chdtri
+
+    names, sizes = (*options.causes, FLUID), {} if size is None else {FLUID: size}
+    limit = None if size is not None else float(chdtri(best.n_dof, calibrated("causes.misfit_p")))
+    found: list[LawFit] = []
+    laws = (best.law.name, *(fit.law.name for fit in best_of_each(plain) if fit.law.name != best.law.name))
+    for start in _starts(plain[0], laws, options, True):
+        try:
+            fit = with_ligament(start, both, names, sizes=sizes, within=limit)
+        except NotWithin:
+            continue
+        if fit.ligament is not None and (fit.law.physical or size is not None):
+            found.append(fit)
+            near = calibrated("causes.look_alike_chi2") + float(np.log(2 * fit.problem.n * len(both.freq_hz)))
+            limit = min(other.chi2 for other in found) + near
+    return best_of_each(comparable(found)) if found else ()
+
+
+def _joined(compared: tuple[LawFit, ...], found: tuple[LawFit, ...]) -> tuple[LawFit, tuple[LawFit, ...]]:
+    """Return the best fit with fluid, and the fits under all laws, with fluid where there is such a fit."""
+    best = min(found, key=lambda fit: (not fit.law.physical, fit.bic))
+    by_name = {fit.law.name: fit for fit in found}
+    compared = comparable(by_name.get(fit.law.name, fit) for fit in compared)
+    return next((fit for fit in compared if fit.law == best.law), best), compared
+
+
+def _starts(plain: LawFit, names: Sequence[str], options: KDOptions, fluid: bool) -> tuple[LawFit, ...]:
+    """Return where joint fits under some laws start."""
+    start = partial(start_of_law, fluid=fluid)
+    return fits_of_laws(plain.problem, names, options.lower, options.upper, start)[0]
+
+
+def _diagnosed(
+    best: LawFit,
+    plain: Sequence[LawFit],
+    both: Observation,
+    options: KDOptions,
+    compared: tuple[LawFit, ...],
+) -> Diagnosis:
+    """Search for causes; other damping laws are among them, or those that were compared."""
+    assert best.ligament is not None  # noqa: S101
+    laws = None
+    if options.damping != COMPARE:
+        laws = partial(_other_laws, best, plain[0], both, options)
+    diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws), best.ligament)
+    if options.damping == COMPARE:
+        diagnosis = with_refits(diagnosis, _compared(best, compared, both))
+    return diagnosis
+
+
+def _other_laws(
+    best: LawFit, plain: LawFit, both: Observation, options: KDOptions, within: float
+) -> list[Refit]:
     """Refit under the damping laws that were not asked for; their exponents count as an unknown.
 
-    A misfit under another law is left as it is: the law that the data speak for has none.
+    Laws whose chi2 does not come below ``within`` are left out.
     """
     assert best.ligament is not None  # noqa: S101
-    names = tuple(best.ligament.terms)
-    refits = []
+    terms = tuple(best.ligament.terms)
+    found: list[LawFit] = []
     for name in LAWS:
         if name == best.law.name:
             continue
         try:
-            law_fit = start_of_law(plain.problem, name, options.lower, options.upper)
-            other = with_ligament(law_fit, both, names, briefly=True)
+            starts = _starts(plain, (name,), options, FLUID in terms)
         except (FittingError, np.linalg.LinAlgError):
             continue
-        if other.ligament is None or not other.law.physical:
-            continue
-        refits.append(_refit_of(best, other, both, 1.0))
-    return refits
+        for start in starts:
+            try:
+                found.append(with_ligament(start, both, terms, within=within))
+            except (NotWithin, np.linalg.LinAlgError):
+                continue
+    settled = [fit for fit in found if fit.ligament is not None and fit.law.physical]
+    return [_refit_of(best, other, both, 1.0) for other in best_of_each(settled)]
 
 
 def _compared(best: LawFit, laws: Iterable[LawFit], both: Observation) -> list[Refit]:
@@ -158,7 +256,7 @@ def _refit_of(best: LawFit, other: LawFit, both: Observation, unknowns: float) -
         np.full_like(best.ligament.plane_damping, np.nan),
     )
     return Refit(
-        f"law_{other.law.name}",
+        f"{LAW}{other.law.name}",
         other.law.exponent,
         other.exponent_sd or 0.0,
         (best.ligament.chi2 - other.ligament.chi2) / level,
@@ -166,7 +264,26 @@ def _refit_of(best: LawFit, other: LawFit, both: Observation, unknowns: float) -
         other.ligament.p_value,
         unknowns + _counted(other) - _counted(best),
         off=off_by_law(best.ligament, other.ligament, 2.0 * np.pi * both.freq_hz),
+        chi2=other.ligament.chi2,
+        fixed=other.law.law.fixed - best.law.law.fixed,
     )
+
+
+def _under_any_law(diagnosis: Diagnosis, refits: list[Refit]) -> Diagnosis:
+    """Return the diagnosis with the best of the fits with fluid in place of the one under its own law."""
+    if not refits:
+        return diagnosis
+    others = tuple(refit for refit in diagnosis.refits if refit.name != FLUID)
+    fluid = [*refits, *(refit for refit in diagnosis.refits if refit.name == FLUID)]
+    return with_refits(replace(diagnosis, refits=others), [max(fluid, key=diagnosis.evidence)])
+
+
+def _refit_with_fluid(best: LawFit, other: LawFit, both: Observation) -> Refit:
+    """Return a fit with a mass of fluid, under any law, as a refit of that cause."""
+    assert other.ligament is not None  # noqa: S101
+    size, sd = (MASS.of(value) for value in other.ligament.terms[FLUID])
+    refit = _refit_of(best, other, both, 1.0)
+    return replace(refit, name=FLUID, size=size, sd=sd)
 
 
 def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from fitting.budget import budget_of, derived_quantities
+from fitting.calibrated import calibrated
 from fitting.causes.diagnosis import model_error
 from fitting.errors import FittingError
 from fitting.estimators.base import EstimatorOptions
@@ -16,10 +17,20 @@ from fitting.estimators.starts import improve
 from fitting.fluid import FLUID, choose_fluid
 from fitting.inplane import AUTO, LOAD, InplaneChoice, choose
 from fitting.kd_fit import KDFit
-from fitting.laws import LawFit, comparable, compare_laws, fit_law, with_ligament
-from fitting.ligament.ligament import applies
+from fitting.laws import (
+    LawFit,
+    best_of_each,
+    comparable,
+    fit_at,
+    fit_law,
+    fits_of_laws,
+    start_of_law,
+    with_ligament,
+)
+from fitting.ligament.ligament import NotWithin, applies
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
+from fitting.model.laws import LAWS
 from fitting.model.lines import Lines, Scale
 from fitting.model.model import modes
 from fitting.model.observation import Observation, observe, observe_both
@@ -42,6 +53,9 @@ from stapeskit.warnings import Notice, unique
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
 # there is no profile; the Fisher intervals, which are enormous then, stand alone.
 _HOPELESS = 3.0
+# Laws that are fitted to a misfit, out of those that are compared: the search for its cause begins at one of
+# them, and the fits with a mass of fluid try all. Chosen by judgement.
+_NEAREST = 2
 WITH_LIGAMENT = "the plane of the ligament is estimated together with K and D"
 NOT_SETTLED = "the fit with the plane of the ligament did not settle on positive semidefinite K and D"
 
@@ -111,16 +125,14 @@ def _fitted(
     if options.causes and both is None:
         raise FittingError(_not_joint(options))
     plain, laws, choice, undetermined = _laws(problem, options, both)
-    best = min(laws, key=lambda fit: (not fit.law.physical, fit.bic))
+    best = min(laws, key=lambda fit: (fit.ligament is None, not fit.law.physical, fit.bic))
     diagnosis, fluid, off = None, None, np.zeros((24, 0))
     if best.ligament is not None and both is not None:
-        before = best
-        start = next(fit for fit in plain if fit.law.name == best.law.name)
-        best, diagnosis, fluid = choose_fluid(best, start, both, options, laws)
+        best, diagnosis, fluid, laws = choose_fluid(best, plain, both, options, laws)
         if best.ligament is not None:
             off = model_error(diagnosis, best.ligament)
             best = replace(best, ligament=best.ligament.with_model_error(off[12:]))
-        laws = tuple(best if law is before else law for law in laws)
+        laws = tuple(best if law.law.name == best.law.name else law for law in laws)
     problem = best.problem
     lines = problem.lines()
     known = identifiability(best.estimate.parameters, lines, problem.units)
@@ -132,9 +144,8 @@ def _fitted(
     fit = _result(motion, options, problem, choice, laws, best, lines, known, off[:12])
     fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
     fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
-    return replace(
-        fit, undetermined=undetermined, notices=unique([*fit.notices, *_undetermined(undetermined)])
-    )
+    notices = [*fit.notices, *_undetermined(undetermined), *_alike(fit)]
+    return replace(fit, undetermined=undetermined, notices=unique(notices))
 
 
 def _both(motion: RigidMotion, options: KDOptions, problem: Problem) -> Observation | None:
@@ -169,29 +180,54 @@ def _laws(
     """
     if both is not None:
         loaded, choice = choose(problem, LOAD)
-        fits, undetermined = _fits(loaded, options)
-        settled = tuple(fit for fit in (_joint(fit, both, options) for fit in fits) if fit is not None)
+        fits, undetermined = _fits(loaded, options, start_of_law)
+        settled = _joint_fits(fits, both, options)
         if options.causes and not settled:
             raise FittingError(_without_result(options))
         for fit in fits:
             if settled and fit.law.name not in {other.law.name for other in settled}:
                 undetermined[fit.law.name] = NOT_SETTLED
-        if settled:
-            return fits, comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
+        if any(fit.ligament is not None for fit in settled):
+            laws = best_of_each(comparable(settled))
+            return fits, laws, replace(choice, reason=WITH_LIGAMENT), undetermined
     chosen, choice = choose(problem, options.inplane)
     if both is not None:
         choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
-    fits, undetermined = _fits(chosen, options)
-    return fits, fits, choice, undetermined
+    fits, undetermined = _fits(chosen, options, fit_law)
+    return fits, best_of_each(fits), choice, undetermined
 
 
-def _joint(fit: LawFit, both: Observation, options: KDOptions) -> LawFit | None:
+def _joint_fits(fits: tuple[LawFit, ...], both: Observation, options: KDOptions) -> tuple[LawFit, ...]:
+    """Return the fits with the plane of the ligament that settle.
+
+    Where laws are compared and one explains the data, those that do not stay without the plane; where none
+    does, only those that come nearest are fitted with it.
+    """
+    from scipy.special import chdtri
+
+    if options.damping == COMPARE and not options.causes:
+        near = []
+        for fit in fits:
+            try:
+                joint = _joint(fit, both, options, float(chdtri(fit.n_dof, calibrated("causes.misfit_p"))))
+            except NotWithin:
+                joint = fit
+            near += [] if joint is None else [joint]
+        if any(fit.ligament is not None and fit.law.physical for fit in near):
+            return tuple(near)
+        fits = tuple(sorted(fits, key=lambda fit: fit.bic))
+        joints = [_joint(fit, both, options) for fit in fits[:_NEAREST]]
+        return (*(joint for joint in joints if joint is not None), *fits[_NEAREST:])
+    return tuple(joint for joint in (_joint(fit, both, options) for fit in fits) if joint is not None)
+
+
+def _joint(fit: LawFit, both: Observation, options: KDOptions, within: float | None = None) -> LawFit | None:
     """Return a fit with the plane of the ligament; None where it does not settle.
 
     Where the free minimum has no positive semidefinite K and D, they are held so, or a mass of fluid makes
     them so where that is worth its unknown (criterion of Schwarz).
     """
-    free = with_ligament(fit, both, options.causes)
+    free = with_ligament(fit, both, options.causes, within=within)
     if free.ligament is not None or options.causes:
         return free if free.ligament is not None else None
     try:
@@ -199,7 +235,8 @@ def _joint(fit: LawFit, both: Observation, options: KDOptions) -> LawFit | None:
     except np.linalg.LinAlgError:
         tried = []
     if options.fluid == "auto":
-        tried.append(with_ligament(fit, both, (FLUID,)))
+        start = start_of_law(fit.problem, fit.law.name, options.lower, options.upper, fit.law.ratio, True)
+        tried.append(with_ligament(start, both, (FLUID,), within=within))
     settled = comparable(joint for joint in tried if joint.ligament is not None)
     return min(settled, key=lambda joint: joint.bic) if settled else None
 
@@ -213,10 +250,24 @@ def _without_result(options: KDOptions) -> Fault:
     )
 
 
-def _fits(problem: Problem, options: KDOptions) -> tuple[tuple[LawFit, ...], dict[str, str]]:
-    if options.damping == COMPARE:
-        return compare_laws(problem, options.lower, options.upper)
-    return (fit_law(problem, options.damping, options.lower, options.upper),), {}
+def _fits(
+    problem: Problem, options: KDOptions, fit: Callable[..., LawFit]
+) -> tuple[tuple[LawFit, ...], dict[str, str]]:
+    names = LAWS if options.damping == COMPARE else (options.damping,)
+    return fits_of_laws(problem, names, options.lower, options.upper, fit)
+
+
+def _alike(fit: KDFit) -> list[Notice]:
+    """Return a warning about damping laws between which the data do not decide."""
+    others = fit.laws_alike
+    if not others:
+        return []
+    text = (
+        f"The damping law is undetermined: the data do not tell {fit.law.name} from {' or '.join(others)} "
+        f"damping. K and D are those under {fit.law.name}; their intervals include what the others would "
+        "change."
+    )
+    return [Notice("law_ambiguous", text)]
 
 
 def _undetermined(laws: Mapping[str, str]) -> list[Notice]:
@@ -294,7 +345,7 @@ def _result(
 def _plain(best: LawFit, options: KDOptions) -> LawFit:
     """Return what the three degrees of freedom alone give, without in-plane motion, under the same law."""
     problem = replace(best.problem, coupling=None, observation=best.problem.observation.without_load())
-    return fit_law(problem, best.law.name, options.lower, options.upper)
+    return fit_at(problem, best.law, options.lower, options.upper)
 
 
 __all__ = ["KDFit", "KDOptions", "fit_kd"]

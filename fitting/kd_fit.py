@@ -13,7 +13,7 @@ from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
 from fitting.fluid import FluidChoice
 from fitting.inplane import InplaneChoice
-from fitting.laws import LawFit
+from fitting.laws import LawFit, alike
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
@@ -105,6 +105,12 @@ class KDFit:
     diagnosis: Diagnosis | None = None
     fluid: FluidChoice | None = None
     undetermined: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def laws_alike(self) -> tuple[str, ...]:
+        """Damping laws, out of those that were compared, that the data do not tell from the chosen one."""
+        best = next((law for law in self.laws if law.law == self.law), None)
+        return () if best is None else alike(best, self.laws)
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fitting.calibrated import calibrated
 from fitting.causes.catalogue import Setting, term_of
 from fitting.causes.correction import corrected_problem
 from fitting.errors import FittingError
@@ -66,43 +67,79 @@ class LawFit:
         return degrees(self.problem.lines()) - self.law.unknowns
 
 
-def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
+def fit_law(
+    problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float], ratio: float = 0.0
+) -> LawFit:
     """Estimate under one damping law; an exponent or a time is estimated by a one-dimensional search."""
     search = law_of(name).search
     if search is None:
-        return _at(problem, DampingLaw(name), lower, upper)
+        return fit_at(problem, DampingLaw(name), lower, upper)
     from scipy.optimize import minimize_scalar
 
     unit = 1.0 / problem.scale.omega
 
     def objective(exponent: float) -> float:
-        law = DampingLaw(name, float(exponent)).scaled(unit)
-        return _at(problem, law, lower, upper).estimate.objective
+        law = DampingLaw(name, float(exponent), ratio).scaled(unit)
+        return fit_at(problem, law, lower, upper).estimate.objective
 
     optimum = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
-    best = _at(problem, DampingLaw(name, float(optimum.x)).scaled(unit), lower, upper)
+    best = fit_at(problem, DampingLaw(name, float(optimum.x), ratio).scaled(unit), lower, upper)
     return replace(best, exponent_sd=_exponent_sd(best))
 
 
 def start_of_law(
-    problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]
+    problem: Problem,
+    name: str,
+    lower: Mapping[str, float],
+    upper: Mapping[str, float],
+    ratio: float = 0.0,
+    fluid: bool = False,
 ) -> LawFit:
-    """Return the best fit under a law at a few of the exponents or times that it may have."""
+    """Return the best fit under a law at a few of the exponents or times that it may have.
+
+    With ``fluid`` it is the best one from which a fit with a mass of fluid goes on: without that mass a
+    relaxation time comes out below zero, and the fit with it would stay there.
+    """
     search = law_of(name).search
     if search is None:
         return fit_law(problem, name, lower, upper)
     ends = np.linspace(*search, _STARTS + 1)
     laws = [
-        DampingLaw(name, float(at)).scaled(1.0 / problem.scale.omega)
+        DampingLaw(name, float(at), ratio).scaled(1.0 / problem.scale.omega)
         for at in ends[:-1] + 0.5 * np.diff(ends)
     ]
-    return min((_at(problem, law, lower, upper) for law in laws), key=lambda fit: fit.chi2)
+    free = replace(problem, options=replace(problem.options, passive=False))
+    tried = [fit_at(free, law, lower, upper) for law in laws]
+    if fluid:
+        left = [with_fluid(fit.estimate.parameters, fit.problem.lines())[2] for fit in tried]
+        return fit_at(problem, laws[int(np.argmin(left))], lower, upper)
+    best = None
+    for first in sorted(tried, key=lambda fit: fit.chi2):
+        if best is not None and best.chi2 <= first.chi2:  # no K, D >= 0 fits better than it does
+            break
+        held = fit_at(problem, first.law, lower, upper)
+        best = held if best is None or held.chi2 < best.chi2 else best
+    assert best is not None  # noqa: S101
+    return best
 
 
-def compare_laws(
-    problem: Problem, lower: Mapping[str, float], upper: Mapping[str, float]
+def fits_of_laws(
+    problem: Problem,
+    names: Iterable[str],
+    lower: Mapping[str, float],
+    upper: Mapping[str, float],
+    fit: Callable[..., LawFit] = fit_law,
 ) -> tuple[tuple[LawFit, ...], dict[str, str]]:
-    """Estimate under every damping law.
+    """Estimate under damping laws; a law with two times has a fit for each of their ratios.
+
+    Parameters
+    ----------
+    problem : Problem
+    names : iterable of str
+    lower, upper : mapping of str to float
+        Bounds.
+    fit : callable
+        `fit_law`, or `start_of_law` where a joint fit goes on from it.
 
     Returns
     -------
@@ -116,14 +153,23 @@ def compare_laws(
         No law has a fit; the fault of the first.
     """
     fits, faults = [], {}
-    for name in LAWS:
+    for name in names:
         try:
-            fits.append(fit_law(problem, name, lower, upper))
+            fits += [fit(problem, name, lower, upper, ratio) for ratio in law_of(name).ratios or (0.0,)]
         except (FittingError, np.linalg.LinAlgError) as fault:
             faults[name] = fault
     if not fits:
         raise next(iter(faults.values()))
-    return comparable(fits), {name: str(fault) for name, fault in faults.items()}
+    made = comparable(fits) if len(fits) > 1 else tuple(fits)
+    return made, {name: str(fault) for name, fault in faults.items()}
+
+
+def best_of_each(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
+    """Return the best fit of each law."""
+    best: dict[str, LawFit] = {}
+    for fit in sorted(fits, key=lambda fit: (fit.ligament is None, fit.bic)):
+        best.setdefault(fit.law.name, fit)
+    return tuple(best[name] for name in LAWS if name in best)
 
 
 def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
@@ -133,13 +179,31 @@ def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
     return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
 
 
+def alike(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
+    """Return the other laws that the data do not tell from the one of the best fit.
+
+    A law that the best one is a special case of is no other: the simple one is kept until the data speak
+    against it. Numbers that were chosen for a law do not count here, since they say nothing of the data.
+    """
+    names = []
+    for other in laws:
+        same = other.law.name == best.law.name or best.law.name in other.law.law.includes
+        if same or not other.law.physical or (best.ligament is not None and other.ligament is None):
+            continue
+        equations = 2 * best.problem.n * len(best.problem.observation.freq_hz)
+        chosen = (other.law.law.fixed - best.law.law.fixed) * np.log(equations)
+        if other.bic - best.bic - chosen < calibrated("causes.look_alike_chi2"):
+            names.append(other.law.name)
+    return tuple(names)
+
+
 def with_ligament(
     fit: LawFit,
     both: Observation,
     names: tuple[str, ...] = (),
     sizes: Mapping[str, float] | None = None,
     held: bool = False,
-    briefly: bool = False,
+    within: float | None = None,
 ) -> LawFit:
     """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
 
@@ -153,13 +217,18 @@ def with_ligament(
         Where the fit starts as well, in the units of the causes.
     held : bool
         Whether K and D are kept positive semidefinite, without causes.
-    briefly : bool
-        Whether a misfit is left as it is.
+    within : float, optional
+        Chi2 below which the fit is of use; a misfit is left as it is.
+
+    Raises
+    ------
+    NotWithin
+        Chi2 does not come below ``within``.
     """
     problem = fit.problem
     begun = None
     if "fluid" in names:
-        parameters, fluid = with_fluid(fit.estimate.parameters, problem.lines())
+        parameters, fluid, _ = with_fluid(fit.estimate.parameters, problem.lines())
         size = MASS.of(fluid * float(problem.scale.root_mass[0]) ** 2)
         begun = (parameters, np.array([size if name == "fluid" else 0.0 for name in names]))
 
@@ -173,7 +242,7 @@ def with_ligament(
         )
 
     start = fit.estimate.parameters
-    ligament = fit_ligament(problem, both, start, extend if names else None, begun, held, briefly)
+    ligament = fit_ligament(problem, both, start, extend if names else None, begun, held, within)
     if ligament is None:
         return fit
     extended = LawFit(
@@ -188,7 +257,10 @@ def with_ligament(
     return replace(extended, bic=_bic(extended, 1.0))
 
 
-def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
+def fit_at(
+    problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Mapping[str, float]
+) -> LawFit:
+    """Estimate under one damping law with its exponent or time as it is."""
     same = problem.with_law(law)
     options = replace(same.options, lower=_bounds(same, lower, -np.inf), upper=_bounds(same, upper, np.inf))
     same = replace(same, options=options)

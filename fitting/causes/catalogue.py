@@ -345,6 +345,7 @@ CAUSES: dict[str, Cause] = {
         starts=(0.0, MASS.of(4e-6)),
         nuisances=(HEAD_PLACE,) * 3,
         positive=True,
+        usual=MASS.of(calibrated("causes.usual_head_mass_kg")),
     ),
     "centre_x": _elsewhere("x"),
     "centre_y": _elsewhere("y"),

@@ -3,7 +3,8 @@ it.
 
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
 misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the
-criterion of Schwarz (1978), doi:10.1214/aos/1176344136, and what a size beyond the usual one costs; causes
+criterion of Schwarz (1978), doi:10.1214/aos/1176344136, what noise alone makes where the cause changes the
+equations much (fitting.causes.chance), and what a size beyond the usual one costs; causes
 whose refits are nearly as good are its look-alikes. A cause that can have one size only is no unknown: chi2
 must fall by twice the logarithm of how rare it is.
 """
@@ -17,13 +18,10 @@ import numpy as np
 
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, term_of
-from fitting.causes.model_error import off_by_cause, off_unexplained
+from fitting.causes.model_error import off_unexplained
+from fitting.causes.refits import Refit, of_use, rarity, refit_with
 from fitting.causes.scores import Scores, scores
 from fitting.estimators.problem import Problem
-from fitting.ligament.equations import Term
-from fitting.ligament.inplane_stiffness import inverse_of
-from fitting.ligament.joint_fit import JointFit
-from fitting.ligament.ligament import FEW_ROUNDS, MOST_ROUNDS, extended_fit
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
 from stapeskit.arrays import Array
@@ -33,46 +31,6 @@ from stapeskit.arrays import Array
 _DOUBTFUL = 0.05
 # Standard deviations between a threshold and the mean of what passes it in 80 %: a quantile of the normal.
 _POWER_80 = 0.8416
-# Steps of a refit, and of one beside a cause that explains the data.
-_MOST, _FEW = 60, 20
-
-
-@dataclass(frozen=True)
-class Refit:
-    """A full fit with one cause in it.
-
-    Attributes
-    ----------
-    name : str
-    size : float
-        In the unit of the cause.
-    sd : float
-        From the scores' information; the same unit.
-    fall : float
-        Of chi2.
-    effect : ndarray, (p,)
-        K and D about the plane of the ligament with the cause, less those without, SI; NaN where D has
-        another unit.
-    p_value : float
-        Probability of the chi2 that is left, or a larger one.
-    unknowns : float
-        By how many the unknowns of the model grow; nuisance parameters count by what the data say of them.
-    strange : float
-        Squared size over the usual one: what a normal distribution of sizes adds to chi2.
-    off : ndarray, (24, k)
-        Columns E: E E^T is the mean square by which K and D are off, about the footplate centre and, in the
-        second half, about the plane of the ligament, where this cause is there; SI.
-    """
-
-    name: str
-    size: float
-    sd: float
-    fall: float
-    effect: Array
-    p_value: float
-    unknowns: float = 1.0
-    strange: float = 0.0
-    off: Array = field(default_factory=lambda: np.zeros((24, 0)), repr=False)
 
 
 @dataclass(frozen=True)
@@ -121,13 +79,18 @@ class Diagnosis:
         }
 
     def evidence(self, refit: Refit) -> float:
-        """Return the decrease of chi2, minus the penalties for the unknowns and for the size of the cause."""
-        return refit.fall - self.threshold * refit.unknowns - refit.strange
+        """Return the decrease of chi2, minus what noise makes and the penalties for unknowns and size."""
+        from scipy.special import ndtri
+
+        chance = float(ndtri(1.0 - calibrated("causes.false_alarm"))) * refit.fall_sd
+        return refit.fall - chance - self.threshold * refit.unknowns - refit.strange
 
     @property
     def named(self) -> Refit | None:
-        """The cause that the data speak for, or None."""
-        return self.refits[0] if self.refits and self.evidence(self.refits[0]) > 0.0 else None
+        """The cause that the data speak for, or None; one of no size that is known is none."""
+        known = (refit for refit in self.refits if refit.sd < abs(refit.size) or not refit.sd)
+        best = next(known, None)
+        return best if best is not None and self.evidence(best) > 0.0 else None
 
     @property
     def off(self) -> Array:
@@ -138,7 +101,9 @@ class Diagnosis:
         The fit stays without the causes. Their effect is averaged over the fit as it is and the refits with
         weights exp(evidence / 2) (Hoeting et al. 1999, Bayesian model averaging, doi:10.1214/ss/1009212519).
         """
-        evidence = np.array([0.0, *(self.evidence(refit) for refit in self.refits)])
+        evidence = np.array(
+            [0.0, *(self.evidence(refit) + self.threshold * refit.fixed for refit in self.refits)]
+        )
         shares = np.exp(0.5 * (evidence - evidence.max()))
         roots = np.sqrt(shares / shares.sum())[1:]
         columns = [root * refit.off for root, refit in zip(roots, self.refits, strict=True)]
@@ -151,7 +116,9 @@ class Diagnosis:
         if named is None:
             return ()
         close = max(self.evidence(named) - calibrated("causes.look_alike_chi2"), 0.0)
-        return tuple(other.name for other in self.refits[1:] if self.evidence(other) > close)
+        return tuple(
+            other.name for other in self.refits if other is not named and self.evidence(other) > close
+        )
 
 
 def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
@@ -160,7 +127,7 @@ def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
 
 
 def diagnose(
-    problem: Problem, ligament: LigamentFit, laws: Callable[[], Sequence[Refit]] | None = None
+    problem: Problem, ligament: LigamentFit, laws: Callable[[float], Sequence[Refit]] | None = None
 ) -> Diagnosis:
     """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable.
 
@@ -172,8 +139,9 @@ def diagnose(
     problem : Problem
     ligament : LigamentFit
     laws : callable, optional
-        Refits under other damping laws, for a search. They come first: where one explains the data, most
-        causes are looked at briefly.
+        Refits under other damping laws whose chi2 is below its argument, for a search. What the scores speak
+        for comes first, laws or the likeliest cause: where it explains the data, the others are given up
+        where they cannot come near it.
     """
     from scipy.special import chdtri
 
@@ -195,23 +163,30 @@ def diagnose(
     ranked = [scored[place] for place in np.argsort(p_values, kind="stable")]
     leading = _first_of_families(ranked, names)
     likely = [place for place in leading if CAUSES[names[place]].refitted]
-    whole = any(_fall_of_whole(name, tested, place) > _rarity() for place, name in enumerate(names))
+    whole = any(_fall_of_whole(name, tested, place) > rarity() for place, name in enumerate(names))
     searched = bool(alarm or whole or ligament.p_value < calibrated("causes.misfit_p"))
     if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
         likely = []
     elif not searched:
         likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
-    under_laws = list(laws()) if searched and laws is not None else []
+    shortlist = likely[: int(calibrated("causes.shortlist"))]
+    laws_at = 0 if not CAUSES[names[ranked[0]]].refitted else 1
+    under_laws: Sequence[Refit] = ()
     refits: list[Refit] = []
-    for number, place in enumerate(likely[: int(calibrated("causes.shortlist"))]):
+    for number, place in enumerate(shortlist):
+        if number == laws_at and searched and laws is not None:
+            under_laws = laws(of_use(ligament, refits))
         known = [*refits, *under_laws] if number else []
         explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in known)
-        refit = _refit(ligament, names[place], terms[place], tested, place, units, explained)
+        within = of_use(ligament, known) if number else np.inf
+        refit = refit_with(ligament, names[place], terms[place], tested, place, units, within, explained)
         refits += [] if refit is None else [refit]
     if not searched:
         searched = any(candidate.fall > least for candidate in refits)
         refits = refits if searched else []
-        under_laws = list(laws()) if searched and laws is not None else []
+        laws_at = len(shortlist)
+    if len(shortlist) <= laws_at and searched and laws is not None:
+        under_laws = laws(of_use(ligament, refits))
     equations = 2 * ligament.equations.n * ligament.lines.count
     shown = sorted(leading)
     kept = Scores(
@@ -241,11 +216,6 @@ def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:
     return list(first.values())
 
 
-def _rarity() -> float:
-    """Return what an error that is there wholly or not at all must lower chi2 by to be likely."""
-    return -2.0 * float(np.log(calibrated("causes.whole_error")))
-
-
 def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
     """Return to first order by how much chi2 falls with a cause of its only size."""
     only = CAUSES[name].only
@@ -257,78 +227,6 @@ def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
 def _large(name: str) -> bool:
     """Return whether a cause may be too large for its score, a linear test."""
     return len(CAUSES[name].starts) > 1
-
-
-def _refit(
-    ligament: LigamentFit,
-    name: str,
-    term: Term,
-    start_scores: Scores,
-    place: int,
-    units: Array,
-    explained: bool,
-) -> Refit | None:
-    """Fit with one cause from the estimate of its score and from its other starts; the best one, or None.
-
-    Where another cause explains the data already, only what settles as well at once can look like it.
-    """
-    from scipy.special import chdtrc
-
-    best = None
-    starts = (float(start_scores.estimate[place]), *CAUSES[name].starts)
-    for begin in starts[: 1 if explained else None]:
-        if begin == 0.0 and best is not None and best[2].chi2 < ligament.joint.chi2:
-            continue
-        shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
-        start = replace(ligament.joint, parameters=shifted)
-        fitted = extended_fit(
-            ligament.lines,
-            ligament.equations,
-            start,
-            (term,),
-            np.array([begin]),
-            _FEW if explained else _MOST,
-            FEW_ROUNDS if explained or best is not None or begin in CAUSES[name].starts[1:] else MOST_ROUNDS,
-        )
-        if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
-            best = fitted
-        if best is not None and chdtrc(best[2].n_dof, best[2].chi2) > calibrated("causes.misfit_p"):
-            break
-    if best is None:
-        return None
-    lines, equations, fit = best
-    level = max(1.0, fit.level)
-    before = ligament.equations.unknowns
-    change = fit.parameters[:before] - ligament.joint.parameters[:before]
-    effect = change[: len(units)] * units
-    fall = (ligament.joint.chi2 - fit.chi2) / level
-    size = float(fit.parameters[equations.term][-1])
-    if CAUSES[name].positive and size < 0.0:
-        return None
-    left = float(chdtrc(fit.n_dof, fit.chi2))
-    more = lines.errors - ligament.lines.errors
-    unknowns = 1.0 + _informed(fit, more) / np.log(2 * equations.n * lines.count)
-    strange, only = (size / CAUSES[name].usual) ** 2, CAUSES[name].only
-    if only is not None:
-        variance = level * inverse_of(fit.at.hessian)[equations.term, equations.term][-1, -1]
-        unknowns, strange = unknowns - 1.0, (size - only) ** 2 / variance + _rarity()
-    sd = float(start_scores.sd[place])
-    factor = equations.applied(lines, fit.parameters)[1].factor
-    off = off_by_cause(ligament, change, sd / max(abs(size), 1e-300), factor)
-    return Refit(name, size, sd, fall, effect, left, unknowns, strange, off)
-
-
-def _informed(fit: JointFit, count: int) -> float:
-    """Return what the prior of the last unknowns costs in chi2: the ratio of its volume to the posterior's.
-
-    Notes
-    -----
-    Laplace's approximation of the evidence (MacKay 1992, doi:10.1162/neco.1992.4.3.415).
-    """
-    if not count:
-        return 0.0
-    left = inverse_of(fit.at.hessian)[-count:, -count:]
-    return max(0.0, -float(np.linalg.slogdet(left)[1]))
 
 
 def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:

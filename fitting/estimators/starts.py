@@ -43,8 +43,9 @@ def improve(problem: Problem, lines: Lines, current: Estimate) -> Estimate:
     return held if held.objective < current.objective else current
 
 
-def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float]:
-    """Return K and D, and a mass of fluid on the first deflection, that the equations suggest; scaled.
+def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
+    """Return K and D, and a mass of fluid on the first deflection, that the equations suggest, scaled; and
+    the sum of squares that they leave, in units of their noise.
 
     Parameters
     ----------
@@ -59,11 +60,12 @@ def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float]:
     fluid = np.zeros((lines.n, lines.count), dtype=complex)
     fluid[0] = -(lines.omega**2) * lines.dq[0]
     columns = np.concatenate([regressor(lines.dq, lines.factor), fluid[:, :, None]], axis=2)
-    solution = np.append(parameters, 0.0)
+    solution, left = np.append(parameters, 0.0), np.inf
     for _ in range(_FLUID_ROUNDS):
         factor = cholesky(evaluate(solution[:-1], lines).noise)
         rows, right = real_rows(forward(factor, columns)), real_rows(forward(factor, lines.force))
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             break
         solution = least_squares(rows, right)
-    return solution[:-1], float(solution[-1])
+        left = float(np.sum((rows @ solution - right) ** 2))
+    return solution[:-1], float(solution[-1]), left

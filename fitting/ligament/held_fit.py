@@ -36,7 +36,7 @@ def fit_held(
         Where the unknowns after K' and D' and the shared errors start.
     """
 
-    def descent(wide: JointLines, start: Array) -> JointFit:
+    def descent(wide: JointLines, start: Array, _: float = 1.0) -> JointFit:
         return _held(wide, equations, start, minimise_near)
 
     begin = np.concatenate([near, others])

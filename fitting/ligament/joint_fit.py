@@ -9,7 +9,7 @@ gradient.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,9 @@ from fitting.model.symmetric import split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Step, squared, in units of the parameters' uncertainty, that ends the fit without shared errors, which is a
-# start.
-_START_TOLERANCE = 1e-2
+# Step, squared, in units of the parameters' uncertainty, that ends a fit; one without shared errors, which is
+# a start; and one with more noise than stated, which finds how much there is.
+TOLERANCE, _START_TOLERANCE, NOISY_TOLERANCE = 1e-5, 1e-2, 1e-3
 # A Hessian is kept for the next step when the step is shorter (squared, in units of the parameters'
 # uncertainty) than the first, and as long as the squares fall by the second.
 _NEAR, _KEEP = 30.0, 0.05
@@ -93,6 +93,8 @@ class JointFit:
     at : Expansion
     noise : float
         Variance of the noise with which it was fitted over the stated one.
+    given_up : bool
+        Whether chi2 will not come as low as asked.
     """
 
     parameters: Array
@@ -102,6 +104,7 @@ class JointFit:
     iterations: int
     at: Expansion
     noise: float = 1.0
+    given_up: bool = False
 
     @property
     def level(self) -> float:
@@ -241,7 +244,12 @@ def _error_columns(
 
 
 def fit_joint(
-    lines: JointLines, equations: Equations, start: Array, tolerance: float = 1e-5, most: int = 60
+    lines: JointLines,
+    equations: Equations,
+    start: Array,
+    tolerance: float = TOLERANCE,
+    most: int = 60,
+    within: float = np.inf,
 ) -> JointFit:
     """Minimise from a start (p,) or (p + k,), first without the shared errors when the start has none.
 
@@ -254,6 +262,8 @@ def fit_joint(
         Squared step in units of the parameters' own uncertainty that ends it.
     most : int
         Steps after which it ends without convergence.
+    within : float
+        It also ends so where chi2 does not come below this in the steps that are left, at the pace it has.
 
     Raises
     ------
@@ -264,10 +274,8 @@ def fit_joint(
     if lines.errors and len(start) <= equations.unknowns:
         begun = _descend(lines.without_errors(), equations, start, max(tolerance, _START_TOLERANCE), most)
         start, count = (begun.parameters if begun.converged else start), begun.iterations
-    joint = _descend(lines, equations, start, tolerance, most)
-    return JointFit(
-        joint.parameters, joint.chi2, joint.n_dof, joint.converged, joint.iterations + count, joint.at
-    )
+    joint = _descend(lines, equations, start, tolerance, most, within)
+    return replace(joint, iterations=joint.iterations + count)
 
 
 def equation_error_start(lines: JointLines, equations: Equations, begin: Array, rounds: int = 3) -> Array:
@@ -291,7 +299,14 @@ def equation_error_start(lines: JointLines, equations: Equations, begin: Array, 
     return np.concatenate([now, begin[equations.unknowns :]])
 
 
-def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: float, most: int) -> JointFit:
+def _descend(
+    lines: JointLines,
+    equations: Equations,
+    start: Array,
+    tolerance: float,
+    most: int,
+    within: float = np.inf,
+) -> JointFit:
     """Take Gauss-Newton steps, damped after Levenberg where a step fails.
 
     A Hessian is kept while steps with it fall fast: the gradient, which is exact, costs a fraction of it.
@@ -299,6 +314,8 @@ def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: f
     now = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
     at = expand(lines, equations, now)
     damping, converged, count, fresh, before = 0.0, False, 0, True, np.inf
+    given_up = False
+    n_dof = 2 * equations.n * lines.count - equations.prior.free
     while count < most and not converged:
         count += 1
         step = -solve_symmetric(at.hessian + damping * np.diag(np.diag(at.hessian)), at.gradient)
@@ -308,8 +325,12 @@ def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: f
             before = np.inf
             continue
         before = decrement
-        converged = decrement < tolerance and damping < 1.0
-        if converged and decrement < 1e-3 * tolerance:
+        given_up = damping < 1.0 and 2.0 * at.value - (most - count + 1) * decrement > within
+        if given_up:
+            break
+        near = tolerance * max(1.0, at.value / n_dof)  # a misfit is as uncertain as half of it is large
+        converged = decrement < near and damping < 1.0
+        if converged and decrement < 1e-3 * near:
             break
         keep = at.hessian if lines.errors and decrement < _NEAR else None
         try:
@@ -326,5 +347,4 @@ def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: f
             at, fresh, converged, before = expand(lines, equations, now), True, False, np.inf
     if not fresh:
         at = expand(lines, equations, now)
-    n_dof = 2 * equations.n * lines.count - equations.prior.free
-    return JointFit(now, 2.0 * at.value, n_dof, converged, count, at)
+    return JointFit(now, 2.0 * at.value, n_dof, converged, count, at, given_up=given_up)

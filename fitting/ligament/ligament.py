@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semide
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
-from fitting.ligament.misfit import explained, fit_any, fit_with_noise
+from fitting.ligament.misfit import descend, explained, explained_below, fit_any, fit_with_noise
 from fitting.ligament.prior import Prior, coupling_prior
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
@@ -44,6 +45,10 @@ _FEW = 20
 # noise of the fit without it, and with the noise that is left.
 MOST_ROUNDS, FEW_ROUNDS = 4, 2
 Extended = tuple[JointLines, Equations, JointFit]
+
+
+class NotWithin(Exception):
+    """A fit does not come below the chi2 from which on it is of use."""
 
 
 def applies(problem: Problem, both: Observation) -> bool:
@@ -65,7 +70,7 @@ def fit_ligament(
     extend: Extension | None = None,
     begun: tuple[Array, Array] | None = None,
     held: bool = False,
-    briefly: bool = False,
+    within: float | None = None,
 ) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
 
@@ -83,14 +88,20 @@ def fit_ligament(
         The first start with them: scaled K and D, and their values.
     held : bool
         Whether K' and D' are kept positive semidefinite, without further unknowns.
-    briefly : bool
-        Whether a misfit is left as it is: where another model explains the data.
+    within : float, optional
+        Chi2 below which the fit is of use, where another model explains the data as well: a misfit is not
+        fitted with more noise.
 
     Returns
     -------
     LigamentFit or None
         None when the iteration does not settle, or settles where K' or D' is not positive semidefinite and
         they are not held.
+
+    Raises
+    ------
+    NotWithin
+        Chi2 does not come below ``within``.
     """
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
@@ -104,40 +115,49 @@ def fit_ligament(
     fitted = None
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])
-        fitted = _prepared(lines, equations, first, terms, begun[1])
-    if fitted is None or not explained(fitted[2]):
-        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)), briefly)
+        fitted = _prepared(lines, equations, first, terms, begun[1], within)
+    if fitted is None or not (explained(fitted[2]) or (within is not None and fitted[2].chi2 < within)):
+        limit = np.inf if terms and within is not None else within  # with a term chi2 can fall
+        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)), limit)
         if not terms:
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
         elif joint is not None:
             fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
+    if within is not None and (fitted is None or fitted[2].chi2 > within):
+        raise NotWithin
     if fitted is None or not semidefinite(fitted[2].parameters[: equations.entries]):
         return None
     return ligament_in_si(problem, *fitted)
 
 
 def _from_valleys(
-    lines: JointLines, equations: Equations, begins: Array, couplings: tuple[Array, ...], briefly: bool
+    lines: JointLines,
+    equations: Equations,
+    begins: Array,
+    couplings: tuple[Array, ...],
+    within: float | None,
 ) -> JointFit | None:
     """Return the fit from the first coupling that settles; those that lead to one valley are tried once.
 
     Without shared errors, which costs little, starts show whether they lead to the same valley. A misfit is
-    fitted with as much noise, unless ``briefly``.
+    fitted with as much noise, unless only a chi2 below ``within`` is of use.
     """
     joint: JointFit | None = None
+    limit = explained_below(equations, lines.count) if within is None else within
     seen: list[float] = []
     for coupling in couplings:
         bare = fit_joint(lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2)
         if any(abs(bare.chi2 - value) < 1e-3 * value for value in seen):
             continue
         seen.append(bare.chi2)
-        joint = fit_joint(lines, equations, np.concatenate([bare.parameters, np.zeros(lines.errors)]))
+        begin = np.concatenate([bare.parameters, np.zeros(lines.errors)])
+        joint = fit_joint(lines, equations, begin, within=limit)
         if joint.converged:
             break
-    if joint is not None and (briefly or (joint.converged and explained(joint))):
+    if joint is not None and (within is not None or (joint.converged and explained(joint))):
         return joint
     start = np.concatenate([begins, couplings[0]])
-    return fit_with_noise(lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin))
+    return fit_with_noise(lines, equations, start, partial(descend, equations))
 
 
 def _from_all_starts(
@@ -166,14 +186,20 @@ def _better(first: Extended | None, other: Extended | None) -> Extended | None:
 
 
 def _prepared(
-    lines: JointLines, equations: Equations, start: Array, terms: tuple[Term, ...], begin: Array
+    lines: JointLines,
+    equations: Equations,
+    start: Array,
+    terms: tuple[Term, ...],
+    begin: Array,
+    within: float | None = None,
 ) -> Extended | None:
     """Return a fit with further unknowns from values of theirs, at which the others are fitted first."""
     applied = (lines, equations)
     for term, value in zip(terms, begin, strict=True):
         applied = term.apply(float(value), *applied)
     try:
-        there = fit_any(*applied, equation_error_start(*applied, start))
+        near = equation_error_start(*applied, start)
+        there = fit_any(*applied, near) if within is None else fit_joint(*applied, near)
     except np.linalg.LinAlgError:
         return None
     return extended_fit(lines, equations, there, terms, begin)
@@ -187,25 +213,20 @@ def extended_fit(
     begin: Array | None = None,
     most: int = 60,
     rounds: int = MOST_ROUNDS,
+    within: float = np.inf,
 ) -> Extended | None:
     """Minimise with further unknowns, from values ``begin`` (0) of theirs; None if it needs more steps.
 
-    Where the data are not explained by as much noise as stated, ``rounds`` is the most fits with other noise.
+    Where the data are not explained by as much noise as stated, ``rounds`` is the most fits with other noise;
+    0 keeps to the stated one. Only a chi2 below ``within`` is of use.
     """
     lines = lines.with_nuisances(tuple(name for term in terms for name in term.nuisances))
     start = np.insert(fit.parameters, equations.unknowns, np.zeros(len(terms)) if begin is None else begin)
     value = 0.0 if begin is None else float(begin[0])
     extended = equations.with_terms(terms)
-    joint = _settled(
-        lambda: fit_with_noise(
-            lines,
-            extended,
-            start,
-            lambda wide, at: fit_joint(wide, extended, at, most=most),
-            fit,
-            rounds,
-        )
-    )
+    descent = partial(descend, extended, most=most, within=within)
+    before = fit if rounds else replace(fit, noise=1.0)
+    joint = _settled(lambda: fit_with_noise(lines, extended, start, descent, before, rounds))
     if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
         joint = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
     return None if joint is None else (lines, extended, joint)

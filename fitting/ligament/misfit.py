@@ -11,17 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.ligament.equations import Equations
-from fitting.ligament.joint_fit import JointFit, expand, fit_joint
+from fitting.ligament.joint_fit import NOISY_TOLERANCE, TOLERANCE, JointFit, expand, fit_joint
 from fitting.ligament.joint_lines import JointLines
 
 Array = NDArray[np.float64]
-Descent = Callable[[JointLines, Array], JointFit]
+Descent = Callable[[JointLines, Array, float], JointFit]
 # Fits with other noise, the share of it at which chi2 per degree of freedom agrees, and the factor within
 # which the least noise is found; the factor by which it grows where it is too small.
 _ROUNDS, _AGREES, _CLOSE, _GROWS = 10, 0.9, 1.5, 4.0
@@ -34,15 +35,40 @@ def explained(fit: JointFit) -> bool:
     return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
 
 
+def explained_below(equations: Equations, lines: int) -> float:
+    """Return the chi2 below which noise, shared errors and priors explain the data."""
+    from scipy.special import chdtri
+
+    return float(chdtri(2 * equations.n * lines - equations.prior.free, calibrated("causes.misfit_p")))
+
+
 def fit_any(lines: JointLines, equations: Equations, start: Array) -> JointFit:
     """Fit with the noise as stated or, where that does not explain the data, with as much as there is.
 
     Parameters and errors are those of `fit_with_noise`.
     """
-    fit = fit_joint(lines, equations, start)
+    fit = fit_joint(lines, equations, start, within=explained_below(equations, lines.count))
     if fit.converged and explained(fit):
         return fit
-    return fit_with_noise(lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin))
+    return fit_with_noise(lines, equations, start, partial(descend, equations))
+
+
+def descend(
+    equations: Equations,
+    lines: JointLines,
+    start: Array,
+    noise: float,
+    most: int = 60,
+    within: float = np.inf,
+) -> JointFit:
+    """Fit lines from a start; the minimum is found less closely where noise is larger than stated.
+
+    It is given up where chi2 with the stated noise will not come ``within`` a limit; what is known beforehand
+    and the shared errors may take up to twice their number of it.
+    """
+    known = len(equations.prior.mean) - equations.prior.free + lines.errors
+    limit = within if noise == 1.0 else within / noise + 2.0 * known
+    return fit_joint(lines, equations, start, TOLERANCE if noise == 1.0 else NOISY_TOLERANCE, most, limit)
 
 
 def fit_with_noise(
@@ -61,7 +87,7 @@ def fit_with_noise(
     equations : Equations
     start : ndarray, (p,) or (p + k,)
     descent : callable
-        Fits lines from a start.
+        Fits lines from a start; its third argument is their noise over the stated one.
     before : JointFit, optional
         A fit without some of the unknowns: it begins with the noise of that fit, and where that was the
         stated one keeps to it. What explains hardly more than it did is left at its noise. When left out, it
@@ -80,7 +106,7 @@ def fit_with_noise(
         The start has no likelihood.
     """
     if before is not None and before.noise == 1.0:
-        return descent(lines, start)
+        return descent(lines, start, 1.0)
     free = 2 * equations.n * lines.count - equations.prior.free
     if before is not None:
         noise = before.noise
@@ -89,7 +115,7 @@ def fit_with_noise(
         noise = 2.0 * expand(lines, equations, whole, np.empty(0)).value / free
     noise, low, best, best_noise = max(noise, 1.0), 1.0, None, 1.0
     for _ in range(rounds):
-        fit = descent(replace(lines, covariance=noise * lines.covariance), start)
+        fit = descent(replace(lines, covariance=noise * lines.covariance), start, noise)
         if fit.converged and _probable(equations, fit.parameters):
             best, start, best_noise = fit, fit.parameters, noise
             left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
@@ -98,6 +124,8 @@ def fit_with_noise(
             if before is not None and left > _AGREES * before.level:
                 break
             noise = max(left, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
+        elif fit.given_up:
+            break
         elif best is None:
             low, noise = noise, _GROWS * noise
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,8 @@ class DampingLaw:
     exponent : float
         That of the law where it is fixed; otherwise the unknown: the power of time in the unit of D, between
         0 and 2, or a relaxation time (s).
+    ratio : float
+        The second time over the first, where the law has two; 0: the usual one.
 
     Raises
     ------
@@ -34,10 +36,13 @@ class DampingLaw:
 
     name: str = "viscous"
     exponent: float = 1.0
+    ratio: float = 0.0
 
     def __post_init__(self) -> None:
         if self.name not in LAWS:
             raise FittingError.of("the damping law", f"one of {', '.join(LAWS)}", self.name)
+        if self.ratio == 0.0 and self.law.ratios:
+            object.__setattr__(self, "ratio", self.law.ratios[-1])
         if not self.estimated:
             object.__setattr__(self, "exponent", self.law.exponent)
         elif not self.law.valid[0] < self.exponent < self.law.valid[1]:
@@ -47,7 +52,8 @@ class DampingLaw:
     @property
     def law(self) -> Law:
         """The entry of the table."""
-        return law_of(self.name)
+        law = law_of(self.name)
+        return law if law.at_ratio is None or self.ratio == 0.0 else law.at_ratio(self.ratio)
 
     @property
     def estimated(self) -> bool:
@@ -57,7 +63,7 @@ class DampingLaw:
     def with_exponent(self, exponent: float) -> DampingLaw:
         """Return the law with another exponent, within what it allows."""
         low, high = self.law.valid
-        return DampingLaw(self.name, float(np.clip(exponent, low + 1e-3, high - 1e-3)))
+        return replace(self, exponent=float(np.clip(exponent, low + 1e-3, high - 1e-3)))
 
     @property
     def time_power(self) -> float:
@@ -75,7 +81,7 @@ class DampingLaw:
 
     def scaled(self, omega: float) -> DampingLaw:
         """Return the law of frequencies divided by ``omega`` (rad/s)."""
-        return DampingLaw(self.name, self.exponent / self.unit_of_exponent(omega))
+        return replace(self, exponent=self.exponent / self.unit_of_exponent(omega))
 
     @property
     def unknowns(self) -> int:

@@ -90,6 +90,7 @@ def _model(fit: KDFit) -> dict[str, Any]:
             {"law": law.law.name, "exponent": law.law.exponent, "chi2": law.chi2, "bic": law.bic}
             for law in fit.laws
         ],
+        "damping_laws_alike": list(fit.laws_alike),
         "damping_laws_undetermined": dict(fit.undetermined),
         "inplane": {
             "option": fit.options.inplane,

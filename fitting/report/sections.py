@@ -259,13 +259,14 @@ def _matrices(fit: KDFit) -> Section:
             )
         )
     if len(fit.laws) > 1:
+        alike = fit.laws_alike
         rows = [
             (
                 law.law.name,
                 law.law.formula,
                 f"{law.chi2:.1f}",
                 f"{law.bic:.1f}",
-                "chosen" if law.law == fit.law else "",
+                "chosen" if law.law == fit.law else "not told from it" if law.law.name in alike else "",
             )
             for law in fit.laws
         ]

@@ -12,5 +12,6 @@ LAW = Law(
     formula=lambda exponent: f"K + (i w)^{exponent:.4g} D",
     exponent=1.0,
     search=(0.05, 1.6),
+    includes=("viscous", "hysteretic"),
     slope=lambda omega, exponent: np.log(1j * omega) * (1j * omega) ** exponent,
 )

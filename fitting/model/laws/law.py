@@ -44,6 +44,12 @@ class Law:
     fixed : int
         Numbers that were chosen for the law where nature has them free; they count in a comparison as if they
         had been estimated, so that the data must speak for the law.
+    includes : tuple of str
+        Simpler laws that it becomes at a value of its exponent or in a limit.
+    ratios : tuple of float
+        What the second time over the first may be, where the law has two; the last is the usual one.
+    at_ratio : callable, optional
+        The law of a ratio.
     """
 
     factor: Callable[[Array, float], ComplexArray]
@@ -57,3 +63,6 @@ class Law:
     causal: bool = True
     polynomial: bool = False
     fixed: int = 0
+    includes: tuple[str, ...] = ()
+    ratios: tuple[float, ...] = ()
+    at_ratio: Callable[[float], Law] | None = None

@@ -17,5 +17,6 @@ LAW = Law(
     search=_RANGE,
     slope=lambda omega, time: np.asarray((omega / (1.0 + 1j * omega * time)) ** 2, dtype=complex),
     time_power=1.0,
+    includes=("viscous",),
     valid=(-np.inf, np.inf),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from benchmarks.ring_ears import PISTON, EarSettings, ear
 from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.joint_fit import fit_joint
-from fitting.ligament.misfit import fit_any, fit_with_noise
+from fitting.ligament.misfit import descend, explained_below, fit_any, fit_with_noise
 from fitting.options import KDOptions
 
 PISTON_STIFFNESS = PISTON[0], PISTON[0]
@@ -46,7 +47,20 @@ def test_data_that_are_explained_are_fitted_as_before() -> None:
     assert plain.noise == 1.0
     assert fit_any(lines, equations, start).parameters == pytest.approx(plain.parameters, rel=1e-12)
     noisy = replace(plain, noise=50.0, chi2=50.0 * plain.chi2)
-    brought_down = fit_with_noise(
-        lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin), noisy
-    )
+    brought_down = fit_with_noise(lines, equations, start, partial(descend, equations), noisy)
     assert brought_down.chi2 == pytest.approx(plain.chi2, rel=1e-5)
+
+
+def test_a_fit_that_cannot_come_below_a_limit_is_given_up_and_one_that_can_is_not() -> None:
+    fit, _ = fitted("", 0.0, 0)
+    lines, equations, best = fit.ligament.lines, fit.ligament.equations, fit.ligament.joint
+    start = best.parameters.copy()
+    start[: equations.entries] *= 1.5
+    free = fit_joint(lines, equations, start)
+    same = fit_joint(lines, equations, start, within=explained_below(equations, lines.count))
+    assert same.converged
+    assert same.parameters == pytest.approx(free.parameters, rel=1e-12)
+    given_up = fit_joint(lines, equations, start, within=0.5 * best.chi2)
+    assert given_up.given_up
+    assert not given_up.converged
+    assert given_up.iterations <= free.iterations
