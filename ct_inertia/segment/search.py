@@ -50,6 +50,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
     scan, levels = glance.scan, glance.levels
     tried: list[Sight] = []
     doubtful: tuple[Sight, Sight] | None = None
+    without_hole: Sight | None = None
     for air, plastic, bone in readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else between_levels(air, plastic, bone)
         pieces, candidates = labelled_pieces(
@@ -72,7 +73,9 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
             better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
             soft = parted is not None and options.threshold is None and takes_soft_for_bone(parted)
             if parted is not None and better and not soft and _takes_in(parted, doubtful):
-                return parted
+                if parted.stapes.arched:
+                    return parted
+                without_hole = without_hole or parted
         if chosen is None:
             continue
         if usual and chosen.stapes.arched and _takes_in(chosen, doubtful):
@@ -81,6 +84,10 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
                 return own
         # Bone whose density changes along it can look like two materials: the next reading takes both.
         doubtful = doubtful or (sight, chosen)
+    if without_hole is not None and (
+        doubtful is None or _better(without_hole, judged(doubtful[0], doubtful[1].stapes))
+    ):
+        return without_hole
     if doubtful is not None:
         return _picked(volume, doubtful[0], options) or doubtful[1]
     if tried and options.seed_mm is not None:
@@ -192,7 +199,10 @@ def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = 
 
 
 def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
-    """Part the larger pieces where they touch, and choose the likeliest stapes among the parts."""
+    """Part the larger pieces where they touch, and choose the likeliest stapes among the parts.
+
+    A part without a hole, such as a stapes with one crus or a broken one, must be of usual size and shape.
+    """
     scan, every = sight.scan, (sight.stapes, *sight.others)
     large = [judged(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
     large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
@@ -209,10 +219,12 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
             chosen = _trial(volume, sight, way, rest, options)
             if chosen is None or chosen.stapes.at_border > whole.at_border:
                 continue
-            if not chosen.stapes.arched or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
+            part = chosen.stapes
+            bare = part.holes == 0 and not part.at_border and _usual(part)
+            if not part.possible or part.oddness > _ODD or not (part.arched or bare):
                 continue
             ways.append(chosen)
-            if _usual(chosen.stapes):
+            if part.arched and _usual(part):
                 break
         if ways:
             sights.append(max(ways, key=lambda way: way.stapes.score))
