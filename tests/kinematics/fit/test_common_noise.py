@@ -106,9 +106,11 @@ def test_points_scanned_with_a_noisy_reference_state_their_motion_honestly():
         made = points2dof(measured)
         error = np.abs(made.motion.q[0, 0] - q) ** 2
         scores.append(np.mean(error / (2.0 * standard_deviation(made.motion)[0, 0] ** 2), axis=0))
+        found += bool(made.diagnoses[0, 0].findings)
+        if seed % 2:  # a few show what taking the noise for that of channels does
+            continue
         alone = points2dof(replace(measured, record_noise=()))
         plain.append(np.mean(error / (2.0 * standard_deviation(alone.motion)[0, 0] ** 2), axis=0))
-        found += bool(made.diagnoses[0, 0].findings)
         blamed += bool(alone.diagnoses[0, 0].findings)
     assert np.all(np.abs(np.mean(scores, axis=0) - 1.0) < 0.15)
     assert np.max(np.abs(np.mean(plain, axis=0) - 1.0)) > 0.4
