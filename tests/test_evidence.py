@@ -10,7 +10,7 @@ from tools.evidence import BLOCK, RESULTS, commands, result_file, with_results
 
 @pytest.mark.parametrize("page", [name for name, text in PAGES.items() if BLOCK.search(text)])
 def test_the_blocks_of_a_page_are_the_kept_results(page):
-    assert with_results(PAGES[page]) == PAGES[page], "run python tools/evidence.py --pages"
+    assert with_results(PAGES[page]) == PAGES[page], "run make evidence ARGS=WORD: figures are not typed"
 
 
 def test_every_kept_result_is_on_one_page():
