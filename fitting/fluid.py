@@ -98,7 +98,7 @@ def choose_fluid(
         return best, diagnosis, _used(best, options, reason, asked), compared
     diagnosis = _diagnosed(best, plain, both, options, compared)
     found: tuple[LawFit, ...] = ()
-    if options.damping == COMPARE and not explained(first.joint):
+    if options.fluid == "auto" and not explained(first.joint):  # a refit may end beside the mass
         found = _with_fluid(best, plain, both, options)
         diagnosis = _under_any_law(diagnosis, [_refit_with_fluid(best, fit, both) for fit in found])
     refit, reason, notices = speaks_for_fluid(diagnosis, options)

@@ -247,6 +247,15 @@ def test_fluid_is_found_where_the_fit_without_it_settles_nowhere() -> None:
     assert np.all(np.abs(off(fit, case)) < 4.0)
 
 
+def test_fluid_is_found_where_its_refit_ends_beside_it() -> None:
+    """The refit from the score ended at a misfit of 5 times the noise, and fractional damping was named."""
+    case = ear(EarSettings(0.1, 0.03, cause="fluid", size=0.5), np.random.default_rng([5, 100, 3000, True]))
+    fit = fitted(case)
+    assert 1e6 * fit.fluid.mass_kg == pytest.approx(0.5, abs=4e6 * fit.fluid.mass_sd_kg)
+    assert fit.diagnosis.named is None
+    assert np.all(np.abs(off(fit, case)) < 4.0)
+
+
 def test_where_only_fluid_gives_semidefinite_matrices_it_is_taken() -> None:
     case = case_of("fluid", 2, size=1.5)
     fit = fitted(case, cochlea="open")
