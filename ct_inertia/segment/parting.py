@@ -20,7 +20,7 @@ from ct_inertia.segment.candidates import (
 )
 from ct_inertia.segment.doubts import USUAL
 from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
-from ct_inertia.segment.separate import Separation, renamed, separations
+from ct_inertia.segment.separate import VALLEY, Separation, renamed, separations
 from ct_inertia.volume.coarse import calmed
 from ct_inertia.volume.grids import boxes_and_sizes, labelled
 from ct_inertia.volume.mask_statistics import every_nth, looked_up
@@ -43,8 +43,9 @@ _MOST_UNITED = 7
 _WHOLE = calibrated("parting.whole")
 _MOST_WALL_MM3 = calibrated("parting.most_wall_mm3")
 # More of a wall of the stapes lies within the hull of the rest than outside, of other bone less.
-# Half, by that meaning; not fitted.
+# Half, by that meaning; not fitted. A loose fragment between the crura lies within it, too: see _contact_mm2.
 _WALL_WITHIN = 0.5
+_LEAST_CONTACT_MM2 = calibrated("neighbours.least_cut_mm2")
 _NECK_ODDNESS = calibrated("parting.neck_oddness")
 
 
@@ -136,12 +137,13 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
     bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
+    solid = bone & (grey > coarse.air + VALLEY * contrast)
     # What follows looks at shares and masks: grey values on this grid have done their work.
     del grey
     empty = np.broadcast_to(np.float32(0.0), working.shape)
     working = replace(working, volume=replace(working.volume, array=empty), single=None)
     for apart in _every_way(held, bone, spacing, whole):
-        way = _with_own_walls(apart, spacing)
+        way = _with_own_walls(apart, solid, spacing)
         # A small part is a part only at the border of the scan, which may have cropped a larger bone.
         placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
         kept = [(p, q) for p, q in placed if p.volume_mm3 > _LEAST_PART_MM3 or q.at_border]
@@ -249,17 +251,23 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
             yield Separation(way.depth_mm, labels, way.sure, [whole, *rest])
 
 
-def _with_own_walls(way: Separation, spacing_mm: Array) -> Separation:
-    """Give the stapes back what lies within its own hull.
+def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array) -> Separation:
+    """Give the stapes back what lies within its own hull and hangs together with it.
 
-    A gutter of a crus is a narrow gap as well, along which its wall is parted from the rest.
+    A gutter of a crus is a narrow gap as well, along which its wall is parted from the rest; at its ends
+    ``solid`` bone [z, y, x] joins the two. A loose fragment between the crura has a valley all around.
     """
     small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < _MOST_WALL_MM3]
     usual = sorted((p for p in way.pieces if p.possible and p.oddness < USUAL), key=lambda p: p.oddness)
     stapes = next((p for p in usual if _counted(way.labels, p, spacing_mm).arched), None)
     if not small or stapes is None or way.neck is not None:
         return way
-    walls = [p for p in small if within_hull(way.labels, stapes, p) > _WALL_WITHIN]
+    walls = [
+        p
+        for p in small
+        if _contact_mm2(way.labels, solid, (stapes, p), spacing_mm) > _LEAST_CONTACT_MM2
+        and within_hull(way.labels, stapes, p) > _WALL_WITHIN
+    ]
     if not walls:
         return way
     name = np.arange(int(way.labels.max()) + 1)
@@ -273,6 +281,24 @@ def _with_own_walls(way: Separation, spacing_mm: Array) -> Separation:
         return way
     kept = [p for p in way.pieces if p.label != stapes.label and all(p is not wall for wall in walls)]
     return replace(way, labels=labels, pieces=[united, *kept])
+
+
+def _contact_mm2(
+    labels: NDArray[np.int32], solid: NDArray[np.bool_], both: tuple[Piece, Piece], spacing_mm: Array
+) -> float:
+    """Return the area over which two parts touch in solid bone; the second is the smaller one."""
+    one, other = both
+    box = tuple(
+        slice(max(0, int(a) - 1), int(b) + 1) for a, b in zip(other.low[::-1], other.high[::-1], strict=True)
+    )
+    part = labels[box] * solid[box]
+    area = 0.0
+    for axis, spacing in enumerate(spacing_mm[::-1]):
+        moved = np.moveaxis(part, axis, 0)
+        low, high = moved[:-1], moved[1:]
+        faces = (low == one.label) & (high == other.label) | (low == other.label) & (high == one.label)
+        area += int(np.count_nonzero(faces)) * float(np.prod(spacing_mm) / spacing)
+    return area
 
 
 def _united(

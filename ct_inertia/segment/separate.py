@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 _LEAST_DEPTH_VOXELS = calibrated("separate.least_depth_voxels")
 _LEAST_MARKER_MM3 = calibrated("separate.least_marker_mm3")
-_VALLEY = calibrated("separate.valley")
+VALLEY = calibrated("separate.valley")
 _HALF_VALLEY_MM = calibrated("separate.half_valley_mm")
 _HALF_VALLEY_VOXELS = calibrated("separate.half_valley_voxels")
 # Standard deviations of the smoothing against noise, in voxels, of the valleys and of the watershed's relief.
@@ -78,7 +78,7 @@ def narrow_gaps(share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm:
     or two voxels, which the blur fills.
     """
     valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
-    clear = gaussian(share, _CALM_VOXELS, truncate=3.0) > _VALLEY
+    clear = gaussian(share, _CALM_VOXELS, truncate=3.0) > VALLEY
     return (closed(bone, spacing_mm, HALF_GAP_MM) & ~bone) | (closed(clear, spacing_mm, valley) & ~clear)
 
 
