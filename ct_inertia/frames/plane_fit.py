@@ -111,9 +111,8 @@ def _fitted(
         return None
     edge = points[clean] + shift[clean, None] * face.normal
     plane_face = fitted_plane(edge, np.full(len(edge), face.area_mm2 / len(edge)), face.normal)
-    turn = float(np.arccos(np.clip(plane_face.normal @ face.normal, -1.0, 1.0)))
-    reach = float(np.max(np.linalg.norm(face.samples_mm - face.point_mm, axis=1)))
-    if abs(face.distance(plane_face.point_mm[None])[0]) + turn * reach > 2.0 * _MOST_MOVE_MM:
+    before = face.samples_mm - face.distance(face.samples_mm)[:, None] * face.normal
+    if float(np.max(np.abs(plane_face.distance(before)))) > 2.0 * _MOST_MOVE_MM:
         return None
     return replace(
         plane_face,

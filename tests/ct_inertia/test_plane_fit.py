@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.frames.plane_faces import PlaneFace
-from ct_inertia.frames.plane_fit import _covered
+from ct_inertia.frames.plane_faces import PlaneFace, large_faces
+from ct_inertia.frames.plane_fit import _covered, fitted_to_grey
 from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.volume.volume import Volume
@@ -143,3 +143,18 @@ def test_a_sample_at_the_rim_covers_its_own_cell_and_no_other():
     rim = np.vstack([samples, [-2.13, 0.05, 0.0]])
     changed = _covered(face, points) != _covered(replace(face, samples_mm=rim), points)
     assert np.all(np.linalg.norm(points[changed] - rim[-1], axis=1) < 0.3)
+
+
+def test_a_long_low_side_that_its_surface_shows_tilted_is_fitted():
+    """Over its height such a side moves by 15 um; its length, along the axis of the tilt, does not count."""
+    size = np.ceil(2.0 * (HALF + 0.3) / VOXEL).astype(int)
+    centre = 0.5 * size * VOXEL
+    volume = scanned_box(np.eye(3), centre, size, 400.0)
+    faces = large_faces(*surface_of(volume))
+    side = next(face for face in faces if face.normal[2] > 0.99)
+    turn = rotation_from_vector([0.06, 0.0, 0.0])
+    tilted = replace(side, normal=turn @ side.normal, basis=turn @ side.basis)
+    (fitted,) = fitted_to_grey([tilted], [tilted], volume, SIGMA)
+    assert fitted is not tilted
+    assert np.arccos(fitted.normal[2]) < 2e-3
+    assert abs(fitted.point_mm[2] - centre[2] - HALF[2]) < 1e-3
