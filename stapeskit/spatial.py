@@ -48,6 +48,17 @@ def twist_transfer(rotation: ArrayLike, shift_m: ArrayLike) -> Array:
     return transfer
 
 
+def cross(one: Array, two: Array) -> Array:
+    """Return the products (..., 3) of vectors (..., 3), as `np.cross` does in three times the time."""
+    x, y, z = one[..., 0], one[..., 1], one[..., 2]
+    a, b, c = two[..., 0], two[..., 1], two[..., 2]
+    product = np.empty(np.broadcast_shapes(one.shape, two.shape))
+    product[..., 0] = y * c - z * b
+    product[..., 1] = z * a - x * c
+    product[..., 2] = x * b - y * a
+    return product
+
+
 def point_rows(arms_m: ArrayLike, directions: ArrayLike) -> Array:
     """Return the observation rows (n, 6) of beams: ``v . d = [d, arm x d] . (v0, omega)``.
 
@@ -60,13 +71,13 @@ def point_rows(arms_m: ArrayLike, directions: ArrayLike) -> Array:
     """
     arms = np.asarray(arms_m, dtype=float)
     beams = np.asarray(directions, dtype=float)
-    return np.hstack([beams, np.cross(arms, beams)])
+    return np.hstack([beams, cross(arms, beams)])
 
 
 def shifted_point_rows(directions: ArrayLike, shift_m: ArrayLike) -> Array:
     """Return the change (n, 6) of `point_rows` when the points move by ``shift_m``, (3,) or (n, 3), m."""
     beams = np.asarray(directions, dtype=float)
-    return np.hstack([np.zeros_like(beams), np.cross(np.broadcast_to(shift_m, beams.shape), beams)])
+    return np.hstack([np.zeros_like(beams), cross(np.asarray(shift_m, dtype=float), beams)])
 
 
 def matrix_from_parameters(parameters: ArrayLike) -> Array:

@@ -22,7 +22,7 @@ from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
-from stapeskit.spatial import point_rows
+from stapeskit.spatial import cross, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -199,13 +199,9 @@ class Packed:
 
     def rows(self, arms_m: Array, directions: Array) -> Array:
         """Return rows (..., m) in the orthonormal basis for positions and directions (..., 3)."""
-        x, y, z = arms_m[..., 0], arms_m[..., 1], arms_m[..., 2]
-        a, b, c = directions[..., 0], directions[..., 1], directions[..., 2]
-        columns = np.empty((*np.broadcast_shapes(arms_m.shape, directions.shape)[:-1], 6))
-        columns[..., :3] = directions
-        columns[..., 3] = y * c - z * b
-        columns[..., 4] = z * a - x * c
-        columns[..., 5] = x * b - y * a
+        about = cross(arms_m, directions)
+        columns = np.empty((*about.shape[:-1], 6))
+        columns[..., :3], columns[..., 3:] = directions, about
         return np.asarray(columns @ self.source.beams.to_six)
 
     def under(self, assumed: Assumed) -> Packed:

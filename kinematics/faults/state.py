@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.packing import RIDGE, Packed, whitened
 from stapeskit.frames import cross_matrix
+from stapeskit.spatial import cross
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -48,9 +49,9 @@ def model_of(data: Packed) -> Model:
 def across(directions: Array) -> Array:
     """Return two unit vectors (..., 2, 3) square to beams (..., 3) and to each other."""
     least = np.eye(3)[np.argmin(np.abs(directions), axis=-1)]
-    first = np.cross(directions, least)
+    first = cross(directions, least)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(directions, first)], axis=-2)
+    return np.stack([first, cross(directions, first)], axis=-2)
 
 
 class Sums(NamedTuple):

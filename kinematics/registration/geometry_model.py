@@ -14,7 +14,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
-from stapeskit.spatial import point_rows, shifted_point_rows
+from stapeskit.spatial import cross, point_rows, shifted_point_rows
 from stapeskit.vocabulary import named
 
 Index = NDArray[np.intp]
@@ -190,7 +190,7 @@ class GeometryModel:
         changes: list[Change] = []
 
         def turned(parameter: int, channels: Index, axis: Array) -> None:
-            step = np.cross(axis, directions[channels])
+            step = cross(axis, directions[channels])
             changes.append(Change(parameter, channels, point_rows(arms[channels], step)))
 
         whole = np.eye(3)

@@ -13,6 +13,7 @@ from stapeskit.spatial import (
     DOF_NAMES,
     central_tensor,
     check_inertia,
+    cross,
     inertia_faults,
     matrix_from_parameters,
     parameter_basis,
@@ -137,3 +138,10 @@ def test_a_box_is_possible():
 def test_impossible_inertia_is_refused(matrix, match):
     with pytest.raises(StapeskitError, match=match):
         check_inertia(matrix)
+
+
+@pytest.mark.parametrize(("one", "two"), [((5, 3), (5, 3)), ((3,), (5, 3)), ((4, 5, 3), (5, 3))])
+def test_products_of_vectors_are_those_of_numpy(one, two):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=one), rng.normal(size=two)
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
