@@ -152,9 +152,15 @@ class Marginal:
         return self.merged.tangents(channels, [WHICH[k] for k in self.nuisance.which])
 
     @cached_property
-    def turned(self) -> ComplexArray:
-        """Their products with the norm of the channels."""
-        return self.merged.products(np.arange(len(self.state.data.points)), self.tangents)
+    def near(self) -> tuple[NDArray[np.intp], Array]:
+        """Channels (channel, k) whose noise each has in common, itself first, and the products with them."""
+        count, norm = len(self.state.data.points), self.state.norm
+        if norm is None:
+            return np.arange(count)[:, None], np.ones((count, 1))
+        held = norm != 0.0
+        most = int(np.max(np.sum(held, axis=1)))
+        order = np.argsort(~held, axis=1, kind="stable")[:, :most]
+        return order, np.take_along_axis(norm, order, axis=1)
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
@@ -180,16 +186,14 @@ class Marginal:
     def information(self) -> Array:
         """Information (V, V), without the priors."""
         count = len(self.nuisance.sd)
-        one, two = (
-            t.transpose(2, 0, 1, 3).reshape(self.owner.shape[0], self.owner.shape[1], -1)
-            for t in (self.tangents, self.turned)
-        )
-        own = np.real(one.conj() @ two.swapaxes(1, 2))
+        flat = self.tangents.transpose(2, 0, 1, 3).reshape(*self.owner.shape, -1)
         information = np.asarray(self.taken @ self.taken.T)
         np.negative(information, out=information)
-        row, column = np.broadcast_arrays(self.owner[:, :, None], self.owner[:, None, :])
-        held = (row < count) & (column < count)
-        np.add.at(information, (row[held], column[held]), own[held])
+        for others, norm in zip(*(part.T for part in self.near), strict=True):
+            own = np.real(flat.conj() @ flat[others].swapaxes(1, 2)) * norm[:, None, None]
+            row, column = np.broadcast_arrays(self.owner[:, :, None], self.owner[others][:, None, :])
+            held = (row < count) & (column < count)
+            np.add.at(information, (row[held], column[held]), own[held])
         return information
 
     @cached_property
@@ -230,13 +234,14 @@ class Marginal:
             tangents, taken = self._in_columns(tangents, taken, self.turn)
         sums = np.zeros(sets * count * (number + 1))
         at = np.arange(sets * count).reshape(sets, count, 1) * (number + 1)
+        neighbours, norms = self.near
         for member in range(groups.shape[1]):
-            channels = groups[:, member]
-            one = tangents[:, :, :, member].transpose(2, 0, 1, 3).reshape(sets, count, -1)
-            two = self.turned[:, :, channels].transpose(2, 0, 1, 3).reshape(sets, len(self.turned), -1)
-            own = np.real(one.conj() @ two.swapaxes(1, 2))
-            index = at + self.owner[channels][:, None, :]
-            sums += np.bincount(index.ravel(), own.ravel(), len(sums))
+            one = tangents[:, :, :, member].transpose(2, 0, 1, 3).reshape(sets, count, -1).conj()
+            for others, norm in zip(neighbours[groups[:, member]].T, norms[groups[:, member]].T, strict=True):
+                two = self.tangents[:, :, others].transpose(2, 0, 1, 3).reshape(sets, len(self.tangents), -1)
+                own = np.real(one @ two.swapaxes(1, 2)) * norm[:, None, None]
+                index = at + self.owner[others][:, None, :]
+                sums += np.bincount(index.ravel(), own.ravel(), len(sums))
         return sums.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
 
     def _in_columns(

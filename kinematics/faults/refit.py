@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
-from kinematics.faults.nuisance import Marginal, Nuisance
+from kinematics.faults.nuisance import Marginal, Nuisance, settled
 from kinematics.faults.packing import Packed, Source, packed
 from kinematics.faults.state import Model, State, model_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Limit of steps of Gauss and Newton for a fault and the nuisance parameters.
-_ROUNDS = 6
+# Limit of steps of Gauss and Newton for a fault and the nuisance parameters; most fits take two to four.
+_ROUNDS = 12
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")
 # Segments or lines that a change over the lines needs, to be told from level, slope and bend.
@@ -121,22 +121,13 @@ class Refit:
         return min(self._try(self.flat, fault, zero, x).value for x in starts)
 
     def most(self, channels: Sequence[int]) -> float:
-        """Return by how much the objective falls when channels are left out: no fault of theirs takes more.
-
-        To first order in the nuisance parameters, from where they are zero and from where they were found:
-        next to a large fault only the first is near what is left without it.
-        """
+        """Return by how much the objective falls without some channels: no fault of theirs takes more."""
         if self.data.whiten is not None:
             return np.inf
         weight, y = self.data.weight.copy(), self.data.y.copy()
         weight[:, channels], y[:, channels] = 0.0, 0.0
-        data, least = replace(self.data, weight=weight, y=y), np.inf
-        for x in (np.zeros_like(self.start), self.start):
-            state = State.of(data, self.nuisance.applied(model_of(data), x, data))
-            near = Marginal(state, self.nuisance)
-            pull = near.score - 0.5 * x / self.nuisance.sd**2
-            least = min(least, state.energy + self.nuisance.penalty(x) - float(pull @ near.solved(pull)))
-        return self.before - least
+        state, x = settled(replace(self.data, weight=weight, y=y), self.nuisance)
+        return self.before - state.energy - self.nuisance.penalty(x)
 
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
@@ -197,7 +188,8 @@ class Refit:
             if alone is not None:
                 thetas.append(alone)
         # Next to a large fault the nuisance parameters of the fit without it are far off.
-        return [(theta, np.zeros_like(self.start)) for theta in thetas]
+        starts = [(theta, np.zeros_like(self.start)) for theta in thetas]
+        return [*starts, (np.zeros(size), self.start)] if len(self.start) else starts
 
     def _alone(self, data: Packed, fault: Fault) -> Array | None:
         """Return the parameters of a fault against the motion of all other channels, to first order."""

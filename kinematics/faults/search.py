@@ -357,7 +357,7 @@ class Search:
     def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
         """Fit faults, without those that cannot come near the best."""
         fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
-        bounds = Bounds(self.refit, self.suspected, {own: -value for own, value in fall.items()})
+        bounds = Bounds(self.refit, {own: -value for own, value in fall.items()})
         # Next to a body that bends, what explains less than half of that is no rival.
         fits, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
         for fault in bounds.ordered(faults):

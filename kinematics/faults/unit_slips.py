@@ -200,7 +200,7 @@ def _decibels(measurement: Measurement) -> Iterator[str]:
 
 def _not_rigid(value: NDArray[Any], basis: Array) -> float:
     """Return the median share of the energy of readings (channel, line) outside the span of a basis."""
-    whole = np.sum(np.abs(value) ** 2, axis=0)
+    whole = np.maximum(np.sum(np.abs(value) ** 2, axis=0), np.finfo(float).tiny)
     inside = np.sum(np.abs(basis.T @ value) ** 2, axis=0)
     return float(np.median(np.maximum(1.0 - inside / whole, 0.0)))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,22 +13,27 @@ from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Fewer lines show no course over frequency.
-_LEAST_LINES = 12
+# Fewer lines show no course over frequency: two levels and a slope leave nothing to see it by.
+_LEAST_LINES = 3
 # Lines and values looked at, for speed.
 _MOST_LINES, _MOST_VALUES = 2048, 400_000
-# Lines a motion, from which on the course of the noise is not absorbed by the motions.
+# Lines a motion, from which on the course of the noise is not absorbed by rows that drift.
 _DRIFTING = 8
 _LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
-# Most rounds of factors and motions where values are missing, with so many lines a motion; they end earlier
-# once the energy falls by less than 2 %.
-_TURNS, _FREE = 12, 2
-# Share of the trace, or size, that keeps channels and lines solvable that do not determine their factors.
+# Relative errors of the rows of a channel that are tried: from far below noise to a wrong sign, by factors
+# of 1.6; and the log odds against an error of a channel: one in twenty.
+_SIZES = np.concatenate([[0.0], np.geomspace(1e-4, 3.0, 24)])
+_ODDS = 3.0
+# Most rounds of rows and motions; they end earlier once the energy falls by less than a thousandth.
+_TURNS, _SLOW = 100, 1e-3
+# How many times the noise of most channels one must have to count less.
+_LOUD = 2.0
+# Share of the trace, or size, that keeps channels and lines solvable that do not determine their rows.
 _RIDGE, _LEAST = 1e-12, 1e-100
 _LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
 # Rounds of clipping and of reweighting; they end earlier once the course changes by less than 2 %.
 _ROUNDS = 5
-_PASSES = 6
+_PASSES = 8
 _SETTLED = 0.02
 _CLIP_SD: float = calibrated("noise_spectrum.clip_sd")
 
@@ -40,124 +48,174 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
 
     Notes
     -----
-    A fault that is the same at all lines leaves residuals that are the motion times a factor of each channel,
-    however large it is; one that drifts, the motion times a line over frequency. Both are subtracted first by
-    least squares over the lines. The logarithm of the level that is left is fitted by a parabola over the
-    logarithm of the frequency: white noise of velocities that were written as displacements or accelerations
-    falls or rises by a power of the frequency. Levels are means of n squares, whose logarithm has the
-    variance trigamma(n / 2); lines that stand out by more than three standard deviations are bounded, so that
-    motion that is not rigid at some lines is not taken for noise.
+    Faults that are the same at all lines, or drift, change the rows of their channels (``_Model``); what else
+    is wrong with a channel makes it louder than most, and it counts so much less. The logarithm of the level
+    that is left is fitted by a parabola over the logarithm of the frequency: white noise of velocities that
+    were written as displacements or accelerations falls or rises by a power of the frequency. Levels are
+    means of n squares, whose logarithm has the variance trigamma(n / 2); lines that stand out by more than
+    three standard deviations are bounded, so that motion that is not rigid at some lines is not taken for
+    noise.
     """
     good = np.flatnonzero(fit.solution.good & (fit.n_dof > 0))
     if len(good) < _LEAST_LINES:
         return None
     most = int(np.clip(_MOST_VALUES // max(len(fit.value), 1), 8 * len(fit.solution.z), _MOST_LINES))
     lines = good[np.unique(np.linspace(0, len(good) - 1, min(most, len(good))).round().astype(int))]
-    white, z, own, whole = _whitened(fit, lines)
+    model, weight = _Model.of(fit, lines)
     number = fit.n_dof[lines] / 2.0
-    drifting = np.mean(white != 0.0) * len(lines) >= _DRIFTING * len(z)
-    turn = np.linspace(-1.0, 1.0, len(lines)) if drifting else None
     logs = np.log(freq_hz)
     place = 2.0 * (logs - logs[0]) / max(float(logs[-1] - logs[0]), 1e-9) - 1.0
     base = np.polynomial.legendre.legvander(place, 2)
-    course, sure = np.zeros(len(freq_hz)), False
-    if not np.max(whole) > 0.0:
-        return None
-    loud = 0.5 * np.log(np.maximum(whole, 1e-12 * np.max(whole)) / np.mean(whole))
+    course, outlying = np.zeros(len(freq_hz)), np.zeros(len(lines))
+    loud = np.ones((len(weight), 1))
     for _ in range(_PASSES):
-        flat = np.exp(-course[lines] - loud)
-        energy, taken, z = _unexplained(white * flat, z * flat, own, turn)
-        z = z / flat
-        left = 1.0 - taken / number
-        some = (left > _LEAST_RESIDUAL_SHARE) & (energy > 0.0)
-        if np.sum(some) < _LEAST_LINES // 2:
+        flat = np.exp(-course[lines] - outlying)
+        model = model.improved(weight * flat / loud)
+        energy, free = model.left(weight * flat)
+        loud = _loudness(energy, free)
+        whole, share = np.sum(energy / loud**2, axis=0), np.sum(free, axis=0) / number
+        some = (share > _LEAST_RESIDUAL_SHARE) & (whole > 0.0)
+        if np.sum(some) < _LEAST_LINES:
             return None
-        energy = energy[some] / left[some] / flat[some] ** 2
         before = course
-        course, loud[some], sure = _parabola(base, lines[some], energy, number[some], left[some])
+        levels = whole[some] / share[some] / flat[some] ** 2
+        course, outlying[some], sure = _parabola(base, lines[some], levels, number[some], share[some])
+        if not sure:
+            # Weights by a course that is none make lines quiet that channels at fault fit best.
+            return None
         if float(np.max(np.abs(course - before))) < _SETTLED:
             break
-    return np.asarray(np.exp(course)) if sure else None
+    return np.asarray(np.exp(course))
 
 
-def _whitened(fit: LineFit, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array, Array]:
-    """Return readings over stated noise, and the motion, share of noise and energy that a fit leaves.
-
-    Readings (channel, line) are zero where missing; the motion (m, line) is in their unit; the share of its
-    noise that each residual holds is (channel, line), the energy of the residuals (line,).
-    """
-    residual, sd, _ = fit.at(lines)
-    used = np.isfinite(sd)
-    factor = np.ones(len(lines)) if fit.noise.factor is None else fit.noise.factor[lines]
-    with np.errstate(divide="ignore"):
-        weight = np.where(used, factor / sd, 0.0)
-    line = np.sqrt(np.sum(weight**2, axis=0) / np.maximum(np.sum(used, axis=0), 1))
-    white = np.where(used, fit.value[:, lines], 0.0) * weight
-    # All lines of complete data leave the same share in the mean over the channels.
-    share = 1.0 - len(fit.solution.z) / len(used)
-    own = share * used if np.all(used) else np.where(used, 1.0 - fit.leverage(lines), 0.0)
-    return white, fit.solution.z[:, lines] * line, own, np.sum(np.abs(residual * weight) ** 2, axis=0)
+def _loudness(energy: Array, free: Array) -> Array:
+    """Return the noise (channel, 1) over that of most channels; 1 unless it is clearly more."""
+    number = np.sum(free, axis=1, keepdims=True)
+    own = np.sum(energy, axis=1, keepdims=True) / np.maximum(number, _RIDGE)
+    usual = max(float(np.median(own[number > 0.0])), _LEAST) if np.any(number > 0.0) else 1.0
+    return np.sqrt(np.where(own > _LOUD**2 * usual, own / usual, 1.0))
 
 
-def _unexplained(
-    white: ComplexArray, motion: ComplexArray, own: Array, turn: Array | None
-) -> tuple[Array, Array, ComplexArray]:
-    """Return the energy (line,) that no factors of the motion explain, and the variance that they take.
+@dataclass(frozen=True)
+class _Model:
+    """Readings as rows of the channels times the motions of the lines.
 
-    The third value is the motion without what faults of lines with gaps do to it.
+    Rows are taken for draws around those of the geometry, each channel with a scatter of its own, the
+    likeliest one (empirical Bayes: MacKay 1992, doi:10.1162/neco.1992.4.3.415). That of a channel at fault is
+    large, that of the others none: these hold the motions where values are missing, so that rows and motions
+    found in turn settle within a few rounds.
 
-    Parameters
+    Attributes
     ----------
-    white : ndarray, (channel, line), complex
-        Readings over their noise; zero where missing.
+    value : ndarray, (channel, line), complex
+        Zero where missing.
+    given : ndarray, (channel, m)
+        Rows of the geometry.
+    place : ndarray, (line,), or None
+        Of the lines from -1 to 1, with which rows may drift; None where there are too few lines for that.
     motion : ndarray, (m, line), complex
-    own : ndarray, (channel, line)
-        Share of the noise that a rigid fit leaves; zero where missing.
-    turn : ndarray, (line,), or None
-        Place of the lines from -1 to 1; None for factors that are the same at all lines.
-
-    Notes
-    -----
-    Readings with constant faults have the rank of the motion. What a fault does to the motion fitted to it
-    differs between lines that lack different channels: factors of the channels and motions of the lines are
-    found in turn, each by least squares (Gabriel and Zamir 1979, doi:10.1080/00401706.1979.10489819).
+    change : ndarray, (channel, m) or (channel, 2 m), complex
+        Of the rows: constant, and by the place.
+    taken, leverage : ndarray, (channel, line)
+        Share of the noise of a reading that changed rows and the motion take.
     """
-    used = white != 0.0
-    complete = bool(np.all(used))
-    free = np.mean(used) * white.shape[1] >= _FREE * len(motion)
-    energy = np.inf
-    for _ in range(_TURNS if free and not complete else 0):
-        factors = _solved(_gram(motion, used), white, motion)
-        rest = np.where(used, white - factors @ motion, 0.0)
-        motion = motion + _solved(_gram(factors.T, used.T), rest.T, factors.T).T
-        before, energy = energy, float(np.sum(np.abs(rest) ** 2))
-        if not energy < (1.0 - _SETTLED) * before:
-            break
-    rows = motion if turn is None else np.vstack([motion, motion * turn])
-    if complete:
-        vectors = np.linalg.svd(rows, full_matrices=False)[2]
-        rest = white - (white @ vectors.conj().T) @ vectors
-        taken = np.sum(own, axis=0) * np.sum(np.abs(vectors) ** 2, axis=0)
-        return np.sum(np.abs(rest) ** 2, axis=0), taken, motion
-    gram = _gram(rows, used)
-    rest = np.where(used, white - _solved(gram, white, rows) @ rows, 0.0)
-    inverse = np.linalg.inv(gram).reshape(len(white), -1)
-    taken = np.real(inverse @ (rows[:, None] * rows.conj()[None]).reshape(inverse.shape[1], -1))
-    return np.sum(np.abs(rest) ** 2, axis=0), np.sum(own * taken, axis=0), motion
+
+    value: ComplexArray
+    given: Array
+    place: Array | None
+    motion: ComplexArray
+    change: ComplexArray
+    taken: Array
+    leverage: Array
+
+    @classmethod
+    def of(cls, fit: LineFit, lines: NDArray[np.intp]) -> tuple[_Model, Array]:
+        """Return the model of a fit at some lines, and the weights (channel, line) by stated noise."""
+        sd = fit.at(lines)[1]
+        used = np.isfinite(sd)
+        factor = np.ones(len(lines)) if fit.noise.factor is None else fit.noise.factor[lines]
+        with np.errstate(divide="ignore"):
+            weight = np.where(used, factor / sd, 0.0)
+        weight /= np.sqrt(np.sum(weight**2) / max(np.count_nonzero(used), 1))
+        value, given = np.where(used, fit.value[:, lines], 0.0), fit.beams.basis
+        drifting = np.mean(used) * len(lines) >= _DRIFTING * given.shape[1]
+        place = np.linspace(-1.0, 1.0, len(lines)) if drifting else None
+        change = np.zeros((len(given), given.shape[1] * (1 + drifting)), dtype=complex)
+        nothing = np.zeros(value.shape)
+        return cls(value, given, place, fit.solution.z[:, lines], change, nothing, nothing), weight
+
+    @property
+    def moved(self) -> ComplexArray:
+        """What rows are changed by (m or 2 m, line): the motion, and if rows may drift that times place."""
+        return self.motion if self.place is None else np.vstack([self.motion, self.motion * self.place])
+
+    def left(self, weight: Array) -> tuple[Array, Array]:
+        """Return energy and share of the noise of the weighted residuals, each (channel, line)."""
+        residual = self.value - self.given @ self.motion
+        own = np.any(self.change, axis=1)
+        residual[own] -= self.change[own] @ self.moved
+        free = np.maximum(1.0 - self.taken, 0.0) * np.maximum(1.0 - self.leverage, 0.0)
+        return np.asarray(np.abs(weight * residual) ** 2), (weight > 0.0) * free
+
+    def improved(self, weight: Array) -> _Model:
+        """Return the model with rows and motions found in turn until the energy settles."""
+        model, before = self._with_motion(weight), np.inf
+        for _ in range(_TURNS):
+            model = model._with_rows(weight)._with_motion(weight)
+            energy = float(np.sum(model.left(weight)[0]))
+            if not energy < (1.0 - _SLOW) * before:
+                break
+            before = energy
+        return model
+
+    def _with_rows(self, weight: Array) -> _Model:
+        """Return the model with rows by the likeliest scatter of each channel."""
+        energy, free = self.left(weight)
+        square = weight**2 / max(float(np.sum(energy)) / max(float(np.sum(free)), 1.0), _LEAST)
+        moved = self.moved
+        alike = bool(np.all(square == square[:1]))
+        values, vectors = np.linalg.eigh(_gram(moved, square[:1] if alike else square))
+        values = np.maximum(values, 0.0)
+        score = (square * (self.value - self.given @ self.motion)) @ moved.conj().T
+        along = (score[:, None] @ vectors.conj())[:, 0]
+        variance = (_SIZES**2 * np.sum(self.given**2) / self.given.size)[:, None, None]
+        known = np.log1p(variance * values)
+        gain = np.sum(np.abs(along) ** 2 * variance / (1.0 + variance * values) - known, axis=2)
+        best = np.where(np.max(gain, axis=0) > _ODDS, variance[np.argmax(gain, axis=0), 0, 0], 0.0)
+        shrunk = best[:, None] / (1.0 + best[:, None] * values)
+        change = (vectors @ (shrunk * along)[:, :, None])[:, :, 0]
+        taken = np.zeros(weight.shape)
+        for channel in np.flatnonzero(best):
+            own = moved.T @ vectors[0 if alike else channel]
+            taken[channel] = square[channel] * (np.abs(own) ** 2 @ shrunk[channel])
+        return replace(self, change=change, taken=taken)
+
+    def _with_motion(self, weight: Array) -> _Model:
+        """Return the model with the motion by its rows."""
+        size = self.given.shape[1]
+        rows: NDArray[Any] = self.given
+        if np.any(self.change):
+            rows = rows + self.change[:, :size]
+        if self.place is None or not np.any(self.change[:, size:]):
+            every: NDArray[Any] = np.broadcast_to(rows, (weight.shape[1], *rows.shape))
+        else:
+            every = rows + self.place[:, None, None] * self.change[:, size:]
+        square = weight.T**2
+        turned = (square[:, :, None] * every).conj().swapaxes(1, 2)
+        gram = turned @ every
+        trace = np.maximum(_RIDGE * np.trace(gram, axis1=1, axis2=2).real, _LEAST)
+        inverse = np.linalg.inv(gram + trace[:, None, None] * np.eye(size))
+        motion = (inverse @ (turned @ self.value.T[:, :, None]))[:, :, 0].T
+        leverage = square * np.real(np.sum((every @ inverse) * every.conj(), axis=2))
+        return replace(self, motion=motion.astype(complex), leverage=leverage.T)
 
 
-def _gram(rows: ComplexArray, used: NDArray[np.bool_]) -> ComplexArray:
-    """Return the Gram matrices (n, k, k) of rows (k, line) at the lines that each of n owners has."""
+def _gram(rows: ComplexArray, square: Array) -> ComplexArray:
+    """Return the Gram matrices (n, k, k) of rows (k, line) under squared weights (n, line) of n owners."""
     size = len(rows)
     products = (rows.conj()[:, None] * rows[None]).reshape(size * size, -1)
-    gram = (products @ used.T.astype(float)).T.reshape(-1, size, size)
-    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
-    return np.asarray(gram + np.maximum(ridge, _LEAST)[:, None, None] * np.eye(size))
-
-
-def _solved(gram: ComplexArray, value: ComplexArray, rows: ComplexArray) -> ComplexArray:
-    """Return the factors (n, k) of rows (k, line) that are nearest to values (n, line)."""
-    return np.asarray(np.linalg.solve(gram, (value @ rows.conj().T)[:, :, None])[:, :, 0])
+    gram = (products @ square.T.astype(complex)).T.reshape(-1, size, size)
+    return np.asarray(gram)
 
 
 def _parabola(

@@ -24,6 +24,8 @@ _LEAST = 3
 _SURELY, _NUMBER = 1e-5, 1e-4
 # Outliers are single: so many at most have another one at a neighbouring line of their channel.
 _WITH_NEIGHBOUR = 0.5
+# Log likelihood that outliers must gain beyond what their places cost.
+_GAIN = 10.0
 # Rounds in which outliers and the course of the noise without them are found.
 _ROUNDS = 4
 # Values that are looked at to see whether there may be any.
@@ -53,6 +55,8 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
         return
     if np.any(np.sum(far, axis=1) > _OF_CHANNEL * np.sum(used, axis=1)):
         return
+    if _evidence(size[far], most) < _GAIN:
+        return
     channels = np.flatnonzero(np.sum(far, axis=1) > _CHANCE * 10.0 * np.sum(used, axis=1) + 1.0).tolist()
     channels = channels or np.flatnonzero(np.any(far, axis=1)).tolist()
     dropped = _dropped(fit, far)
@@ -65,6 +69,17 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
     step = f"Fit with {named('robust')} huber, or leave the cells of these values empty"
     remedied = suspect.with_value(np.where(far, np.nan, suspect.value))
     yield Explanation("sparse_outliers", "noise", channels, text, step, number / most, remedied)
+
+
+def _evidence(size: Array, count: int) -> float:
+    """Return the log likelihood that a variance of their own gains for values, less what their places cost.
+
+    Notes
+    -----
+    A complex value of energy x in units of its noise gains x - 1 - log x; to choose k of n values costs
+    about k (1 + log(n / k)). The largest values of any misfit are far off, too, and gain less than that.
+    """
+    return float(np.sum(size - 1.0 - np.log(size)) - len(size) * (1.0 + np.log(count / len(size))))
 
 
 def likely_outliers(fit: LineFit, course: Array | None) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene
 from kinematics.fit.beams import beam_set
 from kinematics.fit.noise_spectrum import noise_course
@@ -69,6 +70,46 @@ def test_lines_of_a_resonance_with_gaps_are_no_quiet_part_of_the_band(missing: f
     value[rng.random(value.shape) < missing] = np.nan
     course = noise_course(fit_lines(beam_set("s", places, beams, DOF_NAMES), value, np.array(1e-10)), FREQ)
     assert course is None or np.ptp(np.log(course)) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("body", "fault", "lines", "gaps"),
+    [
+        ("shell, 12 points, 3 heads", "", 7, 0.0),
+        ("shell, 12 points, 3 heads", "sign", 7, 0.1),
+        ("rod, 8 points, 2-3 heads", "", 12, 0.25),
+        ("shell, 5 points, 3 heads", "head sign", 120, 0.4),
+        ("shell, 12 points, 3 heads", "head delay 10 us", 40, 0.2),
+    ],
+)
+def test_few_lines_and_gaps_show_the_course_beside_a_fault(
+    body: str, fault: str, lines: int, gaps: float
+) -> None:
+    off = []
+    for seed in range(6):
+        made = draw(seed, body, fault, lines=lines, noise=1e-9, gaps=gaps)
+        rng = np.random.default_rng(seed)
+        sd = 0.007 * np.sqrt(np.nanmean(np.abs(made.value) ** 2)) * (made.freq_hz / 1500.0) ** -1.0
+        value = made.value + sd * rng.normal(size=(len(made.value), 2 * lines)).view(complex)
+        fit = fit_lines(beam_set("s", made.positions_mm, made.directions, DOF_NAMES), value, np.array(1e-10))
+        course = noise_course(fit, made.freq_hz)
+        assert course is not None
+        log = np.log(course * made.freq_hz)
+        off.append(np.max(np.abs(log - np.median(log))))
+    assert np.median(off) < np.log(1.5)
+    assert np.max(off) < np.log(2.5)  # before, up to 90
+
+
+def test_a_point_of_the_wrong_sign_among_few_lines_makes_no_course() -> None:
+    for seed in range(6):
+        made = draw(seed, "shell, 5 points, 3 heads", lines=12, noise=1e-9)
+        made.value[:3] *= -1.0
+        rng = np.random.default_rng(seed)
+        sd = 0.005 * np.sqrt(np.mean(np.abs(made.value) ** 2))
+        value = made.value + sd * rng.normal(size=(15, 24)).view(complex)
+        fit = fit_lines(beam_set("s", made.positions_mm, made.directions, DOF_NAMES), value, np.array(1e-10))
+        course = noise_course(fit, made.freq_hz)
+        assert course is None or np.ptp(np.log(course)) < np.log(3.0)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.03])
