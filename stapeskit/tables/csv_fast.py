@@ -190,7 +190,7 @@ class _Parser:
                 index_col=False,
                 low_memory=False,
             )
-        except ValueError:
+        except (ValueError, OverflowError):  # the latter for a whole number that no float holds
             return None
 
 

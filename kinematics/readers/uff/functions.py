@@ -32,6 +32,8 @@ KINDS = {
 # Records before the data, and widths of the cells of record 6 (dataset 58).
 _HEADER_LINES = 11
 _WIDTHS = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
+# Characters of a number, more than the 20 of the widest column: an array of words is as wide as its longest.
+_LONGEST = 64
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,7 @@ def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file:
     words = dataset.data.replace(b"D", b"E").split()
     end, numbers = len(words), np.empty(0)
     # Values that the bytes cannot hold are refused before anything of their size is made.
-    if end >= wanted and b"_" not in dataset.data:
+    if end >= wanted and b"_" not in dataset.data and max(map(len, words[:wanted]), default=0) <= _LONGEST:
         try:
             numbers = np.array(words[:wanted], dtype=np.bytes_).astype(float)
         except ValueError:
@@ -280,7 +282,10 @@ def _by_line(dataset: Dataset, widths: tuple[int, ...], file: str) -> list[float
     faults: list[Fault] = []
     for row, line in enumerate(lines_of(dataset.data.decode("latin-1")), _HEADER_LINES + 1):
         cells = line.split()
-        if len(cells) != len(widths):
+        if len(cells) != len(widths) and len(line.rstrip()) > ends[-1]:
+            got, most = f"{len(line.rstrip())} characters", f"at most {ends[-1]} characters long"
+            faults.append(Fault("a line of a function", most, got, dataset.at(file, row), "Export it again"))
+        elif len(cells) != len(widths):
             cells = [line[end - width : end] for end, width in zip(ends, widths, strict=True)]
         for column, cell in enumerate(cells, 1):
             if not cell.strip():

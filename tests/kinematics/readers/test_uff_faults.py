@@ -239,3 +239,18 @@ def test_a_length_factor_with_more_than_numbers_is_refused(tmp_path, text):
     told = fault(tmp_path, odd, uff.function(X, Y, 1))
     assert "the length factor of dataset 164 must be positive; got" in told
     assert text.split()[0] in told
+
+
+def test_a_number_of_a_million_digits_takes_no_room_for_its_neighbours(tmp_path):
+    words = uff.function(X, Y)
+    exponents = [place for place in range(len(words)) if words[place : place + 2] == b"E-"]
+    whole, last = exponents[-10], exponents[-1]  # in a line of six numbers, and in the last one of four
+    path = written(tmp_path, uff.units(), words[:whole] + b"0" * 1_000_000 + words[whole:])
+    tracemalloc.start()
+    (made,) = read(path).recordings
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(made.value, Y, rtol=1e-5)
+    assert peak < 8e6
+    cut = words[:last] + b"0" * 1_000_000 + words[last:]
+    assert "at most 78 characters long; got 1000052 characters" in fault(tmp_path, uff.units(), cut)
