@@ -127,20 +127,34 @@ def with_lasers(
 ) -> SearchedFits | None:
     """Return the fits with the lasers corrected, where that explains all that was found.
 
-    A scatter of the lasers no larger than stated is no fault. None where it is, where it leaves anything to
-    be found, or where the noise is not stated, whose size then comes from the misfit itself.
+    A scatter of the lasers no larger than stated is no fault. None where it is larger, or where it leaves
+    anything to be found.
+
+    Notes
+    -----
+    Where the noise is not stated its size comes from the misfit itself, which the lasers add to: they are
+    estimated and the noise is fitted in turn, and what is left decides, not by how much the misfit fell.
     """
-    if searched.clean or not all(searched.known.values()):
+    if searched.clean:
         return None
-    estimate = lasers.estimate(searched.placed, searched.fits)
-    if not estimate.explains_misfit:
-        return None
-    placed = lasers.corrected(searched.placed, estimate.values)
+    stated = all(searched.known.values())
+    placed, fits, values = searched.placed, searched.fits, None
+    for _ in range(1 if stated else _ROUNDS):
+        estimate = lasers.estimate(placed, fits, applied=values)
+        if not (estimate.explains_misfit if stated else estimate.as_stated):
+            return None
+        values = estimate.values
+        placed = lasers.corrected(searched.placed, values)
+        if not stated:
+            fits = {
+                (run, number): with_noise(placed, run, placed.bodies[number], beams[number], robust)[0]
+                for run, number in fits
+            }
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     again = searched_fits(placed, screens, beams, robust)
-    return replace(again, applied=estimate.values) if again.clean else None
+    return replace(again, applied=values) if again.clean else None
 
 
 def corrected_fits(

@@ -147,8 +147,12 @@ class LaserEstimate:
         """Whether errors of lasers and positions as small as stated may explain the misfit."""
         left = self.energy - self.fall - self.freedom
         enough = left < _COHERENT_SD * np.sqrt(self.freedom)
-        honest = min(self.p_value, self.largest_p_value) > _ALARM_LEVEL
-        return bool(enough and self.fall > _WORTH_CORRECTING and honest)
+        return bool(enough and self.fall > _WORTH_CORRECTING and self.as_stated)
+
+    @property
+    def as_stated(self) -> bool:
+        """Whether the errors of the lasers are as small as stated."""
+        return min(self.p_value, self.largest_p_value) > _ALARM_LEVEL
 
 
 @dataclass(frozen=True)
