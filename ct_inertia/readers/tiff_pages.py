@@ -111,6 +111,8 @@ def _planes(
                 raise not_readable(files[z], "TIFF", fault) from fault
             if piece is None:
                 continue
+            if piece.size == 0:
+                raise not_readable(files[z], "TIFF", ValueError("a tile or strip has no values"))
             place = out[y - top : y - top + height, x : x + width]
             place[...] = piece[0, : place.shape[0], : place.shape[1], 0]
         return out[None]
