@@ -89,6 +89,9 @@ def _planes(
     step = page.tilelength if page.is_tiled else page.rowsperstrip
     width = page.tilewidth if page.is_tiled else shape[2]
     across = -(-shape[2] // width)
+    needed, held = across * -(-shape[1] // max(1, step)), min(map(len, segments))
+    if held < needed:
+        raise not_readable(files[0], "TIFF", ValueError(f"a page has {held} of {needed} strips or tiles"))
     # Rows are unpacked in groups, so that a part of a plane does not cost the whole of it.
     group = max(1, -(-_ROWS // step))
     rows = min(step * group, shape[1])
