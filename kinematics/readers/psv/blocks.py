@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,6 +24,9 @@ _NAME = range(2, 41)
 _UNIT = re.compile(r"\[([^\]]*)\]")
 # Text exports are read whole; 1 GB of text holds 10^7 readings.
 _MAX_FILE = 1 << 30
+# No table has more columns than these, and no number more characters: what is longer is no measurement, and
+# splitting it takes twenty times the file's size in memory.
+_MOST_CELLS, _LONGEST_NUMBER = 10_000, 400
 
 
 @dataclass(frozen=True)
@@ -185,8 +189,8 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
                 names, units, named = line, "", number
     columns, inline = _split_names(names)
     below = _split_units(units) if units else inline
-    table = [_cells(line) for line in lines[slice(*rows)]]
-    width = Counter(len(cells) for cells in table).most_common(1)[0][0]
+    table = lines[slice(*rows)]
+    width = Counter(len(_cells(line)) for line in table).most_common(1)[0][0]
     if not columns or len(columns) != width or len(below) != width:
         got = f"{len(columns)} names and {len(below)} units over {width} numbers"
         raise KinematicsError.of(
@@ -197,11 +201,11 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
 
 
 def _cells(line: str) -> list[str]:
-    """Split a line of numbers."""
+    """Split a line of numbers, into ``_MOST_CELLS`` and a rest at most."""
     for mark in ("\t", ";"):
         if mark in line:
-            return [cell.strip() for cell in line.strip().strip(mark).split(mark)]
-    return line.split()
+            return [cell.strip() for cell in line.strip().strip(mark).split(mark, _MOST_CELLS)]
+    return line.split(maxsplit=_MOST_CELLS)
 
 
 def _is_numbers(line: str) -> bool:
@@ -216,6 +220,8 @@ def value_of(cell: str) -> float | None:
     """Read a number with decimal point or comma: NaN of an empty cell, None of what is no number."""
     if not cell:
         return np.nan
+    if len(cell) > _LONGEST_NUMBER:
+        return None
     try:
         value = float(cell.replace(",", "."))
     except ValueError:
@@ -223,27 +229,27 @@ def value_of(cell: str) -> float | None:
     return value if cell.isascii() and "_" not in cell else None
 
 
-def _numbers(
-    table: list[list[str]], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]
-) -> Array:
+def _numbers(table: list[str], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]) -> Array:
     """Return the numbers of the rows with a cell for every column; report the other rows."""
     step = "It may be cut short: export it again"
-    good = []
-    for number, cells in enumerate(table, line):
+    good = array("d")
+    for number, row in enumerate(table, line):
+        cells = _cells(row)
         values = [value_of(cell) for cell in cells]
-        if len(values) == len(columns) and None not in values:
-            good.append(values)
+        whole = [value for value in values if value is not None]
+        if len(whole) == len(values) == len(columns):
+            good.extend(whole)
             continue
         where = Place(file, "line", (number,))
         if len(values) != len(columns):
-            got = shown(" ".join(cells)) if None in values else len(values)
+            got = len(values) if len(whole) == len(values) else shown(" ".join(cells[:100]))
             faults.append(Fault("a row", f"of {len(columns)} numbers", got, where, step))
             continue
         for name, cell, value in zip(columns, cells, values, strict=True):
             if value is None:
                 place = replace(where, detail=f"column {shown(name)}")
                 faults.append(Fault("a row", "of numbers", shown(cell), place, step))
-    return np.array(good, dtype=float).reshape(-1, len(columns))
+    return np.asarray(good).reshape(-1, len(columns))
 
 
 def _only_units(line: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -131,3 +132,20 @@ def test_values_too_large_to_be_motion_are_refused(tmp_path):
     folder = pointwise(tmp_path, point(1, FREQ, np.array([1e200, 1.0, 1.0]), place=(0, 0, 0), component="Z"))
     with pytest.raises(StapeskitError, match=r"the values of point 1 must be below 1e\+100"):
         read_measurement([folder], options=InputOptions(body=("s=1",)))
+
+
+def test_a_line_of_millions_of_cells_is_refused_in_little_memory(tmp_path):
+    path = tmp_path / "wide.txt"
+    path.write_text("Point Index: 1\nFrequency [Hz]\tX [m/s]\n" + "1\t2\n" * 3 + "3\t" * 4_000_000 + "4\n")
+    tracemalloc.start()
+    told = fault(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert "got 10001" in told or "of 2 numbers" in told
+    assert peak <= 2 * path.stat().st_size + (50 << 20)
+
+
+def test_a_number_of_millions_of_digits_is_no_number(tmp_path):
+    path = tmp_path / "long.txt"
+    path.write_text("Point Index: 1\nFrequency [Hz]\tX [m/s]\n1\t2\n2\t" + "7" * 3_000_000 + "\n3\t4\n")
+    assert "a row must be of numbers" in fault(path)
