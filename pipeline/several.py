@@ -12,7 +12,7 @@ from pathlib import Path
 from pipeline.cohort.about import about_of
 from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.ears import Ear, read_ear
-from pipeline.cohort.files import LOG_FILE, cohort_outputs, write_cohort
+from pipeline.cohort.files import LOG_FILE, cohort_names, cohort_outputs, write_cohort
 from pipeline.cohort_log import CohortLog
 from pipeline.runners import Where, runner_of
 from pipeline.runners.process import End, Task
@@ -77,7 +77,7 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
     """Name a folder for each study: the stem of its file, or its folder's name where stems coincide.
 
     Leading dots are left out: ``..`` would be another folder, and hidden ones are the program's. The ending
-    ``_study`` of names in the manner of BIDS is left out too.
+    ``_study`` of names in the manner of BIDS is left out too. Files of the cohort keep their names.
     """
     own = [
         path.stem.removesuffix("_study") if path.stem.startswith("sub-") else path.stem for path in studies
@@ -91,7 +91,7 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
     for name in names:
         plain = name.lstrip(".") or "study"
         number, unique = 2, plain
-        while unique in unique_names:
+        while unique in (*unique_names, *cohort_names()):
             unique, number = f"{plain}-{number}", number + 1
         unique_names.append(unique)
     return unique_names

@@ -128,8 +128,10 @@ class OutputSet:
         read, recorded, foreign = self._files_read, self._recorded(), list[str]()
         faults = self.clashes(names)
         records = self.folder / RECORDS
-        if os.path.lexists(records) and not records.is_dir():
-            faults.append(Fault(f"{records}", "the folder of records", "a file", "", "Move it away"))
+        if os.path.lexists(records) and (records.is_symlink() or not records.is_dir()):
+            # behind a link there may be files of the user
+            got = "a link" if records.is_symlink() else "a file"
+            faults.append(Fault(f"{records}", "the folder of records", got, "", "Move it away"))
         for name in names:
             path = self.folder / name
             if Path(name).is_absolute() or ".." in Path(name).parts:

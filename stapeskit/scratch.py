@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from pathlib import Path
 from stapeskit.process import on_forced_end
 
 PREFIX = ".stapeskit-"
-_OURS = re.compile(r"\.?stapeskit-[a-z0-9_]{8}")
+_OURS = re.compile(r"\.stapeskit-[a-z0-9_]{8}")
 _MARK, _FILES = "stapeskit-temporary", "files"
 _FRESH_S = 60.0  # a folder is not yet locked for a moment after it is made
 _OLD_S = 7 * 86400.0  # where folders cannot be locked: longer than any run takes
@@ -81,13 +82,18 @@ def _abandoned(path: Path) -> bool:
     own = not hasattr(os, "getuid") or state.st_uid == os.getuid()
     if path in _open or path.is_symlink() or not path.is_dir() or not own or age_s < _FRESH_S:
         return False
-    if not (path / _MARK).exists() and any(path.iterdir()):
+    if not (path / _MARK).exists() and (any(path.iterdir()) or not _private(state.st_mode)):
         return False
     lock = _lock(path)
     if lock is None:
         return age_s > _OLD_S
     os.close(lock)
     return True
+
+
+def _private(mode: int) -> bool:
+    """Return whether a folder can be as mkdtemp makes it: of nobody else."""
+    return os.name == "nt" or stat.S_IMODE(mode) == stat.S_IRWXU
 
 
 def _lock(folder: Path) -> int | None:

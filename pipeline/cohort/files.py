@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,17 @@ COHORT_FILES = ("cohort.csv", "cohort.html", "cohort.json")
 LOG_FILE = "cohort.log"
 
 
+def cohort_names(exports: Iterable[str] = tuple(EXPORTS)) -> list[str]:
+    """Return the names of the files of a cohort with these exports, by default all."""
+    return [*COHORT_FILES, LOG_FILE, *(name for export in exports for name in EXPORTS[export].files)]
+
+
 def cohort_outputs(
     folder: Path, inputs: Sequence[Path], force: bool, exports: Sequence[str] = ()
 ) -> OutputSet:
     """Return the outputs of a cohort, which replace no input and nothing of another origin."""
-    names = [*COHORT_FILES, LOG_FILE, *(name for export in exports for name in EXPORTS[export].files)]
-    others = [name for entry in EXPORTS.values() for name in entry.files if name not in names]
+    names = cohort_names(exports)
+    others = [name for name in cohort_names() if name not in names]
     return OutputSet("scan2kd", Path(folder), tuple(names), tuple(inputs), force, leftovers=tuple(others))
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
-_FORBIDDEN = frozenset(
+# Elements whose content browsers read as Python does: none of SVG or MathML, none of text that ends at a tag.
+_ELEMENTS = frozenset(
     (
-        *("applet", "base", "embed", "form", "frame", "frameset", "iframe", "link", "meta", "noscript"),
-        *("object", "portal", "template"),
+        *("a", "b", "br", "button", "canvas", "code", "details", "div", "em", "figcaption", "figure", "h3"),
+        *("i", "img", "input", "label", "li", "ol", "option", "output", "p", "pre", "script", "select"),
+        *("small", "span", "strong", "style", "sub", "summary", "sup", "table", "tbody", "td", "th", "thead"),
+        *("tr", "ul"),
     )
 )
 _ADDRESSES = frozenset(
@@ -20,8 +24,9 @@ _JSON = "application/json"
 def foreign_markup(html: str) -> str:
     """Return what no page of this program holds, in a few words, or nothing.
 
-    Scripts must be those of the packages, word for word; addresses must be places within the page or pictures
-    that it holds.
+    Elements must be those that pages are made of; scripts those of the packages, word for word; addresses
+    places within the page or pictures that it holds. Comments, and a ``<`` in styles and data, are foreign:
+    browsers end them elsewhere than this look does.
     """
     look = _Look()
     look.feed(html)
@@ -34,6 +39,7 @@ class _Look(HTMLParser):
         super().__init__()
         self.foreign = ""
         self._script: list[str] | None = None
+        self._raw = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for name, value in attrs:
@@ -42,18 +48,34 @@ class _Look(HTMLParser):
                 self.foreign = self.foreign or f"the attribute {name}"
             elif name in _ADDRESSES and not address.startswith(("#", "data:image/")):
                 self.foreign = self.foreign or f"an address in {name}"
-        if tag in _FORBIDDEN:
+        if tag not in _ELEMENTS:
             self.foreign = self.foreign or f"the element {tag}"
+        self._raw = tag in self.CDATA_CONTENT_ELEMENTS
         if tag == "script" and dict(attrs).get("type") != _JSON:
             self._script = []
 
     def handle_data(self, data: str) -> None:
         if self._script is not None:
             self._script.append(data)
+        elif self._raw and "<" in data:
+            self.foreign = self.foreign or "markup within a style or data"
+
+    def handle_comment(self, data: str) -> None:
+        self.foreign = self.foreign or f"a comment or declaration: {data[:20]}"
+
+    def handle_decl(self, decl: str) -> None:
+        self.handle_comment(decl)
+
+    def handle_pi(self, data: str) -> None:
+        self.handle_comment(data)
+
+    def unknown_decl(self, data: str) -> None:
+        self.handle_comment(data)
 
     def handle_endtag(self, tag: str) -> None:
+        self._raw = False
         if tag == "script" and self._script is not None:
-            if "".join(self._script).strip() not in _own_scripts():
+            if "".join(self._script).strip() not in map(str.strip, own_scripts()):
                 self.foreign = self.foreign or "a script"
             self._script = None
 
@@ -64,8 +86,10 @@ class _Look(HTMLParser):
             self.foreign = self.foreign or "a script"
 
 
-def _own_scripts() -> set[str]:
+@cache
+def own_scripts() -> tuple[str, ...]:
+    """Return the scripts of all pages."""
     root = Path(__file__).resolve().parents[2]
     rooms = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")
-    files = [path for room in rooms for path in (root / room).rglob("*.js")]
-    return {path.read_text(encoding="utf-8").strip() for path in files}
+    files = [path for room in rooms for path in sorted((root / room).rglob("*.js"))]
+    return tuple(path.read_text(encoding="utf-8") for path in files)

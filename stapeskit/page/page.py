@@ -7,6 +7,7 @@ its own (parts/page.js) saves tables and figures; without scripts everything can
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
 import re
 from collections.abc import Iterable, Sequence
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stapeskit.page.foreign_markup import own_scripts
 from stapeskit.page.layout import lay_out
 from stapeskit.page.numbers import plus_minus, printed
 from stapeskit.page.quantities import MASS, ShownUnit
@@ -30,9 +32,12 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
-# A page loads nothing from anywhere and sends nothing: styles, scripts and pictures are in it.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
-
+# A page loads nothing from anywhere and sends nothing: styles, scripts and pictures are in it. Of scripts only
+# those of this program run, whatever stands in the page.
+_POLICY = (
+    "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "script-src {scripts}"
+)
 
 _PARTS = Path(__file__).with_name("parts")
 # Tables of so few rows are not broken between two printed pages.
@@ -59,6 +64,15 @@ def _whole(cell: object) -> Markup:
 def _printed(cell: object) -> object:
     """Return a cell with the letters that a page has; marked-up cells and numbers as they are."""
     return printed(cell) if type(cell) is str else cell
+
+
+@cache
+def _policy() -> str:
+    """Return what a browser may do with a page."""
+    hashes = (hashlib.sha256(script.encode()).digest() for script in own_scripts())
+    return _POLICY.format(
+        scripts=" ".join(f"'sha256-{base64.b64encode(value).decode()}'" for value in hashes)
+    )
 
 
 @cache
@@ -131,7 +145,7 @@ class Page:
                 summary=self.summary,
                 style=Markup(_part("page.css")),
                 script=Markup(_part("page.js")),
-                policy=_POLICY,
+                policy=_policy(),
             )
         )
 

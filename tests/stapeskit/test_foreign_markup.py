@@ -26,6 +26,16 @@ from stapeskit.page.foreign_markup import foreign_markup
         '<base href="http://example.org">',
         '<form action="http://example.org"><input></form>',
         '<link rel="stylesheet" href="x.css">',
+        # what browsers read as elements, and Python's reader as text
+        "<!--><b>-->",
+        "<svg><style><b></style></svg>",
+        "<style><b></style>",
+        "<math><mtext></mtext></math>",
+        "<textarea><!--</textarea><b>-->",
+        '<script type="application/json"></script x><b></script>',
+        "<![CDATA[><b>]]>",
+        "<?x ><b>?>",
+        "<!doctype html>",
     ],
 )
 def test_what_loads_sends_or_runs_is_foreign(html):

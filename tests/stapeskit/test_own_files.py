@@ -225,3 +225,17 @@ def test_names_that_no_file_can_have_are_told_before_the_work(tmp_path):
     made = OutputSet("command", tmp_path, ("x.csv", "x" * 244 + ".channels.csv"))
     with pytest.raises(StapeskitError, match="the name of an output must be of at most 255 bytes"):
         made.check()
+
+
+def test_records_are_not_written_through_a_link(tmp_path):
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    (notes / "command-a.json.json").write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / RECORDS).symlink_to(notes)
+    made = outputs(tmp_path / "out", force=True)
+    with pytest.raises(StapeskitError, match="must be the folder of records; got a link"):
+        made.check()
+    with pytest.raises(StapeskitError, match="must be the folder of records; got a link"):
+        write(made, a_json="never")
+    assert (notes / "command-a.json.json").read_text(encoding="utf-8") == "mine"

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
+from html import unescape
 
 import numpy as np
 
 from stapeskit.page import page
+from stapeskit.page.foreign_markup import own_scripts
 from stapeskit.page.numbers import plus_minus, printed
 from stapeskit.page.page import Page, Section
 from stapeskit.warnings import Notice
@@ -123,6 +127,20 @@ def test_a_page_forbids_itself_the_network():
     policy = html.partition('Content-Security-Policy" content="')[2].partition('">')[0]
     assert "default-src &#39;none&#39;" in policy
     assert "http" not in policy
+
+
+def test_a_page_runs_the_scripts_of_this_program_alone(tmp_path):
+    made = Page("title")
+    made.section("own", page.with_script(page.text("x"), "", "slices-data", "{}", own_scripts()[0]))
+    html = made.html()
+    policy = unescape(html.partition('Content-Security-Policy" content="')[2].partition('">')[0])
+    allowed = policy.partition("script-src ")[2].split()
+    scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
+    assert len(scripts) == 2
+    for script in scripts:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in allowed
+    assert all(entry.startswith("'sha256-") for entry in allowed)
 
 
 def test_names_of_no_utf8_do_not_stop_a_page(tmp_path):

@@ -39,7 +39,7 @@ def hold(folder):
 
 
 def age(folder, seconds=3600.0):
-    for path in folder.glob(".stapeskit-*"):
+    for path in folder.glob("*stapeskit-*"):
         then = time.time() - seconds
         os.utime(path, (then, then))
 
@@ -79,6 +79,8 @@ def test_foreign_folders_of_such_a_name_stay(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine.txt").write_text("mine")
     (tmp_path / ".stapeskit-abcdefgh").write_text("a file")
+    (tmp_path / ".stapeskit-analysis").mkdir()
+    (tmp_path / "stapeskit-analysis").mkdir()
     (tmp_path / ".stapeskit-linked00").symlink_to(tmp_path / ".stapeskit-notes")
     before = names(tmp_path)
     age(tmp_path)
@@ -89,7 +91,7 @@ def test_foreign_folders_of_such_a_name_stay(tmp_path):
 
 
 def test_outputs_remove_what_the_run_that_made_their_folder_left_beside_it(tmp_path):
-    (tmp_path / ".stapeskit-abcdefgh").mkdir()
+    (tmp_path / ".stapeskit-abcdefgh").mkdir(0o700)
     (tmp_path / "out").mkdir()
     age(tmp_path)
     with staged(tmp_path / "out") as stage:
@@ -98,7 +100,7 @@ def test_outputs_remove_what_the_run_that_made_their_folder_left_beside_it(tmp_p
 
 
 def test_an_empty_folder_of_a_run_that_was_killed_at_once_is_removed(tmp_path):
-    (tmp_path / ".stapeskit-abcdefgh").mkdir()
+    (tmp_path / ".stapeskit-abcdefgh").mkdir(0o700)
     age(tmp_path)
     with scratch(tmp_path):
         pass

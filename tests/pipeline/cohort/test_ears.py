@@ -110,6 +110,7 @@ def test_folders_are_named_by_file_or_by_place():
 
 
 def test_no_folder_is_a_parent_or_hidden():
+    assert folder_names([Path("cohort.csv.toml"), Path("cohort.toml")]) == ["cohort.csv-2", "cohort"]
     assert folder_names([Path("...toml"), Path(".stapeskit.toml"), Path("../..toml")]) == [
         "study",
         "stapeskit",
