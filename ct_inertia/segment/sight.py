@@ -94,12 +94,15 @@ class Sight:
 
     @property
     def at_neck(self) -> bool:
-        """True where a plane through a neck parted the pieces."""
+        """Whether a plane through a neck separated the pieces."""
         return self.neck is not None
 
 
 def readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:
-    """Return (air, plastic, bone) in the order to try: the brightest material is bone, or the next."""
+    """Return the possible levels (air, plastic, bone), in the order in which to try them.
+
+    First the brightest material is taken for bone, then the second brightest, and so on.
+    """
     if threshold is not None:
         below, above = levels[levels < threshold], levels[levels >= threshold]
         if below.size == 0 or above.size == 0:

@@ -72,12 +72,14 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
 
 
 def _evidence(size: Array, count: int) -> float:
-    """Return the log likelihood that a variance of their own gains for values, less what their places cost.
+    """Return the rise of the log likelihood if some values are outliers, less the cost of choosing them.
 
     Notes
     -----
-    A complex value of energy x in units of its noise gains x - 1 - log x; to choose k of n values costs
-    about k (1 + log(n / k)). The largest values of any misfit are far off, too, and gain less than that.
+    A complex value whose squared residual is x times that of noise raises the log likelihood by x - 1 - log x
+    when it gets a variance of its own. The choice of k out of n values costs about k (1 + log(n / k)), the
+    logarithm of the number of possible choices. The largest residuals of any misfit lie far off, too, but
+    they raise the log likelihood by less than this cost.
     """
     return float(np.sum(size - 1.0 - np.log(size)) - len(size) * (1.0 + np.log(count / len(size))))
 

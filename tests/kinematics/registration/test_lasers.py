@@ -1,4 +1,4 @@
-"""Errors of lasers as shared parameters: their effect, what the data tell, and what stays open."""
+"""Errors of lasers as shared parameters: their effect, their estimates, what the data leave undetermined."""
 
 from __future__ import annotations
 
