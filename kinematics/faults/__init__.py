@@ -11,7 +11,7 @@ How a diagnosis flows, from a measurement to the verdicts:
       search            one round: all tests, fits of the suspects, and the best of them
         catalogue       the kinds of fault, one entry each (sentences: what is reported of them)
         state           the rigid fit, score and information of any change of its rows
-        nuisance        errors with a stated size next to the motion: positions, lasers
+        nuisance        errors of positions with a stated size, next to the motion
         score_tests     every kind at every place at once
         refit           the fit of one fault, weighed by its evidence
         flexible        patterns that many points share: the body bends

@@ -9,7 +9,6 @@ others gone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from kinematics.faults.equal_noise import equalise_noise
 from kinematics.faults.findings import Finding, adapted, can_lose, corrected, joined
 from kinematics.faults.flexible import Structure, no_structure
 from kinematics.faults.masking import masking_pairs
-from kinematics.faults.nuisance import LaserError, Nuisance
+from kinematics.faults.nuisance import Nuisance
 from kinematics.faults.packing import Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.scatter import information_of, likeliest_size
@@ -112,7 +111,6 @@ def diagnosed(
     fit: LineFit,
     known: bool,
     without: list[int] | None = None,
-    lasers: Sequence[LaserError] = (),
 ) -> Diagnosis:
     """Search one body in one run for faults, with all degrees of freedom that its beams observe.
 
@@ -126,8 +124,6 @@ def diagnosed(
         The noise is stated.
     without : list of int, optional
         Channels whose fault is known already.
-    lasers : sequence of LaserError
-        Errors of lasers with a stated size.
 
     Notes
     -----
@@ -143,7 +139,7 @@ def diagnosed(
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     prior = np.nan_to_num(body.position_sd_mm) * 1e-3
     mixes = not holds_record_noise(placed, body)
-    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data)
+    return _Diagnose(body, prior, known, mixes, alarm).run(data)
 
 
 def _nothing(fit: LineFit) -> Diagnosis:
@@ -156,16 +152,8 @@ def _nothing(fit: LineFit) -> Diagnosis:
 class _Diagnose:
     """Searches of one body under the same priors."""
 
-    def __init__(
-        self,
-        body: BodyChannels,
-        prior: Array,
-        known: bool,
-        mixes: bool,
-        alarm: float,
-        lasers: Sequence[LaserError],
-    ) -> None:
-        self.prior, self.known, self.mixes, self.alarm, self.lasers = prior, known, mixes, alarm, lasers
+    def __init__(self, body: BodyChannels, prior: Array, known: bool, mixes: bool, alarm: float) -> None:
+        self.prior, self.known, self.mixes, self.alarm = prior, known, mixes, alarm
         self.layout = (body.reported_positions_mm, body.file_from_here)
         self.spread: Array | None = None
         self.most = max(2, len(set(body.points)) // 3)
@@ -174,13 +162,13 @@ class _Diagnose:
         """Search data; ``share`` of the alarm probability."""
         prior = self.prior if prior is None else prior
         alarm = share * self.alarm
-        return Search(data, prior, self.layout, self.known, alarm, self.spread, self.lasers)
+        return Search(data, prior, self.layout, self.known, alarm, self.spread)
 
     def equalised(self, data: Packed) -> Packed:
         """Return data of unknown noise with weights by their residuals."""
         if self.known:
             return data
-        weighted, self.spread = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
+        weighted, self.spread = equalise_noise(data, Nuisance.of(data, self.prior))
         return weighted
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:

@@ -1,8 +1,7 @@
-"""Errors with a stated size, estimated with the motion: positions of points, factors and delays of lasers."""
+"""Errors of the points' positions with a stated standard deviation, estimated with the motion."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,59 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packing import Packed
-from kinematics.faults.state import DELAY, IMAGINARY, REAL, SHIFTS, Model, State, Sums, model_of
+from kinematics.faults.state import SHIFTS, Model, State, Sums, model_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-WHICH = (*SHIFTS, REAL, IMAGINARY, DELAY)
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
-class LaserError:
-    """An error that all beams of a laser share, with a prior standard deviation.
-
-    Attributes
-    ----------
-    channels : tuple of int
-    gain, phase_rad, delay_rad : float
-        Standard deviations of the relative gain, of the phase, and of the phase lag at the mean frequency.
-    """
-
-    channels: tuple[int, ...]
-    gain: float = 0.0
-    phase_rad: float = 0.0
-    delay_rad: float = 0.0
-
-
-@dataclass(frozen=True)
 class Nuisance:
-    """Parameters with normal priors.
+    """Coordinates of points with normal priors.
 
     Attributes
     ----------
-    owner : ndarray, (6, channel), int
-        Which parameter moves a channel along each tangent of WHICH; -1 for none.
+    owner : ndarray, (3, channel), int
+        The parameter that is the error of each channel's x, y, z; -1 for none.
     sd : ndarray, (V,)
-        Prior standard deviations.
+        Prior standard deviations, m.
     """
 
-    owner: NDArray[np.intp] = field(default_factory=lambda: np.full((6, 0), -1))
+    owner: NDArray[np.intp] = field(default_factory=lambda: np.full((3, 0), -1))
     sd: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, data: Packed, position_sd_m: Array, lasers: Sequence[LaserError] = ()) -> Nuisance:
-        """Collect the parameters of the channels in use.
+    def of(cls, data: Packed, position_sd_m: Array) -> Nuisance:
+        """Collect the coordinates of the points in use.
 
         Parameters
         ----------
         data : Packed
         position_sd_m : ndarray, (channel,)
             Zero where not stated.
-        lasers : sequence of LaserError
         """
-        owner = np.full((6, len(data.points)), -1)
+        owner = np.full((3, len(data.points)), -1)
         sd: list[float] = []
         place: dict[str, int] = {}
         for channel in data.live:
@@ -72,25 +52,15 @@ class Nuisance:
                 if name not in place:
                     place[name] = len(sd)
                     sd += [float(position_sd_m[channel])] * 3
-                owner[:3, channel] = place[name] + np.arange(3)
-        for laser in lasers:
-            for row, size in enumerate((laser.gain, laser.phase_rad, laser.delay_rad)):
-                if size > 0.0:
-                    owner[3 + row, list(laser.channels)] = len(sd)
-                    sd.append(size)
+                owner[:, channel] = place[name] + np.arange(3)
         return cls(owner, np.array(sd))
-
-    @property
-    def which(self) -> list[int]:
-        """Rows of ``owner`` that hold parameters."""
-        return [k for k in range(6) if np.any(self.owner[k] >= 0)] if len(self.sd) else []
 
     @cached_property
     def gather(self) -> Any:
-        """Sparse matrix (V, channel * q) that sums the tangents of all channels for each parameter."""
+        """Sparse matrix (V, channel * 3) that sums the tangents of all channels for each parameter."""
         from scipy.sparse import csr_array
 
-        owner = self.owner[self.which].T.ravel()
+        owner = self.owner.T.ravel()
         held = np.flatnonzero(owner >= 0)
         return csr_array((np.ones(len(held)), (owner[held], held)), shape=(len(self.sd), len(owner)))
 
@@ -98,17 +68,12 @@ class Nuisance:
         """Return half of the sum of (x / sd)^2."""
         return 0.5 * float(np.sum((x / self.sd) ** 2)) if len(self.sd) else 0.0
 
-    def applied(self, model: Model, x: Array, data: Packed) -> Model:
-        """Return a model with the errors ``x`` (V,)."""
+    def applied(self, model: Model, x: Array) -> Model:
+        """Return a model with the errors ``x`` (V,), m."""
         if not len(self.sd):
             return model
-        padded = np.append(x, 0.0)
-        value = padded[self.owner]
-        model = model._replace(arms_m=model.arms_m + value[:3].T)
-        if not np.any(value[3:]):
-            return model
-        factor = (1.0 + value[3] + 1j * value[4]) * np.exp(-1j * data.ratio[:, None] * value[5])
-        return model._replace(factor=factor if model.factor is None else model.factor * factor)
+        # An owner of -1 is the last element, no error.
+        return model._replace(arms_m=model.arms_m + np.append(x, 0.0)[self.owner].T)
 
 
 @dataclass(frozen=True)
@@ -126,7 +91,7 @@ class Marginal:
         these few columns.
         """
         own = self.state.own
-        if len(own) == 1 or WHICH.index(DELAY) in self.nuisance.which:
+        if len(own) == 1:
             return None
         if np.max(np.abs(own - own[0])) > _ALIKE * np.max(np.abs(own)):
             return None
@@ -147,9 +112,9 @@ class Marginal:
 
     @cached_property
     def tangents(self) -> ComplexArray:
-        """Tangents (q, group, channel, column) of all channels."""
+        """Tangents (3, group, channel, column) of all channels."""
         channels = np.arange(len(self.state.data.points))
-        return self.merged.tangents(channels, [WHICH[k] for k in self.nuisance.which])
+        return self.merged.tangents(channels, SHIFTS)
 
     @cached_property
     def near(self) -> tuple[NDArray[np.intp], Array]:
@@ -164,8 +129,8 @@ class Marginal:
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
-        """Parameters (channel, q) of the tangents; the number of parameters for none."""
-        owner = self.nuisance.owner[self.nuisance.which].T
+        """Parameters (channel, 3) of the tangents; the number of parameters for none."""
+        owner = self.nuisance.owner.T
         return np.where(owner >= 0, owner, len(self.nuisance.sd))
 
     @cached_property
@@ -280,7 +245,7 @@ def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, A
         marginal = Marginal(state, nuisance)
         step = marginal.solved(marginal.score - 0.5 * x / nuisance.sd**2)
         for part in (1.0, 0.5, 0.25):
-            trial = State.of(data, nuisance.applied(base, x + part * step, data))
+            trial = State.of(data, nuisance.applied(base, x + part * step))
             left = trial.energy + nuisance.penalty(x + part * step)
             if left <= value:
                 break

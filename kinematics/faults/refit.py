@@ -106,11 +106,11 @@ class Refit:
         change from line to line shows more finely than segments do.
         """
         data = packed(self.data.source, self.data.assumed, fine=True)
-        null = State.of(data, self.nuisance.applied(model_of(data), self.start, data))
+        null = State.of(data, self.nuisance.applied(model_of(data), self.start))
         return data, null.energy + self.nuisance.penalty(self.start)
 
     def _try(self, data: Packed, fault: Fault, theta: Array, x: Array) -> _Trial:
-        model = self.nuisance.applied(fault.applied(model_of(data), theta, data), x, data)
+        model = self.nuisance.applied(fault.applied(model_of(data), theta, data), x)
         state = State.of(data, model)
         return _Trial(theta, x, state, state.energy + self.nuisance.penalty(x))
 
@@ -245,7 +245,7 @@ class Refit:
         if not size:
             return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
-        base = self.nuisance.applied(model_of(data), now.x, data)
+        base = self.nuisance.applied(model_of(data), now.x)
         t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
         sums = now.state.sums(groups, t)
         score, information = sums.score[0], sums.information[0]

@@ -17,7 +17,7 @@ from kinematics.faults.flexible import Structure, structure_of
 from kinematics.faults.lasers import lasers_of
 from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
 from kinematics.faults.noise import LEAST_SAMPLES, channel_noise, common_level
-from kinematics.faults.nuisance import LaserError, Marginal, Nuisance, settled
+from kinematics.faults.nuisance import Marginal, Nuisance, settled
 from kinematics.faults.packing import Packed
 from kinematics.faults.point_noise import point_covariance, scaled
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
@@ -59,15 +59,14 @@ class Search:
         known: bool,
         alarm: float = FALSE_ALARM,
         spread: Array | None = None,
-        lasers: Sequence[LaserError] = (),
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
-        self.nuisance = Nuisance.of(data, prior_m, lasers)
+        self.nuisance = Nuisance.of(data, prior_m)
         base = State.of(data)
         flat = data.merged(base.z)
         x = settled(flat, self.nuisance)[1]
         self.x = x
-        self.state = State.of(data, self.nuisance.applied(model_of(data), x, data)) if len(x) else base
+        self.state = State.of(data, self.nuisance.applied(model_of(data), x)) if len(x) else base
         self.given = base
         self.before = self.state.energy + self.nuisance.penalty(x)
         self.live = data.live

@@ -101,7 +101,7 @@ class Suspect:
             data = equalise_noise(data, nuisance)[0]
         state = settled(data, nuisance)[0]
         inverse = 0.5 * Marginal(state, nuisance).inverse
-        own = np.moveaxis(nuisance.owner[:3], 0, -1)
+        own = nuisance.owner.T
         covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
         offsets = state.model.arms_m - data.assumed.arms_m
         return replace(self, offsets_m=offsets, offset_covariance=covariance)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
-from kinematics.faults.nuisance import LaserError, Marginal, Nuisance, settled
+from kinematics.faults.nuisance import Marginal, Nuisance, settled
 from kinematics.faults.packing import Source, initial, packed
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_tests import score_tests
@@ -83,13 +83,12 @@ def test_score_and_refit_agree_on_a_small_fault(kind):
     assert 2.0 * fit.drop == pytest.approx(found.statistic[0], rel=0.1, abs=0.5)
 
 
-@pytest.mark.parametrize("lasers", [(), (LaserError(tuple(range(1, 27, 3)), 0.01, 0.01, 0.01),)])
-def test_scores_of_clean_data_are_chi_squared_next_to_nuisance_parameters(lasers):
+def test_scores_of_clean_data_are_chi_squared_next_to_nuisance_parameters():
     found: dict[str, list[float]] = {}
     for seed in range(6):
         made = scene(740 + seed, lines=60, position_sd_mm=0.02)
         data = data_of(made)
-        nuisance = Nuisance.of(data, np.full(27, 2e-5), lasers)
+        nuisance = Nuisance.of(data, np.full(27, 2e-5))
         state, _x = settled(data, nuisance)
         places = {"channel": [[c] for c in range(27)], "point": [CHANNELS["point"]]}
         for one in score_tests(state, Marginal(state, nuisance), places):
@@ -112,8 +111,7 @@ def test_steps_next_to_positions_lead_to_the_least_objective():
     for sign in (1.0, -1.0):
         model = fault.applied(model_of(data), fit.parameters + sign * step, data)
         best = min(
-            State.of(data, nuisance.applied(model, y, data)).energy + nuisance.penalty(y)
-            for y in (x, 0.0 * x)
+            State.of(data, nuisance.applied(model, y)).energy + nuisance.penalty(y) for y in (x, 0.0 * x)
         )
         assert before - best < fit.drop + 1e-6
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from kinematics.faults.catalogue import Fault
 from kinematics.faults.nuisance import Marginal, Nuisance, settled
 from kinematics.faults.refit import Refit
 from kinematics.faults.search import Search
-from kinematics.faults.state import State
+from kinematics.faults.state import State, model_of
 from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
 from tests.kinematics.simulated import scene
 
@@ -32,7 +34,7 @@ def refit_of(spoiled, factor, noisy=True):
     nuisance = Nuisance.of(data, np.full(27, SD_M))
     flat = data.merged(State.of(data).z)
     x = settled(flat, nuisance)[1]
-    state = State.of(data, nuisance.applied(State.of(data).model, x, data))
+    state = State.of(data, nuisance.applied(State.of(data).model, x))
     return Refit(data, nuisance, x, state.energy + nuisance.penalty(x), flat)
 
 
@@ -76,6 +78,30 @@ def test_the_covariance_of_a_fault_holds_what_errors_of_positions_add():
             hessian[i, j] = hessian[j, i] = sum(around) / (4.0 * size[i] * size[j])
     # The objective is a sum of squares: its second derivatives are twice the information.
     assert inverse[0, 0] == pytest.approx(np.linalg.inv(0.5 * hessian)[0, 0], rel=1e-3)
+
+
+def test_the_information_on_positions_is_right_where_points_have_noise_in_common():
+    data = data_of(scene(31))
+    points = np.array(data.points)
+    correlation = np.where(points[:, None] == points, 0.4, 0.0) + 0.6 * np.eye(len(points))
+    data = data.under(replace(data.assumed, correlation=correlation))
+    nuisance = Nuisance.of(data, np.full(27, SD_M))
+    count = len(nuisance.sd)
+    assert count == 27
+    base, size = model_of(data), 0.1 * SD_M
+
+    def energy(*steps):
+        x = sum(sign * size * np.eye(count)[k] for k, sign in steps)
+        return State.of(data, nuisance.applied(base, x)).energy
+
+    hessian = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            around = [a * b * energy((i, a), (j, b)) for a in (1, -1) for b in (1, -1)]
+            hessian[i, j] = hessian[j, i] = sum(around) / (4.0 * size**2)
+    # The energy is a sum of squares: its second derivatives are twice the information.
+    information = Marginal(State.of(data), nuisance).information
+    np.testing.assert_allclose(0.5 * hessian, information, atol=0.02 * np.max(information))
 
 
 def test_groups_of_lines_with_the_same_rows_hold_what_they_hold_one_by_one():
