@@ -5,6 +5,9 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
+# byte code is kept in any case: where the environment forbids it, every process compiles what it imports anew
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench evidence golden golden-record fuzz fuzz-few faults sanitize lock audit sample paper docs site pictures clean
 
 help:

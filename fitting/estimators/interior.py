@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from fitting.model.symmetric import basis, join, split
+from fitting.model.symmetric import basis, join, split, vector
 from stapeskit.arrays import Array
 
 Objective = Callable[[Array], float]
@@ -158,21 +159,21 @@ def _in_roots(parameters: Array, gradient: Array, hessian: Array, n: int) -> tup
     half, units = n * (n + 1) // 2, basis(n)
     slopes, curved = np.eye(len(parameters)), np.zeros_like(hessian)
     roots = []
-    bent = units[:, None] @ units[None] + units[None] @ units[:, None]
     for place, part in enumerate(split(parameters, n)):
         values, vectors = np.linalg.eigh(part)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         block = slice(place * half, (place + 1) * half)
-        slopes[block, block] = _entries(root @ units + units @ root).T
-        curved[block, block] = _entries(bent) @ gradient[block]
+        slopes[block, block] = vector(root @ units + units @ root).T
+        curved[block, block] = _second(n) @ gradient[block]
         roots.append(root)
     return np.stack(roots), slopes.T @ gradient, slopes.T @ hessian @ slopes + curved
 
 
-def _entries(matrices: Array) -> Array:
-    """Return the independent entries (..., n (n + 1) / 2) of symmetric matrices (..., n, n)."""
-    rows, columns = np.triu_indices(matrices.shape[-1])
-    return matrices[..., rows, columns]
+@lru_cache(maxsize=16)
+def _second(n: int) -> Array:
+    """Return the second derivative of the independent entries of S S by those of S, (p, p, p)."""
+    units = basis(n)
+    return vector(units[:, None] @ units[None] + units[None] @ units[:, None])
 
 
 def descent(matrix: Array, slope: Array, damping: float = 0.0) -> Array:

@@ -42,10 +42,16 @@ def _places(n: int) -> NDArray[np.intp]:
     return filled
 
 
+@lru_cache(maxsize=16)
+def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns of the independent entries: fits ask for them tens of thousands of times."""
+    return np.triu_indices(n)
+
+
 def vector(matrix: Array) -> Array:
-    """Return the independent entries (n (n + 1) / 2,) of a symmetric matrix (n, n)."""
-    rows, columns = np.triu_indices(len(matrix))
-    return np.asarray(matrix)[rows, columns]
+    """Return the independent entries (..., n (n + 1) / 2) of symmetric matrices (..., n, n)."""
+    rows, columns = _upper(matrix.shape[-1])
+    return matrix[..., rows, columns]
 
 
 def matrix(entries: Array, n: int) -> Array:

@@ -88,9 +88,10 @@ def place(
     fitted = None if fiducials is None else _fit(fiducials, mass, np.zeros(6), np.zeros(6))
 
     def pose(plate: Array, footplate: Array) -> RigidTransform:
-        if fiducials is None:
+        if fiducials is None or fitted is None:
             return _to_footplate(frame, mass, plate, footplate)
-        fit = _fit(fiducials, mass, plate, footplate)
+        # only references in several frames move against each other with the errors of the frames
+        fit = fitted if len(frames) == 1 else _fit(fiducials, mass, plate, footplate)
         return _to_footplate(fit.transform.to, mass, plate, footplate) @ fit.transform
 
     transform = pose(np.zeros(6), np.zeros(6))
