@@ -16,10 +16,10 @@ from fitting.causes.model_error import off_by_law
 from fitting.causes.refits import Refit
 from fitting.errors import FittingError
 from fitting.laws import LawFit, best_of_each, comparable, fits_of_laws, start_of_law, with_ligament
+from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament import NotWithin
 from fitting.ligament.misfit import explained
 from fitting.model.laws import LAWS
-from fitting.model.observation import Observation
 from fitting.model.symmetric import join
 from fitting.options import COMPARE, KDOptions
 from stapeskit.page.numbers import plus_minus
@@ -60,7 +60,7 @@ class FluidChoice:
 def choose_fluid(
     best: LawFit,
     plain: Sequence[LawFit],
-    both: Observation,
+    measured: JointLines,
     options: KDOptions,
     compared: tuple[LawFit, ...],
 ) -> tuple[LawFit, Diagnosis, FluidChoice, tuple[LawFit, ...]]:
@@ -72,7 +72,8 @@ def choose_fluid(
         With the plane of the ligament.
     plain : sequence of LawFit
         The same, and those under other laws, without it: from them they are extended.
-    both : Observation
+    measured : JointLines
+        Motion of both bodies without units.
     options : KDOptions
     compared : tuple of LawFit
         Fits under all laws, where they were compared: their K and D differ by what the law is not known.
@@ -93,25 +94,25 @@ def choose_fluid(
         )
         if options.damping == COMPARE and not asked:
             size = MASS.of(first.terms[FLUID][0])
-            best, compared = _joined(compared, _with_fluid(best, plain, both, options, size))
-        diagnosis = _diagnosed(best, plain, both, options, compared)
+            best, compared = _joined(compared, _with_fluid(best, plain, measured, options, size))
+        diagnosis = _diagnosed(best, plain, measured, options, compared)
         return best, diagnosis, _used(best, options, reason, asked), compared
-    diagnosis = _diagnosed(best, plain, both, options, compared)
     found: tuple[LawFit, ...] = ()
     if options.fluid == "auto" and not explained(first.joint):  # a refit may end beside the mass
-        found = _with_fluid(best, plain, both, options)
-        diagnosis = _under_any_law(diagnosis, [_refit_with_fluid(best, fit, both) for fit in found])
+        found = _with_fluid(best, plain, measured, options)
+    known = [_refit_with_fluid(best, fit) for fit in found]
+    diagnosis = _diagnosed(best, plain, measured, options, compared, known)
     refit, reason, notices = speaks_for_fluid(diagnosis, options)
     if reason or refit is None:
         return best, diagnosis, _unused(options, reason, notices), compared
-    found = found or _with_fluid(best, plain, both, options, refit.size)
+    found = found or _with_fluid(best, plain, measured, options, refit.size)
     if not found:
         return best, diagnosis, _unused(options, "the fit with it did not settle"), compared
     chosen, compared = _joined(compared, found)
     others = [title_of(name) for name in diagnosis.look_alikes if name != FLUID]
     also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
     reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
-    again = _diagnosed(chosen, plain, both, options, compared)
+    again = _diagnosed(chosen, plain, measured, options, compared)
     return chosen, again, _used(chosen, options, reason, False, also), compared
 
 
@@ -148,7 +149,7 @@ def speaks_for_fluid(
 def _with_fluid(
     best: LawFit,
     plain: Sequence[LawFit],
-    both: Observation,
+    measured: JointLines,
     options: KDOptions,
     size: float | None = None,
 ) -> tuple[LawFit, ...]:
@@ -164,12 +165,12 @@ def _with_fluid(
     laws = (best.law.name, *(fit.law.name for fit in best_of_each(plain) if fit.law.name != best.law.name))
     for start in _starts(plain[0], laws, options, True):
         try:
-            fit = with_ligament(start, both, names, sizes=sizes, within=limit)
+            fit = with_ligament(start, measured, names, sizes=sizes, within=limit)
         except NotWithin:
             continue
         if fit.ligament is not None and (fit.law.physical or size is not None):
             found.append(fit)
-            near = calibrated("causes.look_alike_chi2") + float(np.log(2 * fit.problem.n * len(both.freq_hz)))
+            near = calibrated("causes.look_alike_chi2") + float(np.log(2 * fit.problem.n * measured.count))
             limit = min(other.chi2 for other in found) + near
     return best_of_each(comparable(found)) if found else ()
 
@@ -191,23 +192,27 @@ def _starts(plain: LawFit, names: Sequence[str], options: KDOptions, fluid: bool
 def _diagnosed(
     best: LawFit,
     plain: Sequence[LawFit],
-    both: Observation,
+    measured: JointLines,
     options: KDOptions,
     compared: tuple[LawFit, ...],
+    known: Sequence[Refit] = (),
 ) -> Diagnosis:
-    """Search for causes; other damping laws are among them, or those that were compared."""
+    """Search for causes; other damping laws are among them, or those that were compared.
+
+    ``known`` are fits with a mass of fluid under any law: the best of them is the refit of that cause.
+    """
     assert best.ligament is not None  # noqa: S101
     laws = None
     if options.damping != COMPARE:
-        laws = partial(_other_laws, best, plain[0], both, options)
-    diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws), best.ligament)
+        laws = partial(_other_laws, best, plain[0], measured, options)
+    diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws, known), best.ligament)
     if options.damping == COMPARE:
-        diagnosis = with_refits(diagnosis, _compared(best, compared, both))
+        diagnosis = with_refits(diagnosis, _compared(best, compared))
     return diagnosis
 
 
 def _other_laws(
-    best: LawFit, plain: LawFit, both: Observation, options: KDOptions, within: float
+    best: LawFit, plain: LawFit, measured: JointLines, options: KDOptions, within: float
 ) -> list[Refit]:
     """Refit under the damping laws that were not asked for; their exponents count as an unknown.
 
@@ -225,20 +230,18 @@ def _other_laws(
             continue
         for start in starts:
             try:
-                found.append(with_ligament(start, both, terms, within=within))
+                found.append(with_ligament(start, measured, terms, within=within))
             except (NotWithin, np.linalg.LinAlgError):
                 continue
     settled = [fit for fit in found if fit.ligament is not None and fit.law.physical]
-    return [_refit_of(best, other, both, 1.0) for other in best_of_each(settled)]
+    return [_refit_of(best, other, 1.0) for other in best_of_each(settled)]
 
 
-def _compared(best: LawFit, laws: Iterable[LawFit], both: Observation) -> list[Refit]:
+def _compared(best: LawFit, laws: Iterable[LawFit]) -> list[Refit]:
     """Return the fits under the other laws of a comparison; the law of the best one was not named before."""
     others = (law for law in laws if law.law.name != best.law.name)
     return [
-        _refit_of(best, other, both, 0.0)
-        for other in others
-        if other.ligament is not None and other.law.physical
+        _refit_of(best, other, 0.0) for other in others if other.ligament is not None and other.law.physical
     ]
 
 
@@ -246,11 +249,12 @@ def _counted(fit: LawFit) -> int:
     return fit.law.unknowns + fit.law.law.fixed
 
 
-def _refit_of(best: LawFit, other: LawFit, both: Observation, unknowns: float) -> Refit:
+def _refit_of(best: LawFit, other: LawFit, unknowns: float) -> Refit:
     """Return a fit under another law as a refit whose law counts as ``unknowns`` beside its exponent."""
     assert best.ligament is not None  # noqa: S101
     assert other.ligament is not None  # noqa: S101
     level = max(1.0, other.ligament.chi2 / other.ligament.n_dof)
+    omega = best.ligament.lines.omega * best.problem.scale.omega
     change = join(
         other.ligament.plane_stiffness - best.ligament.plane_stiffness,
         np.full_like(best.ligament.plane_damping, np.nan),
@@ -263,26 +267,17 @@ def _refit_of(best: LawFit, other: LawFit, both: Observation, unknowns: float) -
         change,
         other.ligament.p_value,
         unknowns + _counted(other) - _counted(best),
-        off=off_by_law(best.ligament, other.ligament, 2.0 * np.pi * both.freq_hz),
+        off=off_by_law(best.ligament, other.ligament, omega),
         chi2=other.ligament.chi2,
         fixed=other.law.law.fixed - best.law.law.fixed,
     )
 
 
-def _under_any_law(diagnosis: Diagnosis, refits: list[Refit]) -> Diagnosis:
-    """Return the diagnosis with the best of the fits with fluid in place of the one under its own law."""
-    if not refits:
-        return diagnosis
-    others = tuple(refit for refit in diagnosis.refits if refit.name != FLUID)
-    fluid = [*refits, *(refit for refit in diagnosis.refits if refit.name == FLUID)]
-    return with_refits(replace(diagnosis, refits=others), [max(fluid, key=diagnosis.evidence)])
-
-
-def _refit_with_fluid(best: LawFit, other: LawFit, both: Observation) -> Refit:
+def _refit_with_fluid(best: LawFit, other: LawFit) -> Refit:
     """Return a fit with a mass of fluid, under any law, as a refit of that cause."""
     assert other.ligament is not None  # noqa: S101
     size, sd = (MASS.of(value) for value in other.ligament.terms[FLUID])
-    refit = _refit_of(best, other, both, 1.0)
+    refit = _refit_of(best, other, 1.0)
     return replace(refit, name=FLUID, size=size, sd=sd)
 
 

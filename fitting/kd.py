@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -27,13 +28,15 @@ from fitting.laws import (
     start_of_law,
     with_ligament,
 )
+from fitting.ligament.joint_lines import JointLines, joint_lines
 from fitting.ligament.ligament import NotWithin, applies
+from fitting.ligament.misfit import explained
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
 from fitting.model.laws import LAWS
 from fitting.model.lines import Lines, Scale
 from fitting.model.model import modes
-from fitting.model.observation import Observation, observe, observe_both
+from fitting.model.observation import observe, observe_both
 from fitting.model.ranges import check_motion, check_result, unsolvable
 from fitting.model.symmetric import split
 from fitting.options import COMPARE, KDOptions
@@ -121,14 +124,14 @@ def _fitted(
     scale = Scale.of(observation, inertia.rows(observation.dof, ()))
     settings = EstimatorOptions(options.robust, options.constraint)
     problem = Problem(observation, inertia, scale, DampingLaw(), options.estimator, settings, base_mass)
-    both = _both(motion, options, problem)
-    if options.causes and both is None:
+    measured = _measured(motion, options, problem)
+    if options.causes and measured is None:
         raise FittingError(_not_joint(options))
-    plain, laws, choice, undetermined = _laws(problem, options, both)
+    plain, laws, choice, undetermined = _laws(problem, options, measured)
     best = min(laws, key=lambda fit: (fit.ligament is None, not fit.law.physical, fit.bic))
     diagnosis, fluid, off = None, None, np.zeros((24, 0))
-    if best.ligament is not None and both is not None:
-        best, diagnosis, fluid, laws = choose_fluid(best, plain, both, options, laws)
+    if best.ligament is not None and measured is not None:
+        best, diagnosis, fluid, laws = choose_fluid(best, plain, measured, options, laws)
         if best.ligament is not None:
             off = model_error(diagnosis, best.ligament)
             best = replace(best, ligament=best.ligament.with_model_error(off[12:]))
@@ -148,12 +151,12 @@ def _fitted(
     return replace(fit, undetermined=undetermined, notices=unique(notices))
 
 
-def _both(motion: RigidMotion, options: KDOptions, problem: Problem) -> Observation | None:
+def _measured(motion: RigidMotion, options: KDOptions, problem: Problem) -> JointLines | None:
     """Return the motion of both bodies where the plane of the ligament is to be estimated."""
     if options.inplane != AUTO:
         return None
     both = observe_both(motion, options.structure, options.base, options.band_hz, options.exclude_hz)
-    return both if applies(problem, both) else None
+    return joint_lines(problem, both) if applies(problem, both) else None
 
 
 def _not_joint(options: KDOptions) -> Fault:
@@ -166,7 +169,7 @@ def _not_joint(options: KDOptions) -> Fault:
 
 
 def _laws(
-    problem: Problem, options: KDOptions, both: Observation | None
+    problem: Problem, options: KDOptions, measured: JointLines | None
 ) -> tuple[tuple[LawFit, ...], tuple[LawFit, ...], InplaneChoice, dict[str, str]]:
     """Fit the damping law that was asked for, or all of them, with the ligament's plane where it applies.
 
@@ -178,10 +181,10 @@ def _laws(
     choice : InplaneChoice
     undetermined : dict of str to str
     """
-    if both is not None:
+    if measured is not None:
         loaded, choice = choose(problem, LOAD)
         fits, undetermined = _fits(loaded, options, start_of_law)
-        settled = _joint_fits(fits, both, options)
+        settled = _joint_fits(fits, measured, options)
         if options.causes and not settled:
             raise FittingError(_without_result(options))
         for fit in fits:
@@ -191,13 +194,13 @@ def _laws(
             laws = best_of_each(comparable(settled))
             return fits, laws, replace(choice, reason=WITH_LIGAMENT), undetermined
     chosen, choice = choose(problem, options.inplane)
-    if both is not None:
+    if measured is not None:
         choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
     fits, undetermined = _fits(chosen, options, fit_law)
     return fits, best_of_each(fits), choice, undetermined
 
 
-def _joint_fits(fits: tuple[LawFit, ...], both: Observation, options: KDOptions) -> tuple[LawFit, ...]:
+def _joint_fits(fits: tuple[LawFit, ...], measured: JointLines, options: KDOptions) -> tuple[LawFit, ...]:
     """Return the fits with the plane of the ligament that settle.
 
     Where laws are compared and one explains the data, those that do not stay without the plane; where none
@@ -209,34 +212,43 @@ def _joint_fits(fits: tuple[LawFit, ...], both: Observation, options: KDOptions)
         near = []
         for fit in fits:
             try:
-                joint = _joint(fit, both, options, float(chdtri(fit.n_dof, calibrated("causes.misfit_p"))))
+                joint = _joint(
+                    fit, measured, options, float(chdtri(fit.n_dof, calibrated("causes.misfit_p")))
+                )
             except NotWithin:
                 joint = fit
             near += [] if joint is None else [joint]
         if any(fit.ligament is not None and fit.law.physical for fit in near):
             return tuple(near)
         fits = tuple(sorted(fits, key=lambda fit: fit.bic))
-        joints = [_joint(fit, both, options) for fit in fits[:_NEAREST]]
+        joints = [_joint(fit, measured, options) for fit in fits[:_NEAREST]]
         return (*(joint for joint in joints if joint is not None), *fits[_NEAREST:])
-    return tuple(joint for joint in (_joint(fit, both, options) for fit in fits) if joint is not None)
+    return tuple(joint for joint in (_joint(fit, measured, options) for fit in fits) if joint is not None)
 
 
-def _joint(fit: LawFit, both: Observation, options: KDOptions, within: float | None = None) -> LawFit | None:
+def _joint(
+    fit: LawFit, measured: JointLines, options: KDOptions, within: float | None = None
+) -> LawFit | None:
     """Return a fit with the plane of the ligament; None where it does not settle.
 
     Where the free minimum has no positive semidefinite K and D, they are held so, or a mass of fluid makes
-    them so where that is worth its unknown (criterion of Schwarz).
+    them so where that is worth its unknown (criterion of Schwarz). Where it explains the data, and the free
+    minimum lies too far above for what is held, they are not held to see it.
     """
-    free = with_ligament(fit, both, options.causes, within=within)
+    free = with_ligament(fit, measured, options.causes, within=within)
     if free.ligament is not None or options.causes:
         return free if free.ligament is not None else None
-    try:
-        tried = [with_ligament(fit, both, held=True)]
-    except np.linalg.LinAlgError:
-        tried = []
+    tried = []
     if options.fluid == "auto":
         start = start_of_law(fit.problem, fit.law.name, options.lower, options.upper, fit.law.ratio, True)
-        tried.append(with_ligament(start, both, (FLUID,), within=within))
+        fluid = with_ligament(start, measured, (FLUID,), within=within)
+        if fluid.ligament is not None and explained(fluid.ligament.joint):
+            least = fluid.bic - (free.bic - free.chi2)  # chi2 that is held would need, at the level of fluid
+            if free.outside > max(1.0, fluid.ligament.joint.level) * least:
+                return fluid
+        tried.append(fluid)
+    with suppress(np.linalg.LinAlgError):
+        tried.append(with_ligament(fit, measured, held=True))
     settled = comparable(joint for joint in tried if joint.ligament is not None)
     return min(settled, key=lambda joint: joint.bic) if settled else None
 

@@ -17,12 +17,11 @@ from fitting.estimators.problem import Problem
 from fitting.estimators.starts import with_fluid
 from fitting.ligament.equations import Term
 from fitting.ligament.joint_lines import JointLines
-from fitting.ligament.ligament import fit_ligament
+from fitting.ligament.ligament import NotPassive, fit_ligament
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.laws import LAWS, law_of
 from fitting.model.lines import forward, real_rows
-from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import chi2, degrees
 from stapeskit.arrays import Array
@@ -49,6 +48,8 @@ class LawFit:
         Standard deviation of an estimated exponent, channel noise only; with a ligament from all sources.
     ligament : LigamentFit or None
         The joint fit with the plane of the ligament; chi2 is its then.
+    outside : float
+        Chi2 of the joint fit that was left since its K or D is not positive semidefinite; 0 where none was.
     """
 
     law: DampingLaw
@@ -58,6 +59,7 @@ class LawFit:
     bic: float
     exponent_sd: float | None = None
     ligament: LigamentFit | None = None
+    outside: float = 0.0
 
     @property
     def n_dof(self) -> int:
@@ -199,7 +201,7 @@ def alike(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
 
 def with_ligament(
     fit: LawFit,
-    both: Observation,
+    measured: JointLines,
     names: tuple[str, ...] = (),
     sizes: Mapping[str, float] | None = None,
     held: bool = False,
@@ -210,7 +212,8 @@ def with_ligament(
     Parameters
     ----------
     fit : LawFit
-    both : Observation
+    measured : JointLines
+        Motion of both bodies without units.
     names : tuple of str
         Causes of the catalogue that are part of the model.
     sizes : mapping of str to float, optional
@@ -242,7 +245,10 @@ def with_ligament(
         )
 
     start = fit.estimate.parameters
-    ligament = fit_ligament(problem, both, start, extend if names else None, begun, held, within)
+    try:
+        ligament = fit_ligament(problem, measured, start, extend if names else None, begun, held, within)
+    except NotPassive as fault:
+        return replace(fit, outside=fault.chi2)
     if ligament is None:
         return fit
     extended = LawFit(

@@ -1,11 +1,14 @@
 """The tables of the evidence are those that the scripts printed, and every kept result is on a page."""
 
 import re
+import signal
+import subprocess
+import sys
 
 import pytest
 
 from tests.test_doc_tables import PAGES
-from tools.evidence import BLOCK, RESULTS, commands, result_file, with_results
+from tools.evidence import BLOCK, RESULTS, commands, result_file, timed, with_results
 
 
 @pytest.mark.parametrize("page", [name for name, text in PAGES.items() if BLOCK.search(text)])
@@ -24,3 +27,15 @@ def test_the_lines_of_a_block_follow_from_its_result_alone():
     assert edited != page
     assert with_results(edited) == with_results(page)
     assert re.search(r"\*`python benchmarks/[^`]+`, \d{4}-\d\d-\d\d", page)
+
+
+def test_time_is_counted_where_the_signal_of_ended_children_is_ignored():
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        text, spent = timed([sys.executable, "-c", "print(sum(range(6_000_000)))"])
+        with pytest.raises(subprocess.CalledProcessError):
+            timed([sys.executable, "-c", "raise SystemExit(3)"])
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert text == "17999997000000\n"
+    assert spent > 0.01

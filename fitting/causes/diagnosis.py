@@ -127,7 +127,10 @@ def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
 
 
 def diagnose(
-    problem: Problem, ligament: LigamentFit, laws: Callable[[float], Sequence[Refit]] | None = None
+    problem: Problem,
+    ligament: LigamentFit,
+    laws: Callable[[float], Sequence[Refit]] | None = None,
+    known: Sequence[Refit] = (),
 ) -> Diagnosis:
     """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable.
 
@@ -142,6 +145,8 @@ def diagnose(
         Refits under other damping laws whose chi2 is below its argument, for a search. What the scores speak
         for comes first, laws or the likeliest cause: where it explains the data, the others are given up
         where they cannot come near it.
+    known : sequence of Refit
+        Of one cause, which explain the data: the best of them takes the place of a refit of it.
     """
     from scipy.special import chdtri
 
@@ -175,10 +180,13 @@ def diagnose(
     refits: list[Refit] = []
     for number, place in enumerate(shortlist):
         if number == laws_at and searched and laws is not None:
-            under_laws = laws(of_use(ligament, refits))
-        known = [*refits, *under_laws] if number else []
-        explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in known)
-        within = of_use(ligament, known) if number else np.inf
+            under_laws = laws(of_use(ligament, [*known, *refits]))
+        if any(names[place] == refit.name for refit in known):
+            refits.append(max(known, key=lambda refit: refit.fall))
+            continue
+        others = [*refits, *under_laws] if number else []
+        explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in others)
+        within = of_use(ligament, others) if number else np.inf
         refit = refit_with(ligament, names[place], terms[place], tested, place, units, within, explained)
         refits += [] if refit is None else [refit]
     if not searched:
@@ -205,7 +213,9 @@ def diagnose(
         searched,
         search_z=float(np.sqrt(least)),
     )
-    return with_refits(diagnosis, [*refits, *under_laws])
+    best = [max(known, key=diagnosis.evidence)] if known else []
+    others = [refit for refit in refits if all(refit.name != other.name for other in known)]
+    return with_refits(diagnosis, [*best, *others, *under_laws])
 
 
 def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:

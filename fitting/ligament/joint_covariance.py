@@ -61,7 +61,7 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
         across = across.reshape(count, len(own), -1).transpose(1, 0, 2).reshape(len(own), -1)
         noise[place] = 2.0 * (across @ flat.conj().T).real
         noise[:, place] = noise[place].T
-        noise[place, place] = 2.0 * np.einsum("qlia,rlia->qr", own.conj(), carried).real
+        noise[place, place] = 2.0 * (own.reshape(len(own), -1).conj() @ carried.reshape(len(own), -1).T).real
     return np.asarray(0.5 * (noise + noise.T))
 
 

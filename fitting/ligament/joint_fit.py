@@ -9,6 +9,7 @@ gradient.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,8 @@ TOLERANCE, _START_TOLERANCE, NOISY_TOLERANCE = 1e-5, 1e-2, 1e-3
 # A Hessian is kept for the next step when the step is shorter (squared, in units of the parameters'
 # uncertainty) than the first, and as long as the squares fall by the second.
 _NEAR, _KEEP = 30.0, 0.05
+# Share of chi2 by which minima of one valley differ.
+_SAME = 1e-3
 
 
 @dataclass(frozen=True)
@@ -250,6 +253,7 @@ def fit_joint(
     tolerance: float = TOLERANCE,
     most: int = 60,
     within: float = np.inf,
+    known: Sequence[JointFit] = (),
 ) -> JointFit:
     """Minimise from a start (p,) or (p + k,), first without the shared errors when the start has none.
 
@@ -264,6 +268,8 @@ def fit_joint(
         Steps after which it ends without convergence.
     within : float
         It also ends so where chi2 does not come below this in the steps that are left, at the pace it has.
+    known : sequence of JointFit
+        Minima of the same: it ends at one where it comes close to it.
 
     Raises
     ------
@@ -274,8 +280,20 @@ def fit_joint(
     if lines.errors and len(start) <= equations.unknowns:
         begun = _descend(lines.without_errors(), equations, start, max(tolerance, _START_TOLERANCE), most)
         start, count = (begun.parameters if begun.converged else start), begun.iterations
-    joint = _descend(lines, equations, start, tolerance, most, within)
+    joint = _descend(lines, equations, start, tolerance, most, within, known)
     return replace(joint, iterations=joint.iterations + count)
+
+
+def same_valley(one: JointFit, other: JointFit) -> bool:
+    """Return whether two minima of the same have one chi2."""
+    return abs(one.chi2 - other.chi2) < _SAME * other.chi2
+
+
+def _close(value: float, parameters: Array, minimum: JointFit) -> bool:
+    """Return whether a point lies in the valley of a minimum and hardly above it."""
+    off = parameters - minimum.parameters
+    limit = _SAME * minimum.at.value
+    return bool(abs(value - minimum.at.value) < limit and 0.5 * off @ minimum.at.hessian @ off < limit)
 
 
 def equation_error_start(lines: JointLines, equations: Equations, begin: Array, rounds: int = 3) -> Array:
@@ -306,6 +324,7 @@ def _descend(
     tolerance: float,
     most: int,
     within: float = np.inf,
+    known: Sequence[JointFit] = (),
 ) -> JointFit:
     """Take Gauss-Newton steps, damped after Levenberg where a step fails.
 
@@ -325,6 +344,9 @@ def _descend(
             before = np.inf
             continue
         before = decrement
+        reached = next((minimum for minimum in known if _close(at.value, now, minimum)), None)
+        if reached is not None:
+            return replace(reached, iterations=count)
         given_up = damping < 1.0 and 2.0 * at.value - (most - count + 1) * decrement > within
         if given_up:
             break

@@ -23,8 +23,8 @@ from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.held_fit import fit_held
 from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semidefinite
-from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
-from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
+from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint, same_valley
+from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
 from fitting.ligament.misfit import descend, explained, explained_below, fit_any, fit_with_noise
 from fitting.ligament.prior import Prior, coupling_prior
@@ -51,6 +51,14 @@ class NotWithin(Exception):
     """A fit does not come below the chi2 from which on it is of use."""
 
 
+class NotPassive(Exception):
+    """A fit settles where K' or D' is not positive semidefinite."""
+
+    def __init__(self, chi2: float) -> None:
+        super().__init__(chi2)
+        self.chi2 = chi2
+
+
 def applies(problem: Problem, both: Observation) -> bool:
     """Return whether mass matrix, motion, estimator and degrees of freedom are those of this model."""
     return (
@@ -65,7 +73,7 @@ def applies(problem: Problem, both: Observation) -> bool:
 
 def fit_ligament(
     problem: Problem,
-    both: Observation,
+    lines: JointLines,
     start: Array,
     extend: Extension | None = None,
     begun: tuple[Array, Array] | None = None,
@@ -78,7 +86,7 @@ def fit_ligament(
     ----------
     problem : Problem
         With the damping law; of the three degrees of freedom.
-    both : Observation
+    lines : JointLines
         All six degrees of freedom of both bodies.
     start : ndarray, (12,)
         Scaled K and D of the plain model.
@@ -89,21 +97,21 @@ def fit_ligament(
     held : bool
         Whether K' and D' are kept positive semidefinite, without further unknowns.
     within : float, optional
-        Chi2 below which the fit is of use, where another model explains the data as well: a misfit is not
-        fitted with more noise.
+        Chi2 below which the fit is of use: a misfit is not fitted with more noise. Where another model
+        explains the data already, only what is found from the first start can look like it.
 
     Returns
     -------
     LigamentFit or None
-        None when the iteration does not settle, or settles where K' or D' is not positive semidefinite and
-        they are not held.
+        None when the iteration does not settle.
 
     Raises
     ------
     NotWithin
         Chi2 does not come below ``within``.
+    NotPassive
+        It settles where K' or D' is not positive semidefinite, and they are not held.
     """
-    lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [scaled_law(problem).exponent] * problem.law.unknowns])
     terms = extend(lines) if extend is not None else ()
@@ -118,15 +126,19 @@ def fit_ligament(
         fitted = _prepared(lines, equations, first, terms, begun[1], within)
     if fitted is None or not (explained(fitted[2]) or (within is not None and fitted[2].chi2 < within)):
         limit = np.inf if terms and within is not None else within  # with a term chi2 can fall
-        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)), limit)
+        beside = within is not None and within < explained_below(equations, lines.count)
+        couplings = (prior,) if beside else (prior, np.zeros(_N * _N))
+        joint = _from_valleys(lines, equations, begins, couplings, limit)
         if not terms:
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
         elif joint is not None:
             fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
     if within is not None and (fitted is None or fitted[2].chi2 > within):
         raise NotWithin
-    if fitted is None or not semidefinite(fitted[2].parameters[: equations.entries]):
+    if fitted is None:
         return None
+    if not semidefinite(fitted[2].parameters[: equations.entries]):
+        raise NotPassive(fitted[2].chi2)
     return ligament_in_si(problem, *fitted)
 
 
@@ -144,12 +156,14 @@ def _from_valleys(
     """
     joint: JointFit | None = None
     limit = explained_below(equations, lines.count) if within is None else within
-    seen: list[float] = []
+    seen: list[JointFit] = []
     for coupling in couplings:
-        bare = fit_joint(lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2)
-        if any(abs(bare.chi2 - value) < 1e-3 * value for value in seen):
+        bare = fit_joint(
+            lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2, known=seen
+        )
+        if any(same_valley(bare, other) for other in seen):
             continue
-        seen.append(bare.chi2)
+        seen.append(bare)
         begin = np.concatenate([bare.parameters, np.zeros(lines.errors)])
         joint = fit_joint(lines, equations, begin, within=limit)
         if joint.converged:
