@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ from kinematics.readers.input_options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.reported_noise import body_noise
 from kinematics.readers.value_checks import value_faults
-from kinematics.tidy.frequency_grids import join_lines
+from kinematics.tidy.frequency_grids import check_bodies, check_filled, join_lines
 from kinematics.tidy.points_csv import Points
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
+K = TypeVar("K", bound=Hashable)
 Index = NDArray[np.intp]
 Channel = tuple[str, str, tuple[int, int, int]]
 # Positions written with four digits agree to this.
@@ -230,28 +232,33 @@ def _per_name(per: str) -> str:
     return f"responses per {per}" if per else "amplitudes"
 
 
+def _numbers(keys: Iterable[K]) -> dict[K, int]:
+    """Number different keys in the order of first appearance."""
+    return {key: number for number, key in enumerate(dict.fromkeys(keys))}
+
+
 def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; report how lines were matched."""
-    takes = list(
-        dict.fromkeys((recording.run, recording.repeat, _level(recording)) for recording in recordings)
-    )
-    bodies = list(dict.fromkeys(recording.body for recording in recordings))
-    keys = list(dict.fromkeys(_channel(recording) for recording in recordings))
-    channels = tuple(sorted(keys, key=lambda channel: bodies.index(channel[0])))
-    number = {channel: place for place, channel in enumerate(channels)}
+    takes = _numbers((recording.run, recording.repeat, _level(recording)) for recording in recordings)
+    bodies = _numbers(recording.body for recording in recordings)
+    check_bodies(tuple(bodies))
+    keys = _numbers(_channel(recording) for recording in recordings)
+    channels = tuple(sorted(keys, key=lambda channel: bodies[channel[0]]))
+    number = _numbers(channels)
     channel_of = [number[_channel(recording)] for recording in recordings]
     lengths = [len(recording.freq_hz) for recording in recordings]
     grid, faults = join_lines(
         np.concatenate([recording.freq_hz for recording in recordings]),
         np.repeat(channel_of, lengths),
-        np.repeat([bodies.index(recording.body) for recording in recordings], lengths),
-        bodies,
+        np.repeat([bodies[recording.body] for recording in recordings], lengths),
+        tuple(bodies),
     )
+    check_filled((len(takes), len(channels), len(grid.freq_hz)), sum(lengths))
     places = _Places(
         tuple(Take(run, repeat, float("nan") if level is None else level) for run, repeat, level in takes),
         channels,
         grid.freq_hz,
-        tuple(takes.index((recording.run, recording.repeat, _level(recording))) for recording in recordings),
+        tuple(takes[recording.run, recording.repeat, _level(recording)] for recording in recordings),
         tuple(channel_of),
         tuple(np.split(grid.line, np.cumsum(lengths)[:-1])),
     )

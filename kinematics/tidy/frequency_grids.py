@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.errors import KinematicsError
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
@@ -20,6 +22,12 @@ OF_SPACING = 0.01
 MOST = 1e-4
 # Share of lines that must agree for two grids to be one.
 _SHARE = 0.5
+# Places of runs, channels and lines (64 MB of values) of which any share may be empty, and the least share
+# that is filled where there are more. A run for each of 100 lines fills 1 in 100; what fills less has another
+# column where the frequency or the run should be, and its arrays would not fit into memory.
+_ANY_PLACES, _LEAST_FILLED = 4_000_000, 0.01
+# More rigid bodies than these were in no study: points stand where the bodies should be.
+_MOST_BODIES = 1000
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,11 @@ def join_lines(
     list of str
         Sentences on bodies whose grids do not fit, empty when all do.
 
+    Raises
+    ------
+    KinematicsError
+        The bodies share hardly any lines.
+
     Notes
     -----
     Frequencies within 1e-6 of each other are one line. So are those within 1 % of the spacing of the lines
@@ -93,7 +106,44 @@ def join_lines(
     rank = np.empty(len(unique), dtype=np.intp)
     rank[order] = np.cumsum(new) - 1
     grid = Grid(ascending[new], rank[codes], tuple(notices))
+    check_filled((1, len(names), len(grid.freq_hz)), len(freq_hz), where)
     return grid, grid_faults(grid.freq_hz, _presence(grid, body, len(names)), names, where)
+
+
+def check_bodies(names: Sequence[str], where: str = "") -> None:
+    """Refuse so many bodies that they must be points.
+
+    Raises
+    ------
+    KinematicsError
+    """
+    if len(names) > _MOST_BODIES:
+        step = "Check which column names the body and which the point"
+        raise KinematicsError.of("the bodies", f"{_MOST_BODIES} at most", len(names), where, step)
+
+
+def check_filled(shape: tuple[int, int, int], readings: int, where: str = "") -> None:
+    """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Number of runs, of channels (or bodies) and of lines.
+    readings : int
+    where : str
+        File, for messages.
+
+    Raises
+    ------
+    KinematicsError
+    """
+    places = prod(shape)
+    if places <= max(_ANY_PLACES, readings / _LEAST_FILLED):
+        return
+    runs, channels, lines = shape
+    got = f"{readings} readings of {channels} channels in {lines} lines and {runs} runs"
+    step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
+    raise KinematicsError.of("the readings", "at lines and in runs that channels share", got, where, step)
 
 
 def _spacing(codes: Index, channel: Index, unique: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Take
-from kinematics.tidy.frequency_grids import Grid, join_lines
+from kinematics.tidy.frequency_grids import Grid, check_bodies, check_filled, join_lines
 from kinematics.tidy.ldv_checks import (
     check_directions,
     check_frequencies,
@@ -132,6 +132,7 @@ def _placed(
     """Number takes, channels and lines; None when no row can be placed."""
     short = blocks.table
     body, point = short.texts["body"], short.texts["point"]
+    check_bodies(body.names, table.file)
     for name, column in (("body", body), ("point", point)):
         each(column.codes < 0, name, "a name", lambda _row: "an empty cell", short, faults)
     check_takes(short, columns, faults)
@@ -154,6 +155,7 @@ def _placed(
     grid, apart = _lines(table, rows, at_channel, at_take, body, first)
     if not faults:
         faults += apart
+    check_filled((len(takes), len(first), len(grid.freq_hz)), len(rows), table.file)
     whole = (at_take[rows] * (int(at_channel.max()) + 1) + at_channel[rows]) * len(grid.freq_hz) + grid.line
     _duplicates(whole, rows, table, faults)
     several = len(takes) > len({t.run for t in takes})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import mmap
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,7 +95,7 @@ def open_sheet(path: Path) -> Sheet:
         where = Place(path.name, "line", (line - 1,))
         step = "Put the names of the columns above the rows"
         raise StapeskitError.of("the first line", "the header", "numbers", where, step)
-    twice = sorted({name for name in header if name and header.count(name) > 1})
+    twice = sorted(name for name, times in Counter(header).items() if name and times > 1)
     if twice:
         got = ", ".join(twice) + " twice"
         where = Place(path.name, "line", (line - 1,))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -385,3 +387,35 @@ def test_the_two_ways_of_reading_agree(tmp_path):
     fast = read_ldv(table(tmp_path, rows=rows))
     slow = read_ldv(table(tmp_path, rows=[row.replace("s,", '"s",', 1) for row in rows]))
     same(fast, slow)
+
+
+HEADER = "body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s,run\n"
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("stapes,p{0},{0},2,3,1,0,0,{1},1,2,1", "3000 readings of 3000 channels in 3000 lines and 1 runs"),
+        ("stapes,p{0},{0},2,3,1,0,0,100,1,2,r{0}", "3000 readings of 3000 channels in 1 lines and 3000 runs"),
+        ("b{0},p,1,2,3,1,0,0,100,1,2,1", "the bodies must be 1000 at most; got 3000"),
+    ],
+)
+def test_readings_that_share_no_lines_runs_or_bodies_are_refused_in_little_memory(tmp_path, row, words):
+    path = tmp_path / "ldv.csv"
+    path.write_text(HEADER + "".join(row.format(k, k + 1) + "\n" for k in range(3000)))
+    tracemalloc.start()
+    with pytest.raises(StapeskitError) as caught:
+        read_ldv(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert words in str(caught.value)
+    assert peak < 30 << 20
+
+
+def test_columns_of_one_name_are_found_among_many(tmp_path):
+    path = tmp_path / "ldv.csv"
+    path.write_text("body,point," + "re_m_s,im_m_s," * 100_000 + "x\n" + "1," * 200_002 + "1\n")
+    begun = time.process_time()
+    with pytest.raises(StapeskitError, match="im_m_s, re_m_s twice"):
+        read_ldv(path)
+    assert time.process_time() - begun < 5.0
