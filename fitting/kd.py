@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.budget import budget_of, derived_quantities
+from fitting.budget import budget_of
 from fitting.calibrated import calibrated
 from fitting.causes.diagnosis import model_error
 from fitting.errors import FittingError
@@ -311,7 +311,6 @@ def _result(
     budget = budget_of(problem, lines, best, off)
     check_result(stiffness, damping, budget.covariance, budget.noise)
     mode_list = modes(problem.vibrating_mass, stiffness, damping, problem.law)
-    derived = derived_quantities(problem, stiffness, damping, budget)
     fit = KDFit(
         options,
         options.dof,
@@ -324,7 +323,6 @@ def _result(
         budget.covariance,
         budget.noise,
         budget,
-        derived,
         mode_list,
         best.chi2,
         best.n_dof,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from fitting.budget import Budget, Derived
+from fitting.budget import Budget, Derived, derived_quantities
 from fitting.causes.diagnosis import Diagnosis
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
@@ -45,8 +46,6 @@ class KDFit:
     covariance, noise_covariance : ndarray, (p, p)
         Of the parameters K11, K12, ..., Dnn: of all sources, and of channel noise alone; SI.
     budget : Budget
-    derived : Derived
-        Modes and principal axes with their uncertainty.
     modes : Modes
     chi2 : float
     n_dof : int
@@ -88,7 +87,6 @@ class KDFit:
     covariance: Array
     noise_covariance: Array
     budget: Budget
-    derived: Derived
     modes: Modes
     chi2: float
     n_dof: int
@@ -105,6 +103,11 @@ class KDFit:
     diagnosis: Diagnosis | None = None
     fluid: FluidChoice | None = None
     undetermined: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def derived(self) -> Derived:
+        """Modes and principal axes with their uncertainty; computed where it is asked for."""
+        return derived_quantities(self.problem, self.stiffness, self.damping, self.budget)
 
     @property
     def laws_alike(self) -> tuple[str, ...]:
