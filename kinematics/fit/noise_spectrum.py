@@ -13,7 +13,12 @@ from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Fewer lines show no course over frequency: two levels and a slope leave nothing to see it by.
+# Numbers said to be measured were halved and doubled on 42 simulated scenes: clean ones and one of each fault
+# of benchmarks/fault_scenes.py, on 10 points of a stapes and 5 of a footplate, 120 lines, a third of them
+# with 5 % of the values missing, noise by frequency to the power 1, 0, -1 or -2. The course is off by 0.9 %
+# (median of the rms over frequency), by 3.0 % in one scene of ten.
+#
+# Lines. Definition: a parabola over the logarithm of the frequency has three coefficients.
 _LEAST_LINES = 3
 # Lines and values looked at, for speed.
 _MOST_LINES, _MOST_VALUES = 2048, 400_000
@@ -21,17 +26,21 @@ _MOST_LINES, _MOST_VALUES = 2048, 400_000
 _DRIFTING = 8
 _LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
 # Relative errors of the rows of a channel that are tried: from far below noise to a wrong sign, by factors
-# of 1.6; and the log odds against an error of a channel: one in twenty.
+# of 1.6.
 _SIZES = np.concatenate([[0.0], np.geomspace(1e-4, 3.0, 24)])
+# Log odds (natural) against an error of a channel: one in twenty. Convention; measured: at half of it the
+# course is off by 0.9 % as well, at its double by 1.0 %.
 _ODDS = 3.0
 # Most rounds of rows and motions; they end earlier once the energy falls by less than a thousandth.
 _TURNS, _SLOW = 100, 1e-3
-# How many times the noise of most channels one must have to count less.
+# Standard deviation of a channel's noise over that of most channels, from which on it counts less. Chosen by
+# judgement, so that the scatter of estimates is left alone; measured: no change at double, 1.0 % at half.
 _LOUD = 2.0
 # Share of the trace, or size, that keeps channels and lines solvable that do not determine their rows.
 _RIDGE, _LEAST = 1e-12, 1e-100
 _LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
-# Rounds of clipping and of reweighting; they end earlier once the course changes by less than 2 %.
+# Limits of the rounds of clipping, and of the passes of reweighting, which end once the course changes by
+# less than 2 %. Computation; measured: five passes at most, three in the median.
 _ROUNDS = 5
 _PASSES = 8
 _SETTLED = 0.02
