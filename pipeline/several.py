@@ -77,7 +77,8 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
     """Name a folder for each study: the stem of its file, or its folder's name where stems coincide.
 
     Leading dots are left out: ``..`` would be another folder, and hidden ones are the program's. The ending
-    ``_study`` of names in the manner of BIDS is left out too. Files of the cohort keep their names.
+    ``_study`` of names in the manner of BIDS is left out too. Files of the cohort keep their names. Names
+    that differ in capitals alone are one folder to Windows and macOS, and count as the same.
     """
     own = [
         path.stem.removesuffix("_study") if path.stem.startswith("sub-") else path.stem for path in studies
@@ -88,11 +89,13 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
         for name, path in zip(own, studies, strict=True)
     ]
     unique_names: list[str] = []
+    taken = {name.casefold() for name in cohort_names()}
     for name in names:
         plain = name.lstrip(".") or "study"
         number, unique = 2, plain
-        while unique in (*unique_names, *cohort_names()):
+        while unique.casefold() in taken:
             unique, number = f"{plain}-{number}", number + 1
+        taken.add(unique.casefold())
         unique_names.append(unique)
     return unique_names
 

@@ -19,8 +19,8 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
     Parameters
     ----------
     path : Path
-        ``*.json``: a mass.json. Anything else: comma separated, square, no header, SI, in the
-        order of ``dof``.
+        ``*.json``: a mass.json. Anything else: square, no header, SI, in the order of ``dof``; comma
+        separated, or with semicolons or tabs, where a comma is a decimal comma.
     dof : tuple of str
         Chosen degrees of freedom.
 
@@ -61,9 +61,14 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
             path.name,
             "Give the mass.json of ct2mass, or write M as comma separated text",
         ) from fault
-    values, faults = [], []
+    for mark in (";", "\t"):
+        if mark in text:
+            text = text.replace(",", ".").replace(mark, ",")
+    values, faults = list[list[float]](), list[Fault]()
     for line, words in enumerate(text.splitlines(), 1):
         if words.strip():
+            if not values:
+                _refuse_header(words, Place(path.name, "row", (line,)))
             numbers, wrong = _row(words, line, path.name)
             values.append(numbers)
             faults += wrong
@@ -79,6 +84,18 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
             "Give M in the order of {dof}, or change {dof}",
         )
     return np.array(values)
+
+
+def _refuse_header(words: str, place: Place) -> None:
+    """Refuse a first row without numbers; dof.csv has one, and is soon taken for M."""
+    cells = [cell.strip().strip('"') for cell in words.split(",")]
+    if not all(cell[:1].isalpha() for cell in cells):
+        return
+    step = "Remove the header"
+    if "freq_hz" in cells:
+        step = "It looks like the motion of points2dof: give that first, and mass.json or M.csv with {mass}"
+    shown = ", ".join(cells[:6]) + (", ..." if len(cells) > 6 else "")
+    raise FittingError.of("M.csv", "numbers separated by commas, without a header", shown, place, step)
 
 
 def _row(words: str, line: int, name: str) -> tuple[list[float], list[Fault]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 from kinematics.errors import KinematicsError
+from kinematics.tidy.points_csv import other_table
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.units import SUFFIXES, Unit, unit_of
 from stapeskit.vocabulary import named
@@ -33,6 +34,7 @@ _OTHER_NAMES = {
     "y": "y_mm",
     "z": "z_mm",
 }
+_HERTZ = re.compile(r"freq(?:uency)?_\[?hz\]?")
 _WIDE = re.compile(r"(?:^|[_ ])(?:mag|magnitude|phase|amplitude|real|imag\w*)(?:[_ ]|$)")
 
 
@@ -119,6 +121,9 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     place = Place(file, "line", (1,))
     faults: list[Fault] = []
     units = _units(header, place, faults)
+    other = other_table(header, ("freq_hz",))
+    if other and not units and not {"dir", *DIRECTION} & set(header):
+        raise KinematicsError.of("the table", "of vibrometer readings", "no column freq_hz", place, other)
     missing = [name for name in ("body", "point", "freq_hz") if name not in header]
     direction = ("dir",) if "dir" in header else DIRECTION
     missing += [name for name in direction if name not in header]
@@ -214,7 +219,7 @@ def _units(header: Sequence[str], place: Place, faults: list[Fault]) -> dict[str
             step = "Convert the values, and name their unit in the header"
             thing = f"the unit of column {name}"
             faults.append(Fault(thing, f"one of {SUFFIXES}", "an unknown one", place, step))
-        elif name.startswith("freq") and name != "freq_hz":
+        elif name.startswith("freq") and not _HERTZ.fullmatch(name):
             faults.append(
                 Fault(f"the frequency column {name}", "freq_hz", "an unknown unit", place, "Give Hz")
             )

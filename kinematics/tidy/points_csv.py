@@ -13,6 +13,7 @@ from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.units import FARTHEST_MM, NEAREST_MM
+from stapeskit.vocabulary import named
 
 _POSITION = ("x_mm", "y_mm", "z_mm")
 
@@ -88,8 +89,25 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
             "complete",
             f"no column {', '.join(missing)}",
             Place(file, "line", (1,)),
-            "Add the column, or correct its name in the header",
+            other_table(header, names) or "Add the column, or correct its name in the header",
         )
+
+
+def other_table(header: Sequence[str], names: Sequence[str]) -> str:
+    """Return what to do where a header is that of another table than the one with columns ``names``.
+
+    Files that were exchanged on the command line lack many columns, and none of them should be added. Empty
+    where the header is of the right table, or of none that is known.
+    """
+    tables = {
+        "vibrometer readings": ({"freq_hz"}, "give it first, without an option"),
+        "fiducials": ({"x_ref_mm"}, f"give it with {named('fiducials')}"),
+        "points": ({"body", "point", *_POSITION}, f"give it with {named('points')}"),
+    }
+    for kind, (columns, where) in tables.items():
+        if columns <= set(header):
+            return "" if columns <= set(names) else f"It looks like a table of {kind}: {where}"
+    return ""
 
 
 def finite_faults(table: Table, columns: Sequence[str]) -> list[Fault]:

@@ -109,6 +109,11 @@ def test_folders_are_named_by_file_or_by_place():
     assert names == ["left", "b", "c", "c-2"]
 
 
+def test_names_that_differ_in_capitals_alone_are_two_folders_everywhere():
+    studies = [Path("/a/ear.toml"), Path("/b/Ear.toml"), Path("/c/COHORT.CSV.toml")]
+    assert folder_names(studies) == ["ear", "Ear-2", "COHORT.CSV-2"]
+
+
 def test_no_folder_is_a_parent_or_hidden():
     assert folder_names([Path("cohort.csv.toml"), Path("cohort.toml")]) == ["cohort.csv-2", "cohort"]
     assert folder_names([Path("...toml"), Path(".stapeskit.toml"), Path("../..toml")]) == [
