@@ -19,9 +19,9 @@ from kinematics.faults.state import Model, State, model_of
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
-# simulated scenes (each fault of benchmarks/fault_scenes.py, clean ones and ones with outliers, a third next to
-# errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of the scenes
-# changes with a limit of 6 or 24.
+# simulated scenes (each fault of benchmarks/fault_scenes.py, clean ones, ones with outliers; a third of them
+# next to errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of
+# the scenes changes with a limit of 6 or 24.
 _ROUNDS = 12
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")
