@@ -25,8 +25,8 @@ _SURELY, _NUMBER = 1e-5, 1e-4
 # Outliers are single: so many at most have another one at a neighbouring line of their channel.
 _WITH_NEIGHBOUR = 0.5
 # Log likelihood (natural) that outliers must gain beyond what their places cost. Chosen by judgement, well
-# above chance (e^-10 is 5e-5); measured: at 5 and at 20 no verdict changes in 26 simulated scenes, on 10 points
-# of a stapes and 5 of a footplate: clean, with spikes, drop-outs or multiples as in
+# above chance (e^-10 is 5e-5); measured: at 5 and at 20 no verdict changes in 26 simulated scenes (10
+# points of a stapes, 5 of a footplate): clean, with spikes, drop-outs or multiples as in
 # tests/kinematics/faults/test_causes.py, and with a third of the faults of benchmarks/fault_scenes.py.
 _GAIN = 10.0
 # Rounds in which outliers and the course of the noise without them are found.
