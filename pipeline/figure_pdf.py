@@ -114,14 +114,15 @@ class _Replay:
         tag = element.tag.rpartition("}")[2]
         if tag in ("defs", "metadata", "style", "clipPath"):
             return
-        here = _transform(element.get("transform", "")) + outer
-        style = {**style, **_style(element.get("style", ""))}
+        here = _transform(turns) + outer if (turns := element.get("transform")) else outer
+        style = {**style, **_style(own)} if (own := element.get("style")) else style
         if name := element.get("clip-path"):
             clip = self._clip(name[5:-1], here)
         if tag == "use":
             target = self._named[(element.get(_LINK) or "")[1:]]
-            shift = _transform(f"translate({element.get('x', '0')} {element.get('y', '0')})")
-            self._element(renderer, target, shift + here, style, clip)
+            if "x" in element.attrib or "y" in element.attrib:
+                here = _transform(f"translate({element.get('x', '0')} {element.get('y', '0')})") + here
+            self._element(renderer, target, here, style, clip)
         elif tag == "path" and element.get("d"):  # a blank has none
             self._path(renderer, element.get("d", ""), here, style, clip)
         elif tag == "image":
