@@ -35,6 +35,9 @@ from stapeskit.options import OptionTable, Rule, Values, excludes, needs, option
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
 
+# kg/m3, refused outside. Chosen by judgement: it holds every bone (published.py: 1300 to 2200) and no density
+# in a wrong unit, which is off by a factor of 1000.
+PLAUSIBLE_DENSITY = (500.0, 4000.0)
 _MASS = "mass (at least one; measured mass leads, then calibration, then density)"
 _READING = "reading"
 _RAW = "raw voxels without a header"
@@ -52,6 +55,10 @@ _LEAST_COAT_UM = 1.0
 def _plausible_spacing(spacing_mm: tuple[float, ...]) -> bool:
     """Return whether voxel sizes can be meant in mm."""
     return _SPACING_MM[0] <= min(spacing_mm) and max(spacing_mm) <= _SPACING_MM[1]
+
+
+def _is_of_bone(density_kg_m3: float) -> bool:
+    return PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]
 
 
 def is_mesh(scan: Path | None) -> bool:
@@ -111,6 +118,13 @@ class MassOptions(OptionTable):
             "given by at least one of {density}, {mass_mg} and {calibration}",
             "none of them",
             "Bone has 1400 to 2200 kg/m3",
+        ),
+        Rule(
+            lambda v: v.density is not None and not _is_of_bone(v.density[0]),
+            "{density}",
+            f"between {PLAUSIBLE_DENSITY[0]:g} and {PLAUSIBLE_DENSITY[1]:g} kg/m3",
+            next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
+            shows="density",
         ),
         Rule(
             lambda v: v.spacing_mm is not None and not _plausible_spacing(v.spacing_mm),

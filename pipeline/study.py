@@ -95,7 +95,9 @@ def read_study(path: Path) -> Study:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise PipelineError.of("the study file", "UTF-8 text", fault, path.name) from fault
+        got = f"the byte 0x{fault.object[fault.start]:02x}"
+        step = "Save it as UTF-8 in the editor, if it is the study file"
+        raise PipelineError.of("the study file", "UTF-8 text", got, path.name, step) from fault
     return parse_study(text, path.absolute().parent, path.name)
 
 
@@ -114,9 +116,10 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     try:
         tables = parse_toml(text)
     except ValueError as fault:
-        raise PipelineError.of(
-            "the study file", "valid TOML", fault, name, "Texts and paths stand in quotes"
-        ) from fault
+        step = "Texts and paths stand in quotes, numbers have decimal points"
+        if "\\" in text:
+            step = "Write paths with / instead of \\, or in single quotes"
+        raise PipelineError.of("the study file", "valid TOML", fault, name, step) from fault
     faults = [_unknown(key, name) for key in tables if key not in TABLES]
     read: dict[str, Any] = {}
     for key, kind in TABLES.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +16,13 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.option_kinds import Kind
+from stapeskit.option_values import command_word, is_with_sd
 from stapeskit.system_faults import MISSING, why_unreadable
 
 _DECLARED = "option"
 _WRITING = ("out", "force", "no_report", "export", "smooth", "faces", "sha256", "quiet", "json")
 _WRITE = "Write files with .write(folder) of the result"
+_DECIMAL_COMMA = re.compile(r"\d+,\d+")
 Table = TypeVar("Table", bound="OptionTable")
 
 
@@ -78,6 +81,8 @@ class Option:
     def fault(self, got: Any, thing: str = "", where: str = "") -> Fault:
         """Return the fault of a value that is unfit."""
         step = self.kind.advise(got) if self.kind.advise else ""
+        if not step and isinstance(got, str) and _DECIMAL_COMMA.fullmatch(got):
+            step = f"Write a decimal point: {got.replace(',', '.')}"
         return Fault(thing or f"{{{self.name}}}", self.kind.expected, shown(got), where, step)
 
     def missing_files(
@@ -384,7 +389,9 @@ def near(word: str, known: Iterable[str]) -> str:
 
 def shown(value: Any) -> str:
     """Show a value in a message, shortened."""
-    if isinstance(value, list | tuple):
+    if is_with_sd(value):
+        text = command_word(value)
+    elif isinstance(value, list | tuple):
         text = ",".join(shown(entry) for entry in value if entry is not None)
     else:
         text = str(value).lower() if isinstance(value, bool) else str(value)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
+from ct_inertia.mass.mass_properties import MassProperties, from_density, unit_parameters
+from ct_inertia.options import PLAUSIBLE_DENSITY
 from ct_inertia.surface.moments import Moments
 from stapeskit.arrays import Array
 from stapeskit.documents import is_finite_number, parse_toml

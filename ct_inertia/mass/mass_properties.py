@@ -8,15 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.options import PLAUSIBLE_DENSITY
 from ct_inertia.surface.moments import Moments
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
 
-# kg/m3, refused outside. Chosen by judgement: it holds every bone (published.py: 1300 to 2200) and no density
-# in a wrong unit, which is off by a factor of 1000.
-PLAUSIBLE_DENSITY = (500.0, 4000.0)
 _POWERS_OF_LENGTH = np.array([3.0, 4.0, 4.0, 4.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0])
 
 

@@ -16,6 +16,9 @@ from stapeskit.vocabulary import named
 
 # A difference of two motions this small beside them is rounding.
 _AS_ONE = 1e-9
+# Upper end of a band over the lowest line, below which the band looks like one in kHz: with it lines may span
+# 50 times their lowest frequency.
+_KILOHERTZ = 0.05
 
 
 @dataclass(frozen=True)
@@ -235,6 +238,8 @@ def _check_lines(
         if band_hz is not None or exclude_hz:
             ends = f"{np.min(measured_hz):.6g} to {np.max(measured_hz):.6g} Hz"
             step = f"Lines were measured from {ends}: widen {named('band')} or exclude less"
+            if band_hz is not None and band_hz[1] < _KILOHERTZ * float(np.min(measured_hz)):
+                step = f"Lines were measured from {ends}: give {named('band')} in Hz, not in kHz"
         else:
             step = "Measure structure and base at common frequencies"
         raise FittingError.of("the band", "one with measured lines of both bodies", "none", where, step)

@@ -214,6 +214,8 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     known = f"{', '.join(first)} or {last}"
     by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
     if head.content.startswith(_ZIP):
+        if head.suffix in vendor.WORKBOOKS:
+            vendor.refuse_workbook(path)
         step = "Unpack it, and give the files or folders in it"
         raise KinematicsError.of("the vibrometer file", known, "a ZIP archive", path.name, step)
     if not head.content and [entry.name for entry in by_name] != [TIDY]:
@@ -248,7 +250,8 @@ def _format_of_folder(path: Path) -> Format:
         return others[0]
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
-    raise KinematicsError.of("a vibrometer folder", expected, path.name, next_step=step)
+    got = f"{len(files)} files of other formats" if files else "an empty folder"
+    raise KinematicsError.of("a vibrometer folder", expected, got, path.name, step)
 
 
 def describes_series(path: Path) -> bool:

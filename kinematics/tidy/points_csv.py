@@ -89,8 +89,17 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
             "complete",
             f"no column {', '.join(missing)}",
             Place(file, "line", (1,)),
-            other_table(header, names) or "Add the column, or correct its name in the header",
+            other_table(header, names) or _step(missing, header),
         )
+
+
+def _step(missing: Sequence[str], header: Sequence[str]) -> str:
+    """Return what to do where columns are missing: their unit may be another one."""
+    stems = {name.removesuffix("_mm") for name in missing if name.endswith("_mm")}
+    others = [name for name in header if name.rpartition("_")[0] in stems]
+    if others:
+        return f"Convert {', '.join(others)} to mm, and name their unit in the header"
+    return "Add the column, or correct its name in the header"
 
 
 def other_table(header: Sequence[str], names: Sequence[str]) -> str:

@@ -68,6 +68,11 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
         if (len(row) != width and "".join(row[width:]).strip()) or len(row) < width:
             faults.append(_length_fault(sheet, line, begun - line, row))
             continue
+        if not lines and not faults and _are_units([row[place] for name, place in places if name in numbers]):
+            where = Place(sheet.file, "line", (line,))
+            got, step = "units", "Units stand in the names of the columns: remove the line"
+            faults.append(Fault("the line below the header", "the first row of numbers", got, where, step))
+            continue
         lines.append(line)
         for column, place in places:
             cells[column].append(row[place].strip())
@@ -80,6 +85,12 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
     words = {column: cells[column] for column in texts}
     faults.sort(key=_line_of)
     return Cells(values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Return whether the number columns hold several words and no number."""
+    words = [cell for cell in map(str.strip, cells) if cell not in MISSING]
+    return len(words) > 1 and not any(letter.isdigit() for word in words for letter in word.rstrip("23²³"))
 
 
 def _line_of(fault: Fault) -> int:
@@ -123,7 +134,7 @@ def _hint(cell: str, decimal: str) -> str:
         return "Write decimal commas or decimal points throughout, and nothing between thousands"
     if "," in cell:
         return "Write a point for the decimals, or semicolons between the columns"
-    if not any(letter.isdigit() for letter in cell):
+    if cell.startswith("#") or not any(letter.isdigit() for letter in cell):
         return "Write a plain number, or leave the cell empty where the value is missing"
     return "Write a plain number such as 1000 or 1e-6"
 

@@ -25,7 +25,8 @@ class TestFaults:
             ("", "the mass of the stapes must be given by at least one of .*; got none of them"),
             ("--density -5", "--density must be a positive number"),
             ("--density 1900+-x", "--density must be a positive number .*; got 1900"),
-            ("--density 1.9", "--density must be between 500 and 4000 kg/m3"),
+            ("--density 1.9", "--density must be between 500 and 4000 kg/m3; got 1.9. Bone has"),
+            ("--density 1.9+-0.1", r"got 1\.9\+-0\.1\. Bone has"),
             ("--mass-mg 300", "--mass-mg must be a mass that gives the volume"),
             ("--density 1900 --anterior 1,0", "--anterior must be three numbers"),
             (

@@ -166,6 +166,7 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
         ("dof.csv --mass M.csv --structure incus", "the body must be one of stapes, base; got incus"),
         ("dof.csv --mass M.csv --base plate", "the body must be one of stapes, base; got plate"),
         ("dof.csv --mass M.csv --band 1,2", "the band must be one with measured lines of both bodies"),
+        ("dof.csv --mass M.csv --band 0.4,5", "give --band in Hz, not in kHz."),
         (
             "dof.csv --mass M.csv --band 5000,400",
             "--band must be two frequencies in Hz, the lower first; got 5000,400. Write 400-5000.",

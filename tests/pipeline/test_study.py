@@ -209,6 +209,22 @@ def test_a_byte_order_mark_is_read_and_other_encodings_are_refused(tmp_path):
         read_study(path)
 
 
+@pytest.mark.parametrize(
+    ("line", "step"),
+    [
+        ('name = "C:\\Users\\Ohr"', "Write paths with / instead of \\"),
+        ("name = 1,394", "Texts and paths stand in quotes, numbers have decimal points"),
+    ],
+)
+def test_what_breaks_toml_is_explained(tmp_path, line, step):
+    path = tmp_path / "study.toml"
+    path.write_text(f"[study]\n{line}\n")
+    with pytest.raises(PipelineError) as caught:
+        read_study(path)
+    (fault,) = caught.value.faults
+    assert fault.next_step.startswith(step)
+
+
 def test_values_nested_too_deep_are_a_fault(tmp_path):
     assert "nested too deep" in fault("a = " + "[" * 50_000, tmp_path)
 

@@ -68,6 +68,12 @@ def test_an_unfit_value_is_refused(one, wrong):
         one.kind.read(wrong)
 
 
+def test_a_decimal_comma_is_explained():
+    one = next(entry.values[0] for entry in EVERY if entry.values[0].name == "density")
+    assert one.fault("1394,4").next_step == "Write a decimal point: 1394.4"
+    assert one.fault("heavy").next_step == ""
+
+
 @pytest.mark.parametrize("one", OF_STUDIES)
 def test_the_template_has_every_key_with_a_value(one):
     line = f"{one.key} = {toml(example_of(one))}"

@@ -52,7 +52,12 @@ def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "content", "got"),
-    [("a.zip", b"PK\x03\x04....", "a ZIP archive"), ("a.uff", b"", "0 bytes"), ("a.dat", b"1 2 3", "a.dat")],
+    [
+        ("a.zip", b"PK\x03\x04....", "a ZIP archive"),
+        ("a.xlsx", b"PK\x03\x04....", "a workbook"),
+        ("a.uff", b"", "0 bytes"),
+        ("a.dat", b"1 2 3", "a.dat"),
+    ],
 )
 def test_unknown_content_is_refused(tmp_path, name, content, got):
     path = tmp_path / name
@@ -61,3 +66,21 @@ def test_unknown_content_is_refused(tmp_path, name, content, got):
         format_of(path)
     (fault,) = caught.value.faults
     assert fault.got == got
+
+
+def test_workbooks_are_no_scans_of_a_vibrometer(tmp_path):
+    (tmp_path / "a.xls").write_bytes(bytes.fromhex("d0cf11e0a1b11ae1") + bytes(600))
+    with pytest.raises(StapeskitError) as caught:
+        read_measurement([tmp_path / "a.xls"])
+    assert caught.value.faults[0].got == "a workbook"
+
+
+@pytest.mark.parametrize(
+    ("files", "got"), [((), "an empty folder"), (("a.txt", "b.jpg"), "2 files of other formats")]
+)
+def test_a_folder_without_exports_is_refused_by_what_it_holds(tmp_path, files, got):
+    for name in files:
+        (tmp_path / name).write_text("words")
+    with pytest.raises(StapeskitError) as caught:
+        format_of(tmp_path)
+    assert caught.value.faults[0].got == got

@@ -89,7 +89,7 @@ def test_dialects_read_the_same(tmp_path):
         same(read_ldv(write(tmp_path, text)), plain)
 
 
-@pytest.mark.parametrize("word", ["n/a", "NA", "N/A", "#N/A", "null", "None", "-", "missing"])
+@pytest.mark.parametrize("word", ["n/a", "NA", "N/A", "#N/A", "#DIV/0!", "null", "None", "-", "missing"])
 def test_words_for_missing_values_are_refused_with_their_place(tmp_path, word):
     rows = ["s,1,0,0,0,y,100,1,2", f"s,1,0,0,0,y,200,{word},3", "s,1,0,0,0,y,300,1,1"]
     with pytest.raises(StapeskitError) as caught:
@@ -98,6 +98,15 @@ def test_words_for_missing_values_are_refused_with_their_place(tmp_path, word):
         f're_m_s must be a number; got "{word}" (ldv.csv, line 3). Write a plain number, or leave the cell'
     )
     assert str(caught.value).startswith(found)
+
+
+def test_a_line_of_units_below_the_header_is_one_fault(tmp_path):
+    rows = [",,mm,mm,mm,,Hz,m/s,m/s", "s,1,0,0,0,y,100,1,2"]
+    with pytest.raises(StapeskitError) as caught:
+        read_ldv(table(tmp_path, HEAD, rows))
+    (fault,) = caught.value.faults
+    assert fault.thing == "the line below the header"
+    assert fault.where.numbers == (2,)
 
 
 def test_empty_and_nan_are_missing(tmp_path):

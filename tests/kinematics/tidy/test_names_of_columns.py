@@ -51,6 +51,7 @@ FIDUCIALS = "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm\na,0,0,0,1,1,1\n"
         (read_fiducials, POINTS, "It looks like a table of points: give it with --points"),
         (read_fiducials, READINGS, "It looks like a table of vibrometer readings"),
         (read_points, "body,point,x_mm,y_mm\ns,1,0,0\n", "Add the column"),
+        (read_points, "body,point,x_m,y_m,z_m\ns,1,0,0,0\n", "Convert x_m, y_m, z_m to mm"),
     ],
 )
 def test_files_that_were_exchanged_are_recognised(tmp_path, read, text, step):
