@@ -49,7 +49,7 @@ class CohortLog:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         if value is not None:
-            self.tell("", f"{type(value).__name__}: {value}")
+            self._write(f"{type(value).__name__}: {value}")  # the terminal gets it from the command
         self._close()
 
     def _close(self) -> None:
@@ -64,12 +64,15 @@ class CohortLog:
     def tell(self, name: str, line: str) -> None:
         """Write a line about an ear, or about the run where ``name`` is empty."""
         text = f"{name}: {line}" if name else line
+        self._write(text)
+        self._tell(text)
+
+    def _write(self, text: str) -> None:
         with self._lock:
             if not self._stream.closed:
                 now = datetime.now(UTC).isoformat(timespec="milliseconds")
                 self._stream.write(f"{now} {text}\n")
                 self._stream.flush()
-        self._tell(text)
 
     def ended(self, name: str, end: End) -> None:
         """Write how an ear ended, and how many have."""

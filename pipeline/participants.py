@@ -42,7 +42,9 @@ def with_participants(path: Path, participants: Mapping[str, Mapping[str, Any]])
             rows.append(known[name])
         row = known[name]
         for key in _KEYS:
-            stated, place = as_text_cell(participants[name].get(key, _UNKNOWN)), header.index(key)
+            # a tab or a new line would begin another cell
+            text = " ".join(str(participants[name].get(key, _UNKNOWN)).split())
+            stated, place = as_text_cell(text), header.index(key)
             if row[place] in ("", _UNKNOWN):
                 row[place] = stated
             elif stated != _UNKNOWN and not _same(row[place], stated):

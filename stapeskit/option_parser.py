@@ -208,10 +208,9 @@ class Parser(argparse.ArgumentParser):
             return {}
         try:
             table = parse_toml(path.read_text(encoding="utf-8-sig"))
-        except OSError:
-            return {}
-        except ValueError as fault:
-            faults.append(Fault("{config}", "valid TOML", fault, path.name))
+        except (OSError, ValueError) as fault:
+            got = fault.strerror if isinstance(fault, OSError) else fault
+            faults.append(Fault("{config}", "valid TOML", got, path.name))
             return {}
         known = {entry.name: entry for entry in self.declared.values() if entry.field != "config"}
         names = known | {entry.key: entry for entry in known.values()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from ct_inertia.exports.body import ExportBody, listed, quaternion
@@ -49,4 +50,4 @@ def write(body: ExportBody, folder: Path) -> list[str]:
 
 def comment(text: str) -> str:
     """Return text that may stand in an XML comment."""
-    return text.replace("--", "- -").rstrip("-")
+    return re.sub("-(?=-|$)", "- ", text)

@@ -25,7 +25,12 @@ def run(
     def run_one(task: Task) -> End:
         if stop.is_set():
             return End(130, fault="interrupted")
-        return run_task(task, lambda line: tell(task.name, line), stop.is_set)
+
+        def say(line: str) -> None:
+            if not stop.is_set():  # that it was interrupted is said once, for all
+                tell(task.name, line)
+
+        return run_task(task, say, stop.is_set)
 
     with ThreadPoolExecutor(where.jobs) as pool:
         waiting: dict[Future[End], str] = {pool.submit(run_one, task): task.name for task in tasks}

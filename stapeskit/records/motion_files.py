@@ -155,7 +155,7 @@ def read_motion(path: Path) -> RigidMotion:
             return motion
     notice = Notice(
         "motion_without_h5",
-        f"{path.name} is read alone ({beside.name} is missing or belongs to other content): noise is taken "
+        f"{path.name} is read alone ({beside.name} is missing, unreadable or of other content): noise is taken "
         "as uncorrelated between the degrees of freedom, and no registration error is known.",
     )
     return _read_csv(path, notice)

@@ -82,13 +82,15 @@ def test_a_table_of_participants_keeps_what_it_holds(studies, tmp_path):
     table.parent.mkdir()
     mine = "participant_id\tspecies\tage\tsex\nsub-01\thuman\t70\tF\nsub-TB12\thuman\t61\tn/a\n"
     table.write_text(mine)
-    studies[0].write_text(STUDY.format(side="left").replace("age = 61", "age = 61\nsex = '=1+cmd'"))
+    studies[0].write_text(
+        STUDY.format(side="left").replace("age = 61", "age = 61\nsex = '=1+cmd'\ngroup = \"a\\tb\\nc\"")
+    )
     write_dataset(studies[:1], table.parent)
     rows = [line.split("\t") for line in table.read_text().splitlines()]
     assert rows == [
         ["participant_id", "species", "age", "sex", "group"],
         ["sub-01", "human", "70", "F", "n/a"],
-        ["sub-TB12", "human", "61", "'=1+cmd", "n/a"],
+        ["sub-TB12", "human", "61", "'=1+cmd", "a b c"],
     ]
     for text in (mine.replace("61", "62"), "age\n61\n", "participant_id\tage\nsub-01\n", "\n", b"\xff\xfe"):
         table.write_bytes(text if isinstance(text, bytes) else text.encode())

@@ -115,6 +115,13 @@ def test_options_of_a_config_file_are_those_of_the_line(command, file, tmp_path,
             assert outcome(command, words, one.field) == outcome(command, ["--config", "o.toml"], one.field)
 
 
+def test_a_folder_as_config_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("o.toml").mkdir()
+    with pytest.raises(StapeskitError, match="--config must be valid TOML; got Is a directory"):
+        ct2mass().parse(["scan.tif", "--config", "o.toml"])
+
+
 def outcome(command, words, field):
     """The value that a parser reads, or the faults of what is missing beside it."""
     try:

@@ -276,3 +276,10 @@ class TestRotations:
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert np.allclose(tensor(moments, axes), body.inertia_kg_m2, rtol=1e-9, atol=1e-22)
         assert np.all(np.diag(axes) > 0.5)
+
+
+@pytest.mark.parametrize("name", ["a--b", "---", "x---><actuator>", "-", "a->b"])
+def test_a_name_does_not_end_a_comment(name):
+    text = _module("mjcf").comment(name)
+    assert "--" not in text
+    assert not text.endswith("-")
