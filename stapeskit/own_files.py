@@ -241,10 +241,10 @@ class OutputSet:
     @property
     def _record_name(self) -> str:
         first = self.names[0]
-        if len(first.encode()) > _LONGEST_NAME:
+        if len(os.fsencode(first)) > _LONGEST_NAME:
             import xxhash
 
-            first = xxhash.xxh3_128_hexdigest(first.encode())
+            first = xxhash.xxh3_128_hexdigest(os.fsencode(first))
         return f"{RECORDS}/{self.command}-{first}.json"
 
     def _recorded(self) -> dict[str, set[str]]:

@@ -239,3 +239,13 @@ def test_records_are_not_written_through_a_link(tmp_path):
     with pytest.raises(StapeskitError, match="must be the folder of records; got a link"):
         write(made, a_json="never")
     assert (notes / "command-a.json.json").read_text(encoding="utf-8") == "mine"
+
+
+def test_names_of_no_utf8_are_recorded(tmp_path):
+    name = os.fsdecode(b"\xff.json")
+    made = OutputSet("command", tmp_path, (name,))
+    for text in ("1", "2"):
+        made.check()
+        with made.staged() as stage:
+            (stage / name).write_text(text)
+    assert contents(tmp_path) == {name: "2"}
