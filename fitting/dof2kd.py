@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fitting.chain import check_chain
+from fitting.errors import FittingError
 from fitting.export_formats import file_name, json_name
 from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
@@ -21,6 +22,7 @@ from stapeskit.own_files import OutputSet
 from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
 from stapeskit.records.motion_files import read_motion
+from stapeskit.unchanged import left_alone
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def dof2kd(
     Raises
     ------
     FittingError, KinematicsError
-        A file or an option is at fault, or the files do not belong together.
+        A file or an option is at fault, or changes while it is read, or the files do not belong together.
     StapeskitError
         An output is an input, or a file of another origin stands at its name.
     """
@@ -83,10 +85,11 @@ def dof2kd(
     outputs = _outputs(out, [motion_path, beside, mass_path, config], force, export)
     outputs.check()
     progress("reading motion and mass")
-    mass, mass_record = read_mass(mass_path, options.dof)
-    motion = read_motion(motion_path)
-    chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
-    provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
+    with left_alone((motion_path, beside, mass_path), FittingError):
+        mass, mass_record = read_mass(mass_path, options.dof)
+        motion = read_motion(motion_path)
+        chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
+        provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
     progress("fitting stiffness and damping")
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     progress("drawing the report")

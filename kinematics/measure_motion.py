@@ -224,18 +224,26 @@ def measure(
     given_mass : path, MeasuredMass, or result of ct2mass, optional
     command : list of str, optional
         The words of the command, for the provenance.
+
+    Raises
+    ------
+    KinematicsError
+        What `read_inputs` and `motion_of` refuse, or a file that changes while it is read.
     """
     from kinematics.calibrated import calibrated
     from kinematics.fit_options import fit_options
     from stapeskit.provenance import record
     from stapeskit.records.measured_mass import measured_mass
+    from stapeskit.unchanged import left_alone
 
     chosen = fit_options(options)
-    mass = None if given_mass is None else measured_mass(given_mass)
-    read = read_inputs(inputs)
-    files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
-    tied = inputs.source_frame == "vibrometer"
-    parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
-    provenance = record(files, parameters, command)
+    mass_file = Path(given_mass) if isinstance(given_mass, str | Path) else None
+    with left_alone((*inputs.by_role.values(), mass_file), KinematicsError):
+        mass = None if given_mass is None else measured_mass(given_mass)
+        read = read_inputs(inputs)
+        files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
+        tied = inputs.source_frame == "vibrometer"
+        parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
+        provenance = record(files, parameters, command)
     provenance["versions"] = {**provenance["versions"], **calibrated.version()}
     return motion_of(inputs, read, chosen, mass, provenance)

@@ -18,7 +18,6 @@ from typing import Any
 from pipeline.figure_pdf import figure_pdf
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.own_files import OutputSet
-from stapeskit.system_faults import system_fault
 from stapeskit.tables.text_cells import as_text_cell
 
 _PICTURE = re.compile(r"data:image/(svg|png)(?:\+xml)?;base64,(.*)", re.DOTALL)
@@ -132,10 +131,9 @@ def _parts(page: Path) -> _Parts:
         if page.exists() and not page.is_file():
             raise ValueError("a folder, a pipe or a device")
         parts.feed(page.read_text(encoding="utf-8"))
-    except OSError as fault:
-        raise StapeskitError(system_fault(fault)) from fault
-    except (ValueError, AssertionError) as fault:  # the parser asserts what declarations hold
-        raise StapeskitError(Fault("the page", "a page that a command wrote", page, "", _STEP)) from fault
+    except (OSError, ValueError, AssertionError) as fault:  # the parser asserts what declarations hold
+        got = f"{page}: {fault.strerror}" if isinstance(fault, OSError) else page
+        raise StapeskitError(Fault("the page", "a page that a command wrote", got, "", _STEP)) from fault
     return parts
 
 

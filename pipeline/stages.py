@@ -12,6 +12,7 @@ from pipeline.records import StageReport
 from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
 from stapeskit.faults import worded
+from stapeskit.unchanged import InputStates, left_alone
 
 if TYPE_CHECKING:
     from kinematics.measure_motion import MeasurementInputs
@@ -89,7 +90,7 @@ def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
 
 
 def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
-    """Return readings, fiducials and surface points of a study, read once a run.
+    """Return readings, fiducials and surface points of a study, read once a run, and again after a change.
 
     Raises
     ------
@@ -98,7 +99,19 @@ def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
     """
     from kinematics.measure_motion import motion_inputs, read_inputs
 
-    return work.once("measurement", lambda: read_inputs(motion_inputs(study.ldv)))
+    inputs = motion_inputs(study.ldv)
+    files = tuple(inputs.by_role.values())
+
+    def read() -> tuple[InputStates, MeasurementInputs]:
+        with left_alone(files) as states:
+            return states, read_inputs(inputs)
+
+    states, measurement = work.once("measurement", read)
+    if states != InputStates.of(files):
+        # it was read before the scan; the hashes of this stage are those of now
+        states, measurement = read()
+        work.keep("measurement", (states, measurement))
+    return measurement
 
 
 def _scan_outputs(study: Study, out: Path) -> tuple[str, ...]:

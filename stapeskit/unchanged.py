@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,6 +49,26 @@ class InputStates:
                 for file in changed
             ],
         )
+
+
+@contextmanager
+def left_alone(
+    paths: Iterable[Path | None], error: type[StapeskitError] = StapeskitError
+) -> Iterator[InputStates]:
+    """Lend the states of files that the block reads, and refuse those that change meanwhile.
+
+    Raises
+    ------
+    StapeskitError
+        Of the given class, as `InputStates.check`; also in place of what failed in the block for that reason.
+    """
+    states = InputStates.of(paths)
+    try:
+        yield states
+    except Exception:
+        states.check(error)
+        raise
+    states.check(error)
 
 
 def _files(path: Path) -> Iterator[Path]:

@@ -155,8 +155,8 @@ def read_motion(path: Path) -> RigidMotion:
             return motion
     notice = Notice(
         "motion_without_h5",
-        f"{path.name} is read alone ({beside.name} is missing, unreadable or of other content): noise is taken "
-        "as uncorrelated between the degrees of freedom, and no registration error is known.",
+        f"{path.name} is read alone ({beside.name} is missing, unreadable or of other content): noise is "
+        "taken as uncorrelated between the degrees of freedom, and no registration error is known.",
     )
     return _read_csv(path, notice)
 

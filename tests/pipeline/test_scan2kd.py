@@ -278,3 +278,28 @@ def test_progress_is_one_line_a_stage_where_there_is_no_terminal(ear):
     assert all(re.search(r"\d+\.\d s", line) for line in lines)
     assert sum("reused" in line for line in lines) == 4
     assert "\x1b" not in stream.getvalue()
+
+
+def test_a_table_that_is_corrected_while_the_scan_is_measured_counts_as_it_is_then(
+    ear, tmp_path, monkeypatch
+):
+    study, out = ear
+    points = study.parent / "points.csv"
+    first = points.read_text(encoding="utf-8")
+    header, row, *rest = first.splitlines()
+    cells = row.split(",")
+    place = header.split(",").index("x_mm")
+    cells[place] = f"{float(cells[place]) + 0.01:.4f}"
+    corrected = "\n".join([header, ",".join(cells), *rest]) + "\n"
+    whole = stages.STAGES[0].run
+
+    def scan(study_, work):
+        points.write_text(corrected)
+        return whole(study_, work)
+
+    set_run(monkeypatch, "scan", scan)
+    run_study(study, out, force=True)
+    monkeypatch.undo()
+    points.write_text(corrected)
+    run_study(study, tmp_path / "again")
+    assert (out / "dof.csv").read_bytes() == (tmp_path / "again" / "dof.csv").read_bytes()
