@@ -11,7 +11,11 @@ DEEPEST = 100
 """Brackets within each other at most: what people and programs write has less than ten."""
 
 _LONGEST_TOML = 10_000_000  # characters; a second or two of reading
-_TOKEN = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}]')
+# Strings that do not end reach to the end of the line or text: nothing is looked at twice.
+_TOKEN = re.compile(
+    r'"""(?:\\.|[^\\])*?(?:"""|\Z)|\'\'\'.*?(?:\'\'\'|\Z)|"(?:\\.|[^"\\\n])*"?|\'[^\'\n]*\'?|#[^\n]*|[\[\]{}.=,\n]',
+    re.DOTALL,
+)
 
 
 def is_finite_number(value: object) -> TypeGuard[float]:
@@ -45,12 +49,14 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     if len(text) > _LONGEST_TOML:
         raise ValueError(f"it has {len(text)} characters, and {_LONGEST_TOML} at most are read")
-    depth = 0
+    depth = dots = 0
     for token in _TOKEN.finditer(text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token[0], 0)
+        sign = token[0]
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(sign, 0)
         if depth > DEEPEST:
             raise ValueError("its brackets are nested too deeply")
-    try:
-        return tomllib.loads(text)
-    except RecursionError as fault:
-        raise ValueError("its keys are nested too deeply") from fault
+        # parts of a key; tomllib takes time that grows with their square
+        dots = dots + 1 if sign == "." else dots * (sign[0] in "\"'#")
+        if dots > DEEPEST:
+            raise ValueError("its keys are nested too deeply")
+    return tomllib.loads(text)

@@ -56,6 +56,7 @@ class AnatomyHints:
                     direction.tolist(),
                     next_step="Give the direction from posterior to anterior",
                 )
+            direction = direction / np.max(np.abs(direction))  # its square may be no number
             object.__setattr__(self, "anterior", direction / np.linalg.norm(direction))
         if self.side not in (None, "left", "right"):
             raise CtInertiaError.of(
