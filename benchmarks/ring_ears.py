@@ -26,7 +26,8 @@ class EarSettings:
     """What a case of the benchmark varies; lengths in mm, noise relative to the points' motion.
 
     ``head_mm`` is where the head lies along z. ``cause`` is an error of ERRORS with its size, or a law of
-    LAWS; ``second_run`` measures twice.
+    LAWS; ``second_run`` measures twice. ``uneven`` is by how much the strength varies around the rim in its
+    first and second harmonic; the rim is then warped by 0.03 mm, too.
     """
 
     height_mm: float = 0.1
@@ -39,6 +40,7 @@ class EarSettings:
     law: str = "viscous"
     head_mm: float = 0.12
     band_hz: tuple[float, float] = (400.0, 5000.0)
+    uneven: float = 0.0
 
     @property
     def runs(self) -> int:
@@ -70,18 +72,36 @@ def rotation(turn: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * axis + (1.0 - np.cos(angle)) * axis @ axis
 
 
-def ring(radial: float, tangential: float, normal: float, tilt: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def rim(rng: Generator, uneven: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return strength and height (m) around the rim, (PIECES,)."""
+    angle = (np.arange(PIECES) + 0.5) * 2.0 * np.pi / PIECES
+    if not uneven:
+        return np.ones(PIECES), np.zeros(PIECES)
+    size, phase = rng.standard_normal(3), rng.uniform(0.0, 2.0 * np.pi, 3)
+    waves = size[:, None] * np.cos(np.outer([1, 2, 2], angle) + phase[:, None])
+    return np.maximum(1.0 + uneven * (waves[0] + waves[1]), 0.05), 0.03e-3 * waves[2]
+
+
+def ring(
+    radial: float,
+    tangential: float,
+    normal: float,
+    tilt: np.ndarray,
+    centre: np.ndarray,
+    around: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
     """Return the 6 x 6 matrix of an elliptic ring (1.4 x 0.65 mm) of springs per length, about the origin."""
     total = np.zeros((6, 6))
     turn = rotation(tilt)
-    for angle in (np.arange(PIECES) + 0.5) * 2.0 * np.pi / PIECES:
-        place = np.array([1.4e-3 * np.cos(angle), 0.0, 0.65e-3 * np.sin(angle)])
+    angles = (np.arange(PIECES) + 0.5) * 2.0 * np.pi / PIECES
+    for angle, strength, height in zip(angles, *around, strict=True):
+        place = np.array([1.4e-3 * np.cos(angle), height, 0.65e-3 * np.sin(angle)])
         along = np.array([-1.4e-3 * np.sin(angle), 0.0, 0.65e-3 * np.cos(angle)])
         length = np.linalg.norm(along) * 2.0 * np.pi / PIECES
         along = along / np.linalg.norm(along)
         up = np.array([0.0, 1.0, 0.0])
         axes = turn @ np.column_stack([np.cross(along, up), along, up])
-        local = axes @ np.diag([radial, tangential, normal]) @ axes.T * length
+        local = axes @ np.diag([radial, tangential, normal]) @ axes.T * length * strength
         rows = np.hstack([np.eye(3), -cross(turn @ place + centre)])
         total += rows.T @ local @ rows
     return total
@@ -134,9 +154,10 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
     centre = np.array([-0.2 * rng.uniform(), settings.height_mm, 0.2 * rng.uniform(-1, 1)]) * 1e-3
     level = 1700.0 / 6.6e-3 * rng.uniform(0.7, 1.4)
     shape = np.array([rng.uniform(2.0, 4.0), rng.uniform(0.8, 1.3), 1.0])
-    stiffness = ring(*(level * shape), tilt, centre)
+    around = rim(rng, settings.uneven)
+    stiffness = ring(*(level * shape), tilt, centre, around)
     loss = rng.uniform(0.9e-5, 2.0e-5)
-    damping = loss * ring(*(level * shape * np.array([1.1, 0.9, 1.0])), tilt, centre)
+    damping = loss * ring(*(level * shape * np.array([1.1, 0.9, 1.0])), tilt, centre, around)
     base = drive(freq, rng)
     lossy, unit = (LAWS | BRANCHES)[settings.law](omega)
     damping = damping * unit
@@ -146,6 +167,8 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
         dynamic[:, 1, 1] -= omega**2 * 1e-6 * size
     if settings.cause == "drift":
         dynamic = dynamic * (1.0 + 0.01 * size * time)
+    if settings.cause == "step":
+        dynamic[round(rng.uniform(0.25, 0.75) * settings.lines) :] *= 1.0 + 0.01 * size
     if settings.cause == "second_run":
         dynamic[settings.lines :] *= 1.0 + 0.01 * size
     if settings.cause == "holder":
@@ -222,9 +245,10 @@ ERRORS = {
     "inertia": 25.0,
     "drift": 8.0,
     "second_run": 5.0,
+    "step": 8.0,
     "holder": 2.0,
 }
-"""Sizes that 1 % of noise lets see: us, degrees, %, mg, mg, mm, 1 (whole), %, %, %, %."""
+"""Sizes that 1 % of noise lets see: us, degrees, %, mg, mg, mm, 1 (whole), %, %, %, %, %."""
 
 
 def drive(freq: np.ndarray, rng: Generator) -> np.ndarray:

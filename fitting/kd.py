@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -183,7 +184,7 @@ def _laws(
     """
     if measured is not None:
         loaded, choice = choose(problem, LOAD)
-        fits, undetermined = _fits(loaded, options, start_of_law)
+        fits, undetermined = _fits(loaded, options, partial(start_of_law, fluid=FLUID in options.causes))
         settled = _joint_fits(fits, measured, options)
         if options.causes and not settled:
             raise FittingError(_without_result(options))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from stapeskit.arrays import Array
 _DOUBTFUL = 0.05
 # Standard deviations between a threshold and the mean of what passes it in 80 %: a quantile of the normal.
 _POWER_80 = 0.8416
+# Steps by which the place of a cause is sought between those of its family, in their distance.
+_CLOSER = (1.0, 0.5, 0.25, 0.125)
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,18 @@ def diagnose(
         others = [*refits, *under_laws] if number else []
         explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in others)
         within = of_use(ligament, others) if number else np.inf
-        refit = refit_with(ligament, names[place], terms[place], tested, place, units, within, explained)
+        fitted = partial(
+            refit_with,
+            ligament,
+            names[place],
+            start_scores=tested,
+            place=place,
+            units=units,
+            explained=explained,
+        )
+        refit = fitted(terms[place], within=within)
+        if refit is not None and not explained:
+            refit = _at_best_place(refit, setting, fitted)
         refits += [] if refit is None else [refit]
     if not searched:
         searched = any(candidate.fall > least for candidate in refits)
@@ -216,6 +230,22 @@ def diagnose(
     best = [max(known, key=diagnosis.evidence)] if known else []
     others = [refit for refit in refits if all(refit.name != other.name for other in known)]
     return with_refits(diagnosis, [*best, *others, *under_laws])
+
+
+def _at_best_place(refit: Refit, setting: Setting, fit: Callable[..., Refit | None]) -> Refit:
+    """Return the refit with its cause at the place, between those of its family, where chi2 is least."""
+    moved, off = CAUSES[refit.name].moved, 0.0
+    if moved is None:
+        return refit
+    for step in _CLOSER:
+        for way in (-step, step):
+            while True:
+                name, apply = moved(off + way)
+                other = fit(replace(term_of(name, setting), apply=apply(setting)), within=refit.chi2)
+                if other is None or other.chi2 >= refit.chi2:
+                    break
+                refit, off = replace(other, name=name), off + way
+    return refit
 
 
 def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:

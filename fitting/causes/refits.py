@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.causes.catalogue import CAUSES
+from fitting.causes.catalogue import CAUSES, places_of
 from fitting.causes.chance import difference_sd, measured_operator
 from fitting.causes.model_error import off_by_cause
 from fitting.causes.scores import Scores
@@ -145,7 +145,8 @@ def refit_with(
         return None
     left = float(chdtrc(fit.n_dof, fit.chi2))
     more = lines.errors - ligament.lines.errors
-    unknowns = 1.0 + _informed(fit, more) / np.log(2 * equations.n * lines.count)
+    chosen = _informed(fit, more) + 2.0 * np.log(places_of(name))
+    unknowns = 1.0 + chosen / np.log(2 * equations.n * lines.count)
     strange, only = (size / CAUSES[name].usual) ** 2, CAUSES[name].only
     spread = level * inverse_of(fit.at.hessian)[equations.term, equations.term][-1, -1]
     if only is not None:

@@ -55,6 +55,8 @@ class JointLines:
         The changes of the mass matrix in SI.
     factors : ndarray, (lines, 12), complex, or None
         What the motion as measured was multiplied by, e.g. for a delay; y has them in it.
+    run_starts : tuple of int
+        Lines at which another run begins.
     """
 
     omega: Array
@@ -68,6 +70,7 @@ class JointLines:
     sources: tuple[str, ...]
     mass_slopes: Array
     factors: ComplexArray | None = None
+    run_starts: tuple[int, ...] = ()
 
     @property
     def count(self) -> int:
@@ -154,7 +157,10 @@ def joint_lines(problem: Problem, both: Observation) -> JointLines:
     scaled = slopes / np.outer(root, root)
     omega = 2.0 * np.pi * both.freq_hz / scale.omega
     mass = problem.inertia.matrix / np.outer(root, root)
-    return JointLines(omega, y, covariance, mass, root, maps, rests, scaled, sources, slopes)
+    starts = tuple((np.flatnonzero(np.diff(both.run)) + 1).tolist())
+    return JointLines(
+        omega, y, covariance, mass, root, maps, rests, scaled, sources, slopes, run_starts=starts
+    )
 
 
 def _none(lines: int) -> tuple[ComplexArray, Array, tuple[str, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import BRANCHES, ERRORS, PISTON, EarSettings, ear
-from fitting.causes.catalogue import CAUSES, HEAD_PLACE, term_of
+from fitting.causes.catalogue import CAUSES, HEAD_PLACE, places_of, term_of
 from fitting.causes.chance import difference_sd
 from fitting.causes.diagnosis import setting_of, with_refits
 from fitting.causes.refits import Refit
@@ -172,6 +172,15 @@ def test_a_relaxation_that_the_law_does_not_follow_is_no_mass_of_fluid() -> None
     assert fit.law.exponent == pytest.approx(10e-6, rel=0.1)
 
 
+def test_fluid_that_is_stated_and_the_right_law_explain_the_data() -> None:
+    for seed, law in ((0, "relaxation"), (1, "relaxation"), (2, "fractional")):
+        case = case_of("fluid", seed, law)
+        fit = fitted(case, fluid="y", damping=law)
+        assert fit.ligament.p_value > 1e-3
+        assert fit.law.exponent == pytest.approx({"relaxation": 3e-5}.get(law, 0.5), rel=0.1)
+        assert np.abs(off(fit, case)).max() < 4.0
+
+
 def test_law_and_fluid_are_found_together() -> None:
     """Without the fluid the relaxation time comes out below zero, and the fit with it stayed there."""
     settings = EarSettings(0.1, 0.03, law="relaxation", cause="fluid", size=0.5)
@@ -211,6 +220,28 @@ def test_laws_that_the_data_do_not_tell_apart_are_undetermined_in_a_sentence() -
 def test_a_resonance_of_the_holder_is_named_near_its_frequency() -> None:
     fit = fitted(case_of("holder", 1))
     assert fit.diagnosis.named.name in ("holder_2548_hz", "holder_2805_hz")
+
+
+@pytest.mark.parametrize(("cause", "size"), [("second_run", 5.0), ("second_run", -8.0), ("step", 8.0)])
+def test_a_step_of_the_stiffness_is_named_with_its_size_and_is_in_the_intervals(cause, size) -> None:
+    for seed in range(3):
+        case = case_of(cause, seed, size=size)
+        fit = fitted(case)
+        found = fit.diagnosis.named
+        assert found.name.startswith("step_at_")
+        assert found.size == pytest.approx(100.0 * np.log1p(0.01 * size), abs=0.6)  # of the mean
+        assert np.abs(off(fit, case)).max() < 4.0
+
+
+def test_a_step_and_a_drift_are_told_apart() -> None:
+    for seed in range(3):
+        assert fitted(case_of("drift", seed)).diagnosis.named.name == "drift"
+
+
+def test_places_of_a_family_count_as_chosen_among_them() -> None:
+    assert places_of("delay") == 1
+    names = [name for name in CAUSES if name.startswith("step_at_")]
+    assert [places_of(name) for name in names] == [15] * 15
 
 
 def test_fluid_is_found_by_evidence_and_never_silently() -> None:
