@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.across.line_order import sorted_bodies
 from kinematics.faults.across.lines import exchanged_lines
 from kinematics.faults.across.phase import phase_notice
 from kinematics.faults.adaptation import Correction, correction_notices, shown
@@ -33,7 +34,13 @@ from kinematics.registration.motion_errors import motion_errors
 from kinematics.registration.placement import Placement, place
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import with_gain_errors
-from kinematics.searched_fits import SearchedFits, corrected_fits, searched_fits, with_lasers
+from kinematics.searched_fits import (
+    SearchedFits,
+    corrected_fits,
+    searched_again,
+    searched_fits,
+    with_lasers,
+)
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import STORED, RigidMotion
 from stapeskit.warnings import Notice, unique
@@ -141,7 +148,11 @@ def points2dof(
     motion = with_corrections(motion, searched.placed, searched.fits, corrections)
     motion = with_gain_errors(motion, ready.repeats.repeats if options.repeats == "pool" else ())
     if not _spoils_motion(diagnoses):
-        notices += exchanged_lines(motion) + phase_notice(motion, mass)
+        right = motion
+        for found in sorted_bodies(motion, searched.placed.order):
+            notices.append(found.notice(motion))
+            right = found.undone(right, searched.placed.order)
+        notices += exchanged_lines(right) + phase_notice(right, mass)
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices
@@ -171,9 +182,19 @@ def _searched(
     searched = searched_fits(ready.placed, ready.screens, ready.beams, options.robust)
     if lasers is not None:
         searched = with_lasers(searched, lasers, ready.beams, options.robust) or searched
-    if options.correct and not searched.clean:
-        return corrected_fits(searched, options.dof, options.robust)
-    return searched, ()
+    if not options.correct:
+        return searched, ()
+    corrections: tuple[Correction, ...] = ()
+    if not searched.clean:
+        searched, corrections = corrected_fits(searched, options.dof, options.robust)
+    if not _spoils_motion(searched.diagnoses):
+        motion = _motion(searched.placed, searched.fits, options.dof)
+        found = sorted_bodies(motion, searched.placed.order)
+        whole = [one.correction(searched.placed) for one in found]
+        if whole:
+            searched = searched_again(searched, whole, options.dof, options.robust)
+        corrections += tuple(whole)
+    return searched, corrections
 
 
 def _laser_errors(lasers: Lasers, searched: SearchedFits) -> LaserErrors:

@@ -170,12 +170,19 @@ def corrected_fits(
         if not corrections:
             break
         done += corrections
-        placed = searched.placed
-        for correction in corrections:
-            placed = correction.corrected(placed)
-        screens = [
-            replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
-        ]
-        again = searched_fits(placed, screens, beam_sets(placed, dof), robust)
-        searched = replace(again, applied=searched.applied)
+        searched = searched_again(searched, corrections, dof, robust)
     return searched, tuple(done)
+
+
+def searched_again(
+    searched: SearchedFits, corrections: Sequence[Correction], dof: tuple[str, ...], robust: str
+) -> SearchedFits:
+    """Return the fits of a measurement after some corrections, and what is wrong with them."""
+    placed = searched.placed
+    for correction in corrections:
+        placed = correction.corrected(placed)
+    screens = [
+        replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
+    ]
+    again = searched_fits(placed, screens, beam_sets(placed, dof), robust)
+    return replace(again, applied=searched.applied)

@@ -47,6 +47,8 @@ class Correction:
         By what the readings are divided, and its relative derivatives; empty for geometry.
     arms_m, directions : ndarray, (channel, 3)
         Of the body before the correction.
+    lines : ndarray, (freq,), int
+        From which line the readings of each line are taken, before the factor; empty where they stay.
     """
 
     run: int
@@ -61,6 +63,7 @@ class Correction:
     factor: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     arms_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
     directions: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    lines: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def fault(self) -> Fault | None:
@@ -95,16 +98,17 @@ class Correction:
         if finding.remedied is not None:
             every = list(range(len(body.points)))
             return _with_readings(body, self.run, every, finding.remedied)
-        if fault is None:
-            return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * finding.size))
         if len(self.factor):
-            values = body.displacement[self.run, own] / self.factor[0]
+            lines = self.lines if len(self.lines) else slice(None)
+            values = body.displacement[self.run, own][:, lines] / self.factor[0]
             body = _with_readings(body, self.run, own, values)
             if body.sd is None:
                 return body
             sd = np.array(body.sd)
-            sd[self.run, own] /= np.abs(self.factor[0])
+            sd[self.run, own] = sd[self.run, own][:, lines] / np.abs(self.factor[0])
             return replace(body, sd=sd)
+        if fault is None:
+            return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * finding.size))
         arms, directions = fault.geometry(body.positions_mm * 1e-3, body.directions, self.parameters)
         spread = body.position_sd_mm.copy()
         if fault.kind == "position":

@@ -124,6 +124,7 @@ def _shared_table(result: Points2Dof) -> Markup:
             d = shared.derivatives[pick][:, :, number]
             c = shared.covariance[np.ix_(pick, pick)]
             variance = np.real(np.einsum("arfd,ab,brfd->rfd", d.conj(), c, d, optimize=True))
-            share = np.sqrt(np.nanmean(variance, axis=(0, 1))) / np.maximum(size, 1e-300)
+            # Of exact data it is zero to rounding, of either sign.
+            share = np.sqrt(np.maximum(np.nanmean(variance, axis=(0, 1)), 0.0)) / np.maximum(size, 1e-300)
             rows.append((body, source.replace("_", " "), *(f"{100.0 * value:.2g} %" for value in share)))
     return page.table(("body", "source", *motion.dof), rows, named_by=2)
