@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Bodies
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
-from ct_inertia.grey.border import border_notices
+from ct_inertia.grey.border import border_cuts, by_border, cropped_notice, cut_notice
 from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.measure import Measured, measure
-from ct_inertia.grey.partial_volume import with_voxel_size
+from ct_inertia.grey.partial_volume import with_contribution, with_voxel_size
 from ct_inertia.grey.rings import ring_notices
 from ct_inertia.grey.thresholded import is_thresholded, with_threshold
 from ct_inertia.labelling.label_box import label_box
@@ -106,7 +106,12 @@ def _assembled(
     mesh = Later(moment_matched, share, moments, cut.scan_from_box(grid))
     coarse = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
-    notices += border_notices(volume, cut)
+    cuts = border_cuts(volume, cut)
+    if cuts:
+        moments = with_contribution(moments, "border", by_border(cuts, measured.share, cut, grid, moments))
+        notices.append(cut_notice(cuts, held=True))
+    if sight.cropped:
+        notices.append(cropped_notice())
     notices += ring_notices(cut, measured.levels, measured.sigma_mm, grid.spacing_mm)
     if any(notice.code == "phase_fringes" for notice in notices):
         # Bright edges of bone look like cupping.

@@ -18,6 +18,7 @@ from ct_inertia.segment.candidates import (
     with_holes_of,
     within_hull,
 )
+from ct_inertia.segment.cropped import cropped_separation
 from ct_inertia.segment.doubts import USUAL
 from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
 from ct_inertia.segment.separate import VALLEY, Separation, renamed, separations
@@ -83,6 +84,10 @@ class Parting:
         How far from the narrow gaps the parts still hang together by themselves.
     neck : Neck or None
         The plane cut at a neck, where that is how they were parted.
+    cropped : bool
+        The border of the scan crops the bone that was cut off.
+    doubtful : bool
+        That may be the stapes' own.
     """
 
     pieces: NDArray[np.int32]
@@ -90,12 +95,16 @@ class Parting:
     markers: Markers
     depth_mm: float
     neck: Neck | None = None
+    cropped: bool = False
+    doubtful: bool = False
 
     @property
     def method(self) -> str:
         """How the parts were told from each other, in words."""
         if self.neck is not None:
             return f"parted at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
+        if self.cropped:
+            return "parted along the darkest sheet before the border of the scan"
         return f"parted at necks: along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
 
 
@@ -140,9 +149,10 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     solid = bone & (grey > coarse.air + VALLEY * contrast)
     # What follows looks at shares and masks: grey values on this grid have done their work.
     del grey
+    ends = working.at_border(volume) if whole.at_border else None
     empty = np.broadcast_to(np.float32(0.0), working.shape)
     working = replace(working, volume=replace(working.volume, array=empty), single=None)
-    for apart in _every_way(held, bone, spacing, whole):
+    for apart in _every_way(held, bone, spacing, whole, ends):
         way = _with_own_walls(apart, solid, spacing)
         # A small part is a part only at the border of the scan, which may have cropped a larger bone.
         placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
@@ -157,7 +167,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         pieces = _on_coarse(coarse, whole, labels, working)
         labels *= way.sure
         markers = Markers(labels, working.first, working.block)
-        yield Parting(pieces, parts, markers, way.depth_mm, way.neck)
+        yield Parting(pieces, parts, markers, way.depth_mm, way.neck, way.cropped, way.doubtful)
         del apart, way, labels, markers  # before the next way is looked for
 
 
@@ -175,10 +185,17 @@ def _of_the_whole(
 
 
 def _every_way(
-    held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
+    held: list[NDArray[np.float32]],
+    bone: NDArray[np.bool_],
+    spacing_mm: Array,
+    whole: Piece,
+    ends: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
 ) -> Iterator[Separation]:
     """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
     if whole.arched and whole.surrounds < MOST_SURROUNDED:
+        cut = None if ends is None else cropped_separation(held[0], bone, spacing_mm, *ends)
+        if cut is not None:
+            yield cut
         yield from neck_separations(bone, spacing_mm)
     yield from _refined(separations(held, bone, spacing_mm), spacing_mm)
 

@@ -79,6 +79,8 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         if chosen is None:
             continue
         if usual and chosen.stapes.arched and _takes_in(chosen, doubtful):
+            if chosen.stapes.at_border:
+                _refuse_two_ends(volume, chosen, options)
             own = _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
             if own is not None:
                 return own
@@ -110,7 +112,7 @@ def _better(parted: Sight, whole: Piece) -> bool:
     """
     stout = whole.arched and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
     gain = parted.stapes.score - whole.score
-    return gain > RIVAL and not parted.at_neck if stout else gain > 0.0
+    return gain > RIVAL and (parted.cropped or not parted.at_neck) if stout else gain > 0.0
 
 
 def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sight | None:
@@ -120,12 +122,33 @@ def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sig
     if not any(neck.grown for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
         return None
     for way in partings(volume, _grid(chosen), whole):
-        if way.neck is None or not way.neck.grown:
+        if way.doubtful:
+            continue
+        if not (way.cropped or (way.neck is not None and way.neck.grown)):
             return None
         part = _trial(volume, chosen, way, chosen.others, options)
         if part is not None and part.stapes.arched and _usual(part.stapes):
             return part
     return None
+
+
+def _refuse_two_ends(volume: Volume, chosen: Sight, options: SearchOptions) -> None:
+    """Refuse a body that the border crops and that is a usual stapes before a neck, too, as with it."""
+    way = next(partings(volume, _grid(chosen), chosen.stapes), None)
+    part = _trial(volume, chosen, way, chosen.others, options) if way is not None and way.doubtful else None
+    if part is None or part.stapes.at_border or not (part.stapes.arched and _usual(part.stapes)):
+        return
+    beyond = chosen.stapes.volume_mm3 - part.stapes.volume_mm3
+    raise CtInertiaError(
+        Fault(
+            "the field of view",
+            "larger than the stapes, and to show where it ends",
+            f"a body of {chosen.stapes.volume_mm3:.2f} mm3 that the border of the scan crops; "
+            f"{beyond:.2f} mm3 of it, before the border, may be another bone grown onto the stapes, such "
+            "as the tip of the incus",
+            next_step="Export 1 mm more beyond the head, or separate the two with {labels}",
+        )
+    )
 
 
 def _grid(sight: Sight) -> CoarseGrid:
@@ -144,6 +167,7 @@ def _trial(
         markers=way.markers,
         method=way.method,
         neck=way.neck,
+        cropped=way.cropped,
     )
     return _picked(volume, trial, options, alone=False)
 
@@ -216,6 +240,8 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
         rest = [piece for piece in every if piece.label != whole.label]
         ways = []
         for way in partings(volume, _grid(sight), whole):
+            if way.doubtful:
+                continue
             chosen = _trial(volume, sight, way, rest, options)
             if chosen is None or chosen.stapes.at_border > whole.at_border:
                 continue

@@ -98,6 +98,10 @@ class Separation:
         From the largest to the smallest.
     neck : Neck or None
         The plane, when they were parted by one at a neck.
+    cropped : bool
+        The part beyond is bone that the border of the scan crops.
+    doubtful : bool
+        That may be the stapes' own.
     """
 
     depth_mm: float
@@ -105,6 +109,8 @@ class Separation:
     sure: NDArray[np.bool_]
     pieces: list[Piece]
     neck: Neck | None = None
+    cropped: bool = False
+    doubtful: bool = False
 
 
 def separations(

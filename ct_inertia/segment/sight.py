@@ -77,6 +77,8 @@ class Sight:
     notices : tuple of Notice
     neck : Neck or None
         The plane at a neck by which they were parted.
+    cropped : bool
+        Bone that the border of the scan crops was cut off the stapes.
     """
 
     scan: CoarseScan
@@ -91,6 +93,7 @@ class Sight:
     method: str = "connected component"
     notices: tuple[Notice, ...] = field(default=())
     neck: Neck | None = None
+    cropped: bool = False
 
     @property
     def at_neck(self) -> bool:

@@ -33,6 +33,7 @@ _SOURCE_WORDS = {
     "coat": "soft coat on the bone",
     "surroundings": "fluid or tissue around the stapes",
     "separation": "cut between stapes and what touches it",
+    "border": "what the border of the scan cuts",
     "plate": "face of the plate",
     "inhomogeneity": "uneven bone",
     "cupping": "cupping of bone",
