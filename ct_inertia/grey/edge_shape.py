@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,10 @@ _FALSE_ALARMS, _UNEVEN_FREEDOMS = 1e-3, 5
 _LEAST_UNEVEN = 4.529
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
+# Noise that is added where edges are sought, as a share of the scan's own: little, for they shall be found.
+_ADDED = 0.5
+# Width of a Gaussian, in voxels, below which noise smoothed by it is white.
+_LEAST_CORRELATED = 0.3
 # Trials of the sharpening, as a share of the apparent variance of the point spread.
 _TRIALS = np.arange(0.05, 1.51, 0.05)
 
@@ -104,6 +108,7 @@ def edge_shape(
     spacing_mm: Array,
     noise: float = 0.0,
     shared_sd: float = 0.0,
+    correlation: float = 1.0,
 ) -> EdgeShape | None:
     """Measure the covariance of the point spread, and whether edges overshoot; None with too few edges.
 
@@ -121,6 +126,8 @@ def edge_shape(
     shared_sd : float
         Standard deviation of an error of the grey values that all edges share, as a share of bone minus air:
         what coarse steps leave between two of them.
+    correlation : float
+        Variance of sums of noise over that of white noise.
 
     Notes
     -----
@@ -130,17 +137,91 @@ def edge_shape(
     1 - f Laplacian, which propagation adds to the image of one material (Paganin et al. 2002,
     doi:10.1046/j.1365-2818.2002.01010.x) and sharpening filters add by design, leaves
     Phi(u) + f / B^2 u phi(u), u = t / B.
+
+    Place and normal of an edge come from the voxels across it, so that its profile follows their noise: air
+    is darker and bone brighter beside it, the more the louder it is. Where that may be what is seen, edges
+    are sought in grey values with more noise a w, and looked at in those less w / a: n + a w and n - w / a
+    are independent of each other where w is like the scan's own noise n.
     """
-    air, bone = levels
-    edges = candidate_edges(grey, near_edge, levels, spacing_mm, noise, 0, _MOST)
+    region = _Region(near_edge, foreign, levels, spacing_mm)
+    seen = _profiles(grey, grey, region, noise)
+    if seen is None:
+        return None
+    strength, overshoot, softened = _departure(seen, shared_sd)
+    if strength and noise:
+        more = np.float32(_ADDED) * _like_noise(grey.shape, levels, noise, correlation)
+        less = more / np.float32(_ADDED**2)
+        pairs = ((grey + sign * more, grey - sign * less) for sign in (np.float32(1.0), np.float32(-1.0)))
+        halves = [_profiles(*pair, region, float(np.hypot(1.0, _ADDED)) * noise) for pair in pairs]
+        found = [half for half in halves if half is not None]
+        strength, overshoot, _ = _departure(_together(found), shared_sd) if found else (0.0, 0.0, False)
+    return EdgeShape(
+        np.ascontiguousarray(seen.covariance_mm2[::-1, ::-1]),
+        seen.uneven,
+        strength * seen.sigma_mm**2,
+        overshoot,
+        softened,
+    )
+
+
+@dataclass(frozen=True)
+class _Region:
+    """Where edges are looked for, as the parameters of ``edge_shape``."""
+
+    near_edge: NDArray[np.bool_]
+    foreign: NDArray[np.bool_]
+    levels: tuple[float, float]
+    spacing_mm: Array
+
+
+@dataclass(frozen=True)
+class _Profiles:
+    """Shares across each clean edge (n, places), its place z, y, x (n, 3), mm, and the blur of all.
+
+    ``cell_mm`` is the edge of cells that share noise and curvature, ``covariance_mm2`` (3, 3) along z, y, x,
+    and whether it is ``uneven``; ``sigma_mm`` its median width.
+    """
+
+    values: Array
+    places_mm: Array
+    cell_mm: float
+    covariance_mm2: Array
+    uneven: bool
+    sigma_mm: float
+
+
+def _like_noise(
+    shape: tuple[int, ...], levels: tuple[float, float], noise: float, correlation: float
+) -> NDArray[np.float32]:
+    """Return noise [z, y, x] of that share of the contrast, smoothed by a Gaussian to that correlation."""
+    like = np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
+    width = float(np.cbrt(correlation)) / (2.0 * np.sqrt(np.pi))
+    if width > _LEAST_CORRELATED:
+        like = gaussian(like, width)
+        like /= np.float32(like.std(dtype=float))
+    like *= np.float32(noise * (levels[1] - levels[0]))
+    return like
+
+
+def _together(parts: list[_Profiles]) -> _Profiles:
+    values = np.concatenate([part.values for part in parts])
+    return replace(parts[0], values=values, places_mm=np.concatenate([part.places_mm for part in parts]))
+
+
+def _profiles(
+    grey: NDArray[np.float32], looked_at: NDArray[np.float32], region: _Region, noise: float
+) -> _Profiles | None:
+    """Find the clean edges of grey values in a region, and profiles of others across them; None: too few."""
+    (air, bone), spacing_mm = region.levels, region.spacing_mm
+    edges = candidate_edges(grey, region.near_edge, region.levels, spacing_mm, noise, 0, _MOST)
     if edges is None:
         return None
 
-    def share_at(points_mm: Array) -> Array:
-        return np.asarray((interpolated(grey, points_mm / edges.spacing_mm) - air) / (bone - air))
+    def share_at(points_mm: Array, of: NDArray[np.float32] = grey) -> Array:
+        return np.asarray((interpolated(of, points_mm / edges.spacing_mm) - air) / (bone - air))
 
     far = _CLEAR_WIDTHS * float(np.median(edges.total_mm))
-    blocked = capped_distance(foreign, spacing_mm, far) < far
+    blocked = capped_distance(region.foreign, spacing_mm, far) < far
     calm = gaussian(grey, 1.0, truncate=3.0)
     most = air + max(_LEAST_MEDIUM, noise) * (bone - air)
     clean = np.ones(len(edges.total_mm), dtype=bool)
@@ -180,16 +261,15 @@ def edge_shape(
     size, axes = np.linalg.eigh(covariance)
     covariance = (axes * np.maximum(size, least)) @ axes.T
     sigma = np.sqrt(np.maximum(width**2 - edges.smoothing_mm**2, least))[clean]
-    cells = _cells(foot[clean], _CELL_WIDTHS * float(np.median(width)))
     offsets = (_PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
-    values = np.stack([share_at(foot[clean] + step) for step in offsets], axis=1)
-    strength, overshoot, softened = _departure(values, cells, shared_sd)
-    return EdgeShape(
-        np.ascontiguousarray(covariance[::-1, ::-1]),
+    values = np.stack([share_at(foot[clean] + step, looked_at) for step in offsets], axis=1)
+    return _Profiles(
+        values,
+        foot[clean],
+        _CELL_WIDTHS * float(np.median(width)),
+        covariance,
         _facing(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
-        strength * float(np.median(sigma)) ** 2,
-        overshoot,
-        softened,
+        float(np.median(sigma)),
     )
 
 
@@ -288,19 +368,17 @@ def _fit_edge(profile: Array, strength: float) -> tuple[Array, Array, float]:
     return np.array([shift, width]), now, float(np.sum((profile - now) ** 2))
 
 
-def _departure(values: Array, cells: NDArray[np.int64], shared_sd: float = 0.0) -> tuple[float, float, bool]:
-    """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long.
-
-    ``values`` (n, places) are shares across each edge.
-    """
-    profile = values.mean(axis=0)
+def _departure(seen: _Profiles, shared_sd: float) -> tuple[float, float, bool]:
+    """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long."""
+    profile = seen.values.mean(axis=0)
     (shift, width), smooth, _ = _fit_edge(profile, 0.0)
     u = (_PLACES - shift) / width
     bell = _bell(u)
     design = np.column_stack([-bell, -u * bell, -(u**3 - 3.0 * u) * bell])
     inverse = np.linalg.inv(design.T @ design) @ design.T
     cumulant = float(inverse[2] @ (profile - smooth))
-    scores = _sums((values - profile) @ inverse.T, cells)[:, 2] / len(values)
+    cells = _cells(seen.places_mm, seen.cell_mm)
+    scores = _sums((seen.values - profile) @ inverse.T, cells)[:, 2] / len(seen.values)
     shared = shared_sd**2 * float(np.sum(inverse[2] ** 2))
     sd = float(np.sqrt(np.sum(scores**2) + _SHAPE_MODEL_SD**2 + shared))
     overshoot = float(np.max(-profile[_PLACES < -0.5]))

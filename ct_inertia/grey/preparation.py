@@ -96,7 +96,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     shapes, grey = [], cut.grey
     # In fluid there is no air to compare with.
     for _ in range(0 if cut.immersed else _RETRIEVALS):
-        shape = edge_shape(grey, rim, foreign, (air.level, bone), spacing_mm, noise, shared)
+        shape = edge_shape(grey, rim, foreign, (air.level, bone), spacing_mm, noise, shared, air.correlation)
         if shape is None:
             break
         shapes.append(shape)

@@ -30,11 +30,17 @@ def blurred(share, covariance_voxels2):
     return np.fft.ifftn(np.fft.fftn(share) * np.exp(-0.5 * power)).real.astype(np.float32)
 
 
-def measured(grey, noise=0.02, seed=1):
-    rng = np.random.default_rng(seed)
-    grey = (grey + noise * rng.standard_normal(SHAPE)).astype(np.float32)
+def measured(grey, noise=0.02, seed=1, width=0.0):
+    """Look at grey values with noise that a Gaussian of some voxels smoothed."""
+    like = np.random.default_rng(seed).standard_normal(SHAPE)
+    if width:
+        like = gaussian_filter(like, width)
+        like /= like.std()
+    grey = (grey + noise * like).astype(np.float32)
     nothing = np.zeros(SHAPE, dtype=bool)
-    return edge_shape(grey, np.ones(SHAPE, dtype=bool), nothing, (0.0, 1.0), np.full(3, H), noise)
+    whole = max(1.0, (2.0 * np.sqrt(np.pi) * width) ** 3)
+    levels = (0.0, 1.0)
+    return edge_shape(grey, ~nothing, nothing, levels, np.full(3, H), noise, correlation=whole)
 
 
 def test_isotropic_blur_is_called_neither_uneven_nor_sharp():
@@ -73,6 +79,20 @@ def test_the_length_of_fringes_is_measured_and_undone(strength):
     again = retrieve_phase(sharp, found.sharpening_mm2, np.full(3, H))
     assert measured(again).sharpening_mm2 < 0.2 * strength * H**2
     assert np.abs(again - plain).max() < 0.35 * np.abs(sharp - plain).max()
+
+
+@pytest.mark.parametrize("width", [0.0, 0.8])
+def test_noise_alone_makes_no_fringes(width):
+    """Edges that were sought and looked at in the same noise seemed sharp in most scans above 13 %."""
+    for seed, noise in enumerate((0.08, 0.12, 0.16, 0.2)):
+        plain = gaussian_filter(ball(16.0, seed), 1.1 + 0.1 * seed)
+        assert measured(plain, noise, 20 + seed, width).sharpening_mm2 == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.08])
+def test_fringes_show_through_noise(noise):
+    plain = gaussian_filter(ball(), 1.3)
+    assert measured(plain - np.float32(0.7) * laplace(plain), noise).sharpening_mm2 > 0.0
 
 
 def test_a_thin_soft_coat_makes_longer_tails_and_is_suspected():
