@@ -113,8 +113,9 @@ def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
         Time derivatives in what was measured.
     """
     found = []
+    sd, orders = standard_deviation(motion), list(text_orders(motion.freq_hz))
     for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
-        told = text_order(motion, run, body, derivatives)
+        told = _text_order(motion, sd, orders, (run, body), derivatives)
         if told is not None:
             found.append(Sorted(run, body, *told))
     return found
@@ -128,7 +129,9 @@ def measured_order(order: Order, good: NDArray[np.bool_]) -> Order:
     return whole
 
 
-def text_order(motion: RigidMotion, run: int, body: int, derivatives: int) -> tuple[Order, str] | None:
+def _text_order(
+    motion: RigidMotion, sd: Array, orders: list[tuple[Order, str]], own: tuple[int, int], derivatives: int
+) -> tuple[Order, str] | None:
     """Return the order in which the motion of a body runs smoothly, when it is that of text; None otherwise.
 
     Notes
@@ -140,14 +143,14 @@ def text_order(motion: RigidMotion, run: int, body: int, derivatives: int) -> tu
     """
     from scipy.special import fdtrc
 
-    q, sd = motion.q[run, body], standard_deviation(motion)[run, body]
+    q, sd = motion.q[own], sd[own]
     good = np.all(np.isfinite(q) & np.isfinite(sd) & (sd > 0.0), axis=1)
     if int(np.sum(good)) < _LEAST:
         return None
     freq = motion.freq_hz[good]
     rate = freq[:, None] ** derivatives
     best, found = _CHANCE, None
-    for order, what in text_orders(freq):
+    for order, what in orders if np.all(good) else text_orders(freq):
         ratio, number = steps_ratio(q[good] * rate, sd[good] * rate, order)
         chance = float(fdtrc(number, number, ratio))
         if chance < best:
@@ -159,18 +162,19 @@ def steps_ratio(readings: ComplexArray, sd: Array, order: Order) -> tuple[float,
     """Return the steps of readings (line, m) over those in another order, and how many are compared."""
     white = readings / np.sqrt(np.mean(sd**2, axis=0))
     given, other = _neighbours(np.arange(len(order))), _neighbours(order)
-    only = [pair for pair in given if pair not in other], [pair for pair in other if pair not in given]
-    return _step(white, only[0]) / max(_step(white, only[1]), 1e-300), len(only[0])
+    here, there = np.setdiff1d(given, other), np.setdiff1d(other, given)
+    return _step(white, here) / max(_step(white, there), 1e-300), len(here)
 
 
-def _neighbours(order: Order) -> set[tuple[int, int]]:
+def _neighbours(order: Order) -> Order:
+    """Return each two neighbours as one number: the lower line times the number of lines, and the other."""
     ends = np.sort(np.stack([order[:-1], order[1:]]), axis=0)
-    return set(zip(*ends.tolist(), strict=True))
+    return np.asarray(ends[0] * len(order) + ends[1])
 
 
-def _step(white: ComplexArray, pairs: list[tuple[int, int]]) -> float:
+def _step(white: ComplexArray, pairs: Order) -> float:
     """Return the mean of |step|^2 over the squares of its ends, where these are well above noise."""
-    one, two = (white[list(ends)] for ends in zip(*pairs, strict=True))
+    one, two = white[pairs // len(white)], white[pairs % len(white)]
     size = np.sum(np.abs(one) ** 2 + np.abs(two) ** 2, axis=1)
     weight = size / (size + _NOISY * white.shape[1])
     step = np.sum(np.abs(one - two) ** 2, axis=1) / np.maximum(size, 1e-300)
