@@ -42,7 +42,7 @@ _LEAST_UNITED_MM3 = calibrated("parting.least_united_mm3")
 # Largest parts that are put together by twos and threes: 56 trials.
 _MOST_UNITED = 7
 _WHOLE = calibrated("parting.whole")
-_MOST_WALL_MM3 = calibrated("parting.most_wall_mm3")
+MOST_WALL_MM3 = calibrated("parting.most_wall_mm3")
 # More of a wall of the stapes lies within the hull of the rest than outside, of other bone less.
 # Half, by that meaning; not fitted. A loose fragment between the crura lies within it, too: see _contact_mm2.
 _WALL_WITHIN = 0.5
@@ -274,7 +274,7 @@ def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array
     A gutter of a crus is a narrow gap as well, along which its wall is parted from the rest; at its ends
     ``solid`` bone [z, y, x] joins the two. A loose fragment between the crura has a valley all around.
     """
-    small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < _MOST_WALL_MM3]
+    small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < MOST_WALL_MM3]
     usual = sorted((p for p in way.pieces if p.possible and p.oddness < USUAL), key=lambda p: p.oddness)
     stapes = next((p for p in usual if _counted(way.labels, p, spacing_mm).arched), None)
     if not small or stapes is None or way.neck is not None:

@@ -15,7 +15,7 @@ from ct_inertia.segment.doubts import RIVAL, USUAL, doubts, refuse_rivals
 from ct_inertia.segment.necks import necks
 from ct_inertia.segment.not_found import nothing_found
 from ct_inertia.segment.own_level import at_own_level, takes_soft_for_bone
-from ct_inertia.segment.parting import CoarseGrid, Parting, partings
+from ct_inertia.segment.parting import MOST_WALL_MM3, CoarseGrid, Parting, partings
 from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
 from ct_inertia.volume.grids import dilated
@@ -110,7 +110,7 @@ def _better(parted: Sight, whole: Piece) -> bool:
     What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
     other parting cuts it either, unless the part is likelier by what two bodies may differ.
     """
-    stout = whole.arched and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
+    stout = _complete(whole) and whole.length_mm <= TYPICAL_MM[0][1]
     gain = parted.stapes.score - whole.score
     return gain > RIVAL and (parted.cropped or not parted.at_neck) if stout else gain > 0.0
 
@@ -202,7 +202,7 @@ def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:
     before, after = first.pieces == first.stapes.label, later.pieces == later.stapes.label
     halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
     if not _usual(first.stapes):
-        whole = first.stapes.arched and first.stapes.surrounds < MOST_SURROUNDED
+        whole = _complete(first.stapes)
         lost = np.count_nonzero(before & ~dilated(after, halo))
         rim_only = bool(lost <= _LEAST_BEYOND * np.count_nonzero(before))
         return not (whole and first.stapes.oddness < _ODD and rim_only)
@@ -246,6 +246,8 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
             if chosen is None or chosen.stapes.at_border > whole.at_border:
                 continue
             part = chosen.stapes
+            if _complete(whole) and _cuts_the_stapes(way, chosen):
+                continue
             bare = part.holes == 0 and not part.at_border and _usual(part)
             if not part.possible or part.oddness > _ODD or not (part.arched or bare):
                 continue
@@ -263,6 +265,23 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
         rivals = [best.stapes, *[way.stapes for way in sights[1:]], *parts]
         refuse_rivals(rivals, _places_mm(volume, scan, rivals))
     return best
+
+
+def _complete(whole: Piece) -> bool:
+    """Say whether a body looks like a whole stapes, be it large or with something grown on."""
+    return whole.arched and whole.surrounds < MOST_SURROUNDED
+
+
+def _cuts_the_stapes(way: Parting, chosen: Sight) -> bool:
+    """Say whether a parting of a complete body has cut the stapes itself.
+
+    Beside a body with the arch of a stapes that surrounds no other bone only the incus can be, and it is no
+    stapes: the parting has more bones than these two, or two that can be the stapes.
+    """
+    stapes = chosen.stapes
+    bones = [p for p in way.parts if p.label != stapes.label and p.volume_mm3 > MOST_WALL_MM3]
+    rivals = (judged(chosen, bone).score > stapes.score - RIVAL for bone in bones if bone.possible)
+    return len(bones) > 1 or any(rivals)
 
 
 def _whole(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
