@@ -182,7 +182,12 @@ def sampling_rate(time: Array, where: Place | str) -> float:
         raise KinematicsError.of("time_s", "ascending and finite, two samples at least", "others", where)
     with np.errstate(over="ignore", invalid="ignore"):
         step = (time[-1] - time[0]) / (len(time) - 1)
-        apart = np.abs(time - time[0] - step * np.arange(len(time))) / max(step, 1e-300)
+        apart = np.arange(len(time), dtype=float)
+        apart *= -step
+        apart += time
+        apart -= time[0]
+        np.abs(apart, out=apart)
+        apart /= max(step, 1e-300)
     if not 1.0 / HIGHEST_HZ <= step < np.inf:
         got = f"steps of {step:.3g} s"
         raise KinematicsError.of("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
@@ -217,8 +222,9 @@ def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
             if len(bad) and len(bad) < len(row):
                 got = f"{len(bad)} NaN or infinite ones, the first in sample {bad[0] + 1}"
                 faults.append(Fault("the samples", "finite numbers", got, place, step))
-            elif not len(bad) and (large := np.flatnonzero(np.abs(row) > LARGEST)).size:
-                got = f"{row[large[0]]:g} in sample {large[0] + 1}"
+            elif len(row) and not len(bad) and max(row.max(), -row.min()) > LARGEST:
+                first = int(np.argmax((row > LARGEST) | (row < -LARGEST)))
+                got = f"{row[first]:g} in sample {first + 1}"
                 faults.append(Fault("the samples", f"below {LARGEST:g}", got, place, step))
     raise_all(KinematicsError, faults)
 
@@ -281,7 +287,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     sampled = float("nan")
     with collecting(faults):
         if time:
-            times = flat[time].astype(float).reshape(-1)
+            times = flat[time].astype(float, copy=False).reshape(-1)
             sampled, start = sampling_rate(times, f"{file}, {time}"), float(times[0])
         elif rate:
             sampled = float(flat[rate].reshape(-1)[0])
@@ -306,7 +312,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
 
 def _rows(values: NDArray[Any], where: Place | str) -> tuple[Array, ...]:
     """Return rows of samples; the longer side is time."""
-    rows = values.astype(float)
+    rows = values.astype(float, copy=False)
     if rows.ndim > 2 and np.sum(np.array(rows.shape) > 1) <= 2:
         rows = rows.squeeze()
     if rows.ndim > 2 or rows.size < _FEWEST:

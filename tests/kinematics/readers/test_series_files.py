@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -364,3 +365,18 @@ def test_tables_without_one_good_row_are_refused(tmp_path):
         (tmp_path / "t.csv").write_text("time_s,vib\n" + rows)
         with pytest.raises(StapeskitError):
             read_series(tmp_path / "t.csv", ["vib"])
+
+
+@pytest.mark.parametrize("times", ["time_s", "fs"])
+def test_an_archive_takes_no_more_than_twice_what_it_declares(tmp_path, times):
+    count = 4_000_000
+    path = tmp_path / "record.npz"
+    rate = {"time_s": np.arange(count) / 1e4} if times == "time_s" else {"fs": np.array(1e4)}
+    np.savez_compressed(path, vib=np.zeros(count), unused=np.zeros(count), **rate)
+    declared = 8 * count * (2 + (times == "time_s"))
+    assert path.stat().st_size < declared / 3
+    tracemalloc.start()
+    read_series(path, ["vib"])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.5 * declared
