@@ -57,7 +57,7 @@ def test_a_law_on_the_gap_comes_back_with_the_gap_s_own_deviation():
     """K and D as 1 / gap, measured with 3 % of error; the scan states the gap with its deviation."""
     rng = np.random.default_rng(4)
     ears = []
-    for number in range(10):
+    for number in range(16):
         gap = 0.1 * float(np.exp(0.25 * rng.standard_normal()))
         case = ear(number, rng, exponent=0.0)
         seen = {"gap_mm": gap * (1.0 + 0.03 * rng.standard_normal()), "gap_sd_mm": 0.03 * gap}
