@@ -6,7 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from stapeskit.faults import worded
-from stapeskit.vocabulary import as_keyword
+from stapeskit.option_names import as_keyword
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult

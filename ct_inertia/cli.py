@@ -85,7 +85,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     given = parser().parse(arguments)
     options = given.make(MassOptions)
     if given.smooth is not None or given.faces is not None:
-        from ct_inertia.surface.display import check_request
+        from ct_inertia.surface.display_surface import check_request
 
         check_request(given.smooth, given.faces)
     from stapeskit.provenance import Hashes
@@ -129,7 +129,7 @@ def _write(
     content = mass_json(result, given.sha256, hashes, not given.no_report, labels)
     shown = None
     if given.smooth is not None or given.faces is not None:
-        from ct_inertia.surface.display import display_mesh
+        from ct_inertia.surface.display_surface import display_mesh
 
         mesh = display_mesh(result.stapes, given.smooth, given.faces)
         content["display_mesh"] = mesh.as_json()

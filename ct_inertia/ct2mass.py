@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ct_inertia.auxiliary_inputs import read_small_inputs
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass_measurement import MassMeasurement
 from ct_inertia.options import MassOptions
-from ct_inertia.readers.mapping import lost_pages
-from ct_inertia.small_inputs import read_small_inputs
+from ct_inertia.readers.memory_mapping import lost_pages
 from stapeskit.background import Later
+from stapeskit.input_changes import InputStates
 from stapeskit.progress import Tell, silent
-from stapeskit.unchanged import InputStates
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _measure(options: MassOptions, progress: Tell, found: Callable[[Bodies], Non
 
 
 def _bodies(options: MassOptions, progress: Tell) -> Bodies:
-    from ct_inertia.read import read_labels, read_volume
+    from ct_inertia.read_scan import read_labels, read_volume
 
     volume, glance = None, None
     if options.scan is not None:
@@ -116,12 +116,12 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             options.follow,
         )
         if options.labels is None and options.box_mm is None:
-            from ct_inertia.volume.coarse import take_glance
+            from ct_inertia.volume.coarse_view import take_glance
 
             glance = Later(take_glance, volume)
-    from ct_inertia.grey.coat import stated_coat
+    from ct_inertia.grey.soft_coat import stated_coat
     from ct_inertia.labelling.from_scan import find_bodies
-    from ct_inertia.segment.sight import SearchOptions
+    from ct_inertia.segment.coarse_segmentation import SearchOptions
 
     labels = None
     if options.labels is not None:

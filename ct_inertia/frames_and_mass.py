@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.auxiliary_inputs import SmallInputs
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, footplate_pose
+from ct_inertia.mass.mass_estimates import (
+    MassByWay,
+    at_uniform_density,
+    disagreements,
+    masses_by_way,
+    not_stated,
+)
 from ct_inertia.mass.mass_properties import (
     MassProperties,
     footplate_mass_matrix,
@@ -20,19 +28,17 @@ from ct_inertia.mass.mass_properties import (
     scaled,
     with_added,
 )
-from ct_inertia.mass.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
 from ct_inertia.mass.plausibility import implausible, size_notice, unsuitable
-from ct_inertia.mass.published import measured_values, unusual_notice
+from ct_inertia.mass.published_sizes import measured_values, unusual_notice
 from ct_inertia.mass.voxel_scale import voxel_scale
 from ct_inertia.mass_measurement import MassMeasurement
 from ct_inertia.options import MassOptions
-from ct_inertia.small_inputs import SmallInputs
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from stapeskit.background import Later
 from stapeskit.frames import vector_from_rotation
+from stapeskit.option_names import named
 from stapeskit.records.mass_record import MassMatrix
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from ct_inertia.frames.footplate import FootplateFrame
     from ct_inertia.frames.plate_frame import PlateFrame
     from ct_inertia.frames.window_gap import WindowGap
+    from ct_inertia.mass.mass_estimates import MassByWay
     from ct_inertia.mass.mass_properties import MassProperties
-    from ct_inertia.mass.masses import MassByWay
     from ct_inertia.options import MassOptions
     from ct_inertia.surface.moments import Moments
     from ct_inertia.surface.surface import Surface
+    from stapeskit.input_changes import InputStates
     from stapeskit.records.mass_record import MassMatrix
-    from stapeskit.unchanged import InputStates
 
 
 @dataclass(frozen=True)

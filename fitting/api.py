@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
 from stapeskit.faults import worded
+from stapeskit.option_names import as_keyword
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion
-from stapeskit.vocabulary import as_keyword
 
 if TYPE_CHECKING:
     from fitting.results import KDResult

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from fitting.errors import FittingError
+from stapeskit.option_names import named
 from stapeskit.provenance import content_hash, document_hash
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 

@@ -18,11 +18,11 @@ from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
 from fitting.results import KDResult
+from stapeskit.input_changes import left_alone
 from stapeskit.own_files import OutputSet
 from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
 from stapeskit.records.motion_files import read_motion
-from stapeskit.unchanged import left_alone
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from fitting.ligament.misfit import explained
 from fitting.model.laws import LAWS
 from fitting.model.symmetric import join
 from fitting.options import COMPARE, KDOptions
+from stapeskit.option_names import named
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import MASS
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 FLUID, LAW = "fluid", "law_"

@@ -20,7 +20,7 @@ from fitting.estimators.problem import Problem
 from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names
 from fitting.uncertainty.identifiability import relative_sizes
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 AUTO, LOAD = "auto", "load"

@@ -9,8 +9,8 @@ import numpy as np
 from fitting.options import CORRECT
 from fitting.uncertainty.identifiability import relative_sizes
 from stapeskit.arrays import Array
+from stapeskit.option_names import named
 from stapeskit.page.quantities import MASS
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stapeskit.faults import worded
-from stapeskit.vocabulary import as_keyword
+from stapeskit.option_names import as_keyword
 
 if TYPE_CHECKING:
     from kinematics.results import MotionResult

@@ -232,9 +232,9 @@ def measure(
     """
     from kinematics.calibrated import calibrated
     from kinematics.fit_options import fit_options
+    from stapeskit.input_changes import left_alone
     from stapeskit.provenance import record
     from stapeskit.records.measured_mass import measured_mass
-    from stapeskit.unchanged import left_alone
 
     chosen = fit_options(options)
     mass_file = Path(given_mass) if isinstance(given_mass, str | Path) else None

@@ -9,8 +9,8 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.across.lines import column_offset
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.faults import Fault, raise_all
+from stapeskit.option_names import named
 from stapeskit.records.motion import RigidMotion
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 # A stapes is about 3.5 mm high and 3 mm long.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stapeskit.documents import parse_json
+from stapeskit.json_toml import parse_json
 from stapeskit.page.foreign_markup import foreign_markup
 from stapeskit.page.page import Section
 from stapeskit.provenance import Hashes

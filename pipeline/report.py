@@ -17,8 +17,8 @@ from pipeline.study import Study
 from pipeline.verdict import verdict
 from pipeline.viewer.scene import viewer
 from pipeline.workspace import Workspace
-from stapeskit.documents import is_finite_number, parse_json
 from stapeskit.faults import Fault
+from stapeskit.json_toml import is_finite_number, parse_json
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 from stapeskit.provenance import input_record

@@ -12,7 +12,7 @@ from pipeline.records import StageReport
 from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
 from stapeskit.faults import worded
-from stapeskit.unchanged import InputStates, left_alone
+from stapeskit.input_changes import InputStates, left_alone
 
 if TYPE_CHECKING:
     from kinematics.measure_motion import MeasurementInputs

@@ -12,8 +12,8 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
-from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, in_words, raise_all
+from stapeskit.json_toml import parse_toml
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice, file
 from stapeskit.options import OptionTable, declared, option, read_table
 

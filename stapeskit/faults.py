@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Self
 
-from stapeskit.vocabulary import Vocabulary, named, using, written
+from stapeskit.option_names import Vocabulary, named, using, written
 
 LONGEST = 4000
 """Characters of a message at most: what fits on a screen or two."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 # Matrices written with seven digits pass.
 _ROTATION_TOLERANCE = 1e-6

@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from html import escape
 
+from stapeskit.option_names import written
 from stapeskit.option_values import toml
 from stapeskit.options import Option, OptionTable, declared
-from stapeskit.vocabulary import written
 
 # Letters a line of a study file.
 _WIDTH = 100

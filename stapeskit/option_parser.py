@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
+from stapeskit.json_toml import parse_toml
 from stapeskit.option_kinds import FLAG, file, output
+from stapeskit.option_names import written
 from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
 from stapeskit.system_faults import why_unreadable
-from stapeskit.vocabulary import written
 
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from stapeskit.documents import is_finite_number
+from stapeskit.json_toml import is_finite_number
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE][+-]?\d+)?)\s*")

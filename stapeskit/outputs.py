@@ -15,8 +15,8 @@ from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.process import outputs_written, undisturbed
-from stapeskit.scratch import remove_abandoned, scratch
 from stapeskit.system_faults import is_full
+from stapeskit.temporary_folders import remove_abandoned, scratch
 
 Settle = Callable[[Path], Callable[[], None] | None]
 _ELSEWHERE = "Choose another place with --out"

@@ -16,8 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.json_toml import parse_json
 from stapeskit.outputs import existing_folder, staged
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from stapeskit.scratch import files_within
-from stapeskit.unchanged import InputStates
+from stapeskit.input_changes import InputStates
+from stapeskit.temporary_folders import files_within
 
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt: 2 GiB take
 # 0.35 s, by quarters of it 0.41 s, by eight times as much 0.43 s.

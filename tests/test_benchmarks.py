@@ -51,7 +51,7 @@ def test_exact_moments_have_no_error_and_a_wrong_frame_has():
 
 def test_the_watershed_parts_two_boxes_and_sums_the_one_of_the_true_volume():
     from benchmarks.peers.watershed import watershed_integral
-    from ct_inertia.volume.grids import gaussian
+    from ct_inertia.volume.grid_operations import gaussian
 
     grey = np.zeros((40, 50, 60), dtype=np.float32)
     grey[10:30, 10:40, 10:30] = 1.0

@@ -13,11 +13,11 @@ import numpy as np
 from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS, SCAN_CROP, SEGMENTS
 from ct_inertia.exports.scan_crop import EarlyCrop, needs_crop
-from ct_inertia.grey.border import CODE as CUT_BY_BORDER
-from ct_inertia.grey.coat import BARE
+from ct_inertia.grey.scan_border import CODE as CUT_BY_BORDER
+from ct_inertia.grey.soft_coat import BARE
 from ct_inertia.mass.budget import budget, not_included
 from ct_inertia.mass.mass_properties import point_masses
-from ct_inertia.mass.published import comparisons, measured_values
+from ct_inertia.mass.published_sizes import comparisons, measured_values
 from ct_inertia.native import which
 from ct_inertia.surface.surface import Surface, write_surface
 from stapeskit.arrays import Array
@@ -248,7 +248,7 @@ def _cross_check(result: MassMeasurement, second: bool) -> dict[str, Any]:
     used, mesh = result.moments, result.mesh_moments
     opinion = None
     if second:
-        from ct_inertia.surface.second_opinion import second_opinion
+        from ct_inertia.surface.meshlab_check import second_opinion
 
         opinion = second_opinion(result.stapes)
     root = np.sqrt(np.diag(result.matrix.matrix))

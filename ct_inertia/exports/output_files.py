@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 if TYPE_CHECKING:
     from ct_inertia.options import MassOptions

@@ -9,7 +9,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.arrays import Array
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 LANDMARK_NAMES = ("anterior", "posterior", "superior", "inferior", "head", "footplate_centre")

@@ -13,8 +13,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.readers.checks import mm_per_unit
 from stapeskit.arrays import Array
-from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, raise_all
+from stapeskit.json_toml import parse_json
 from stapeskit.tables.csv_table import read_table
 
 Named = list[tuple[str, Array]]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plane_faces import PlaneFace, fitted_plane
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 

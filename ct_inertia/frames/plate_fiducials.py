@@ -15,8 +15,8 @@ from stapeskit.alignment.registration import fit_rigid
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
+from stapeskit.option_names import named
 from stapeskit.tables.csv_table import read_table
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 _SCAN = ("x_mm", "y_mm", "z_mm")

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import PlateFace
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.frames.covered_plate import covered_face
 from ct_inertia.frames.footplate import SurfaceLike
 from ct_inertia.frames.plane_faces import PlaneFace, large_faces
 from ct_inertia.frames.plane_fit import fitted_to_grey
-from ct_inertia.frames.plate_covered import covered_face
 from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform, axes_matrix, vector_from_rotation
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 _LEAST_EDGE_MM = calibrated("plate_frame.least_edge_mm")

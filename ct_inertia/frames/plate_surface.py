@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.segment.coarse_segmentation import Sight
 from ct_inertia.segment.plate_region import PlateRegion, thinned
-from ct_inertia.segment.sight import Sight
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.grids import dilated, gaussian
+from ct_inertia.volume.grid_operations import dilated, gaussian
 from ct_inertia.volume.volume import Volume
 
 if TYPE_CHECKING:

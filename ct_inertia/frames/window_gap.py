@@ -19,7 +19,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame, SurfaceLike
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, sunk_by_blur
 from ct_inertia.surface.surface_field import Diffusion, Mesh, refined, unit
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array
 from stapeskit.background import Later
 

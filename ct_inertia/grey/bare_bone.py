@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone
-from ct_inertia.grey.coat import USUAL, Coat, CoatImage, coat_image, with_coat_sd, with_suspected_coat
 from ct_inertia.grey.level_fit import spread
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.neighbours import away_from_others
 from ct_inertia.grey.partial_volume import with_contribution
 from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plate_share
-from ct_inertia.grey.plate_face_doubt import face_covariance, face_doubt
+from ct_inertia.grey.plate_face_uncertainty import face_covariance, face_doubt
 from ct_inertia.grey.preparation import Prepared, blur_of
-from ct_inertia.grey.soft import Soft, by_soft, soft_notices, taken_off, without_soft
+from ct_inertia.grey.soft_coat import USUAL, Coat, CoatImage, coat_image, with_coat_sd, with_suspected_coat
+from ct_inertia.grey.soft_tissue import Soft, by_soft, soft_notices, taken_off, without_soft
 from ct_inertia.grey.voids import Voids, by_filling, closed_voids, void_notices, without_filling
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice

@@ -12,7 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.cupping import LEAST_RMS, Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

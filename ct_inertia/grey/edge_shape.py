@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import gaussian, interpolated
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.grid_operations import gaussian, interpolated
+from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

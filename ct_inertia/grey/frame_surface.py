@@ -11,8 +11,8 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.thin_walls import thin_wall_shift, vertex_normals
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.grids import gaussian
-from ct_inertia.volume.normal import normal_quantile
+from ct_inertia.volume.grid_operations import gaussian
+from ct_inertia.volume.normal_distribution import normal_quantile
 from stapeskit.arrays import Array
 
 # Largest blocks, mm: the scale of the normals in the definition of the frame (footplate_face).

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled, shape_of
-from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.grid_operations import gaussian
 from stapeskit.arrays import Array
 
 # Samples of a voxel along each axis, and the range of grey values (share of the contrast) over which a sample

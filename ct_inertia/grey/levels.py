@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.grid_operations import gaussian
 from ct_inertia.volume.mask_statistics import Sums, deviation, every_nth, lowest, sums
-from ct_inertia.volume.normal import normal_cdf, normal_quantile
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
 from stapeskit.arrays import Array
 
 # Voxels of air from which a mean is taken: its noise is 5 % of a voxel's; and in an eighth of the box, 7 %.

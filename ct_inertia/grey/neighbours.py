@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
 from ct_inertia.grey.partial_volume import sensitivity
-from ct_inertia.segment.cutting import Cut
-from ct_inertia.segment.separate import flooded
+from ct_inertia.segment.extract_stapes import Cut
+from ct_inertia.segment.touching_bones import flooded
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import eroded, labelled
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.grid_operations import eroded, labelled
+from ct_inertia.volume.normal_distribution import normal_cdf
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Bodies whose blur carries a layer thinner than this across the middle of their gap, mm, exchange less

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import PlateFace
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import dilated, gaussian
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.grid_operations import dilated, gaussian
+from ct_inertia.volume.normal_distribution import normal_cdf
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 

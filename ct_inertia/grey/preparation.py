@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.clipped_levels import Stored, as_before_storing, stored_levels
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.level_fit import blurred, body_share, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 from ct_inertia.grey.psf import edge_sigma
-from ct_inertia.grey.stored_levels import Stored, as_before_storing, stored_levels
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.grid_operations import gaussian
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

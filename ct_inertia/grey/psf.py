@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.native import compiled, shape_of
-from ct_inertia.volume.grids import interpolated
+from ct_inertia.volume.grid_operations import interpolated
 from ct_inertia.volume.mask_statistics import places_between
-from ct_inertia.volume.normal import normal_quantile
+from ct_inertia.volume.normal_distribution import normal_quantile
 from stapeskit.arrays import Array
 
 # Reach of the Gaussian gradient in its standard deviations: 0.03 % of its weight is cut off.

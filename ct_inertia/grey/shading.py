@@ -8,7 +8,7 @@ from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.cupping import Cupping
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import Share, sensitivity
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.normal import normal_cdf, normal_quantile
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
 from stapeskit.arrays import Array
 
 # Walls thicker than this many widths of the blur have faces that do not see each other (3e-5 of a width).

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.grey.partial_volume import sensitivity, with_contribution
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Most grey values of a scan that somebody has thresholded: a few materials, where a scan has hundreds.

@@ -11,9 +11,9 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import sensitivity
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.grids import dilated, labelled, used_box
+from ct_inertia.volume.grid_operations import dilated, labelled, used_box
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

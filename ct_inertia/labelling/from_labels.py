@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import surface_with_planes
-from ct_inertia.grey.border import CODE, BorderCut, border_notices, cut_notice
-from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.partial_volume import sensitivity, with_voxel_size
+from ct_inertia.grey.scan_border import CODE, BorderCut, border_notices, cut_notice
+from ct_inertia.grey.soft_coat import Coat, bare_bone_notice
 from ct_inertia.labelling.label_numbers import body_numbers, without_islands
 from ct_inertia.labelling.unlabelled_plate import plate_beside
-from ct_inertia.segment.cutting import Cut, box_around
-from ct_inertia.segment.separate import flooded
-from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.segment.coarse_segmentation import SearchOptions
+from ct_inertia.segment.extract_stapes import Cut, box_around
+from ct_inertia.segment.touching_bones import flooded
 from ct_inertia.surface.isosurface import iso_surface
-from ct_inertia.surface.matched import moment_matched
+from ct_inertia.surface.moment_matching import moment_matched
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Distance between the voxels of labels and scan, in voxels, up to which both have one grid: rounding of
@@ -205,7 +205,7 @@ def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut
 
 def _cut_by_labels(volume: Volume, labels: Volume, offset: NDArray[np.int64], middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
-    from ct_inertia.volume.coarse import finite
+    from ct_inertia.volume.coarse_view import finite
 
     for axis in range(3):
         start, count = int(offset[2 - axis]), labels.array.shape[axis]
@@ -261,8 +261,8 @@ def _grid(volume: Volume) -> str:
 
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coat | None) -> Bodies:
     """Take the bodies from the labels, and the share of bone in each voxel from its grey value."""
-    from ct_inertia.grey.measure import measure
-    from ct_inertia.volume.coarse import finite
+    from ct_inertia.grey.measure_stapes import measure
+    from ct_inertia.volume.coarse_view import finite
 
     offset = _offset(volume, labels)
     stapes_low, stapes_high = _reach(labels, STAPES)

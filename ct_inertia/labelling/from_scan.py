@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Bodies
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
-from ct_inertia.grey.border import border_cuts, by_border, cropped_notice, cut_notice
-from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.grey.levels import Guess
-from ct_inertia.grey.measure import Measured, measure
+from ct_inertia.grey.measure_stapes import Measured, measure
 from ct_inertia.grey.partial_volume import with_contribution, with_voxel_size
-from ct_inertia.grey.rings import ring_notices
+from ct_inertia.grey.ring_artefacts import ring_notices
+from ct_inertia.grey.scan_border import border_cuts, by_border, cropped_notice, cut_notice
+from ct_inertia.grey.soft_coat import Coat, bare_bone_notice
 from ct_inertia.grey.thresholded import is_thresholded, with_threshold
 from ct_inertia.labelling.label_box import label_box
-from ct_inertia.segment.cutting import Cut, cut_out
+from ct_inertia.segment.coarse_segmentation import SearchOptions, Sight
+from ct_inertia.segment.extract_stapes import Cut, cut_out
+from ct_inertia.segment.find_stapes import look
 from ct_inertia.segment.plate_region import PlateRegion, find_plate
-from ct_inertia.segment.search import look
-from ct_inertia.segment.sight import SearchOptions, Sight
-from ct_inertia.surface.matched import moment_matched
-from ct_inertia.volume.coarse import Glance, calmed, take_glance
+from ct_inertia.surface.moment_matching import moment_matched
+from ct_inertia.volume.coarse_view import Glance, calmed, take_glance
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.background import Later

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
-from ct_inertia.grey.measure import Measured
+from ct_inertia.grey.measure_stapes import Measured
 from ct_inertia.native import compiled, shape_of
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.coarse_segmentation import Sight
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.segment.plate_region import PlateRegion
-from ct_inertia.segment.sight import Sight
-from ct_inertia.volume.coarse import calmed, finite, loud
-from ct_inertia.volume.grids import used_box
+from ct_inertia.volume.coarse_view import calmed, finite, loud
+from ct_inertia.volume.grid_operations import used_box
 from ct_inertia.volume.volume import Volume
 
 Index = NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.volume.grids import boxes_and_sizes, labelled
+from ct_inertia.volume.grid_operations import boxes_and_sizes, labelled
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from ct_inertia.grey.levels import Guess
 from ct_inertia.segment.candidates import describe
+from ct_inertia.segment.coarse_segmentation import Sight, between_levels
 from ct_inertia.segment.plate_region import PlateRegion, find_plate
-from ct_inertia.segment.sight import Sight, between_levels
-from ct_inertia.volume.coarse import take_glance
-from ct_inertia.volume.grids import used_box
+from ct_inertia.volume.coarse_view import take_glance
+from ct_inertia.volume.grid_operations import used_box
 from ct_inertia.volume.volume import Volume
 
 

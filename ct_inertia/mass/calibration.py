@@ -13,7 +13,7 @@ from ct_inertia.mass.mass_properties import MassProperties, from_density, unit_p
 from ct_inertia.options import PLAUSIBLE_DENSITY
 from ct_inertia.surface.moments import Moments
 from stapeskit.arrays import Array
-from stapeskit.documents import is_finite_number, parse_toml
+from stapeskit.json_toml import is_finite_number, parse_toml
 from stapeskit.records.mass_record import parameter_transfer
 
 # Largest grey value and density of a calibration: products and quotients of two stay exact enough in doubles.

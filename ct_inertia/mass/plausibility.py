@@ -9,8 +9,8 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.graphs import graph_pieces
-from stapeskit.vocabulary import named
+from ct_inertia.volume.mesh_graphs import graph_pieces
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Real ones: 2.9 to 3.9 mm high, footplate 2.4 to 3.4 by 1.1 to 1.7 mm, 0.9 to 2.6 mm3.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def voxel_scale(options: MassOptions, volume: Volume) -> VoxelScale | None:
             raise _unfit("{scale_length}", length, apart)
         lengths.append(("{scale_length}", length / apart, np.hypot(sd, np.sqrt(2.0) * picked) / apart))
     for row in options.scale_ball:
-        from ct_inertia.grey.ball import ball_diameter
+        from ct_inertia.grey.ball_diameter import ball_diameter
 
         measured, measured_sd = ball_diameter(volume, np.array(row[:3]), row[3])
         lengths.append(("{scale_ball}", row[3] / measured, np.hypot(row[4], measured_sd) / measured))

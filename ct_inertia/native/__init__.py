@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.native import load
+from stapeskit.compiled_kernels import load
 
 # Arguments: p pointer, i whole number of 64 bits, d double, f float; behind the colon what it returns.
 _SIGNATURES = {

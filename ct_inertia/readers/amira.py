@@ -10,7 +10,7 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}

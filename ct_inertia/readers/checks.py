@@ -12,7 +12,7 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from stapeskit.arrays import Array
 from stapeskit.memory import available_memory
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Bytes that a byte of a packed file can become at most, by the formats: deflate 1032, LZ4 255, PackBits 64.

@@ -15,7 +15,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, not_readable, settle_spacing, unreadable
 from ct_inertia.readers.dicom_lengths import dicom_size
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.volume.blocks import BlockArray
+from ct_inertia.volume.lazy_arrays import BlockArray
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

@@ -14,7 +14,7 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 
 _TYPES = {

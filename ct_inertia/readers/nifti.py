@@ -16,7 +16,7 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import Grid, grid_array, grid_volume
+from ct_inertia.readers.header_grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import check_dimensions
+from ct_inertia.readers.header_grid import check_dimensions
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
-from ct_inertia.volume.blocks import BlockArray, Gaps, Level
+from ct_inertia.volume.lazy_arrays import BlockArray, Gaps, Level
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice

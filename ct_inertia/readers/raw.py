@@ -7,9 +7,9 @@ from pathlib import Path
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount
 from ct_inertia.readers.formats import FORMATS, ReadOptions, format_of
-from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 # Other programs use .hdr for headers of their own: those of NIfTI belong to .img alone.
 _HEADERS = tuple(ending for entry in FORMATS for ending in entry.headers if ending != ".hdr")

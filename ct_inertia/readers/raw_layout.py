@@ -8,7 +8,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.option_kinds import VOXEL_TYPE
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, check_size, not_readable, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.mapping import read_at
+from ct_inertia.readers.memory_mapping import read_at
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import check_offsets, check_pieces, turned_notice, white_is_zero
-from ct_inertia.volume.blocks import BlockArray, turned
+from ct_inertia.volume.lazy_arrays import BlockArray, turned
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 

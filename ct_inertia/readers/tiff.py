@@ -13,10 +13,10 @@ from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_directories import check_directories, check_ome_files
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
-from ct_inertia.volume.blocks import turned
+from ct_inertia.volume.lazy_arrays import turned
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, check_size, header_fault, not_readable
-from ct_inertia.readers.mapping import mapped, read_at
+from ct_inertia.readers.memory_mapping import mapped, read_at
 from ct_inertia.readers.tiff_directories import packing_of
-from ct_inertia.volume.blocks import BlockArray
+from ct_inertia.volume.lazy_arrays import BlockArray
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:

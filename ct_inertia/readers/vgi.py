@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
-from ct_inertia.readers.grid import Grid, grid_volume
+from ct_inertia.readers.header_grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}

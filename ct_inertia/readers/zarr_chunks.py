@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount, check_memory, header_fault, not_readable, unreadable
-from ct_inertia.readers.unpack import CODECS, unpack
+from ct_inertia.readers.decompression import CODECS, unpack
 from ct_inertia.readers.zarr_files import ZarrFiles
 from stapeskit.faults import Fault
 

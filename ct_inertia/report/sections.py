@@ -16,16 +16,16 @@ import numpy as np
 from ct_inertia.bodies import PLATE
 from ct_inertia.mass.budget import mass_sd_missing
 from ct_inertia.report.colours import BODY_COLOURS
-from ct_inertia.report.report_evidence import evidence_rows
-from ct_inertia.report.report_found import found_section
-from ct_inertia.report.report_masses import cross_check_section, files_blocks, masses_section
+from ct_inertia.report.mass_sections import cross_check_section, files_blocks, masses_section
+from ct_inertia.report.result_section import found_section
+from ct_inertia.report.segmentation_sections import evidence_rows
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
+from stapeskit.option_names import named
 from stapeskit.page import page
 from stapeskit.page.quantities import SMALL_LENGTH, matrix_units
 from stapeskit.records.mass_record import mass_source_words
-from stapeskit.vocabulary import named
 from stapeskit.warnings import from_json
 
 if TYPE_CHECKING:

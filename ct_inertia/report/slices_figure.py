@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
 from ct_inertia.report.colours import BODY_COLOURS, CUT
-from ct_inertia.volume.grids import used_box
+from ct_inertia.volume.grid_operations import used_box
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.distance import closed
-from ct_inertia.volume.graphs import in_hull
-from ct_inertia.volume.grids import boxes_and_sizes, labelled, majority, used_box
+from ct_inertia.volume.grid_operations import boxes_and_sizes, labelled, majority, used_box
 from ct_inertia.volume.mask_statistics import every_nth
+from ct_inertia.volume.mesh_graphs import in_hull
 
 Array = NDArray[np.float64]
 

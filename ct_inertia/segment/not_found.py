@@ -9,8 +9,8 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, labelled_pieces
-from ct_inertia.segment.sight import Sight, between_levels, readings, with_holes
-from ct_inertia.volume.coarse import CoarseScan, material_levels
+from ct_inertia.segment.coarse_segmentation import Sight, between_levels, readings, with_holes
+from ct_inertia.volume.coarse_view import CoarseScan, material_levels
 from stapeskit.faults import Fault
 
 # Bodies that a message lists.

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.sight import Sight
-from ct_inertia.volume.coarse import calmed
-from ct_inertia.volume.grids import dilated, eroded, gaussian, labelled
+from ct_inertia.segment.coarse_segmentation import Sight
+from ct_inertia.volume.coarse_view import calmed
+from ct_inertia.volume.grid_operations import dilated, eroded, gaussian, labelled
 
 Array = NDArray[np.float64]
 _LEAST_MM3 = calibrated("plate_region.least_mm3")

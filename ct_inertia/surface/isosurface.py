@@ -9,7 +9,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
-from ct_inertia.volume.graphs import graph_pieces
+from ct_inertia.volume.mesh_graphs import graph_pieces
 from stapeskit.arrays import Array
 
 _TINY_SHARE = calibrated("isosurface.least_cavity")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.surface.glb_claims import check_glb
+from ct_inertia.surface.glb_checks import check_glb
 from ct_inertia.surface.moments import Moments
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

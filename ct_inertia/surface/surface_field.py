@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.volume.graphs import graph_pieces, solver
+from ct_inertia.volume.mesh_graphs import graph_pieces, solver
 from stapeskit.arrays import Array
 
 Indices = NDArray[np.intp]

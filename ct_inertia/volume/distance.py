@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.native import checked, compiled, shape_of
-from ct_inertia.volume.grids import used_box
+from ct_inertia.volume.grid_operations import used_box
 from stapeskit.arrays import Array
 
 # Voxels a piece: 0.2 to 0.8 MB by the type of the counts.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.volume.blocks import part_of
+from ct_inertia.volume.lazy_arrays import part_of
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
+from stapeskit.option_names import named
 from stapeskit.records.motion import RigidMotion
-from stapeskit.vocabulary import named
 
 # A difference of two motions this small beside them is rounding.
 _AS_ONE = 1e-9

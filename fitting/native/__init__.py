@@ -6,7 +6,7 @@ import ctypes
 from functools import lru_cache
 from pathlib import Path
 
-from stapeskit.native import load
+from stapeskit.compiled_kernels import load
 
 _SIGNATURES = {"ml_expand": "iippppppddippp:i"}
 

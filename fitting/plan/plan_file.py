@@ -20,8 +20,8 @@ from fitting.model.model import passive
 from fitting.plan.plan import Plan
 from fitting.plan.planned_errors import PlannedErrors
 from stapeskit.arrays import Array
-from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.json_toml import is_finite_number, parse_toml
 from stapeskit.spatial import DOF_NAMES
 
 _ERROR_KEYS = tuple(error.name for error in fields(PlannedErrors))

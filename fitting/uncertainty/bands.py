@@ -25,7 +25,7 @@ from fitting.model.symmetric import basis, split
 from fitting.options import USUAL_BANDS
 from fitting.uncertainty.covariance import chi2, degrees, invert, joined_mass_sources, motion_moves_mass
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Lines a band: 8 give 48 equations for 12 unknowns.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault
+from stapeskit.option_names import named
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
-from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 # Strength of a motion in the beams, relative to the strongest: below it is not estimated, below 1 %

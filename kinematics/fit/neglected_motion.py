@@ -9,8 +9,8 @@ from kinematics.calibrated import calibrated
 from kinematics.fit.beams import WEAK, BeamSet, beam_set, observability
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels
+from stapeskit.option_names import named
 from stapeskit.spatial import DOF_NAMES, dof_indices
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import ctypes
 from functools import lru_cache
 from pathlib import Path
 
-from stapeskit.native import load
+from stapeskit.compiled_kernels import load
 
 # Arguments: p pointer, i whole number of 64 bits, d double; behind the colon what it returns.
 _SIGNATURES = {

@@ -14,7 +14,7 @@ from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.readers.unit_labels import LENGTHS
 from kinematics.tidy.points_csv import Points
 from stapeskit.faults import Fault, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 DEFAULT_RUN = "1"

@@ -22,7 +22,7 @@ from kinematics.tidy.frequency_grids import check_bodies, check_filled, join_lin
 from kinematics.tidy.points_csv import Points
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
 K = TypeVar("K", bound=Hashable)

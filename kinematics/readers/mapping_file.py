@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
-from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault
+from stapeskit.json_toml import parse_toml
 
 
 def mapping_document(path: Path) -> dict[str, Any]:

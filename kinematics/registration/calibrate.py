@@ -13,8 +13,8 @@ from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.option_names import named
 from stapeskit.spatial import dof_indices, point_rows
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Weights = Mapping[tuple[int, int], Array]

@@ -14,8 +14,8 @@ from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
+from stapeskit.option_names import named
 from stapeskit.spatial import cross, point_rows, shifted_point_rows
-from stapeskit.vocabulary import named
 
 Index = NDArray[np.intp]
 

@@ -13,8 +13,8 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import MIRRORS, Measurement
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
+from stapeskit.option_names import named
 from stapeskit.spatial import dof_indices, point_rows
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 _LEAST_MISFIT: float = calibrated("handedness.least_misfit")

@@ -10,7 +10,7 @@ from kinematics.faults.diagnose import Diagnosis
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_estimate import UNLIKELY
 from kinematics.registration.lasers import LaserErrors
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 UNITS = {"laser_gain": ("gain", 100.0, "%"), "laser_phase": ("phase", 180.0 / np.pi, "°"),

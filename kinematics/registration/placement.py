@@ -13,9 +13,9 @@ from kinematics.registration.fiducials import Fiducials
 from stapeskit.alignment.registration import Registration, displacement, fit_rigid
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
+from stapeskit.option_names import named
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import DOF_NAMES
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:

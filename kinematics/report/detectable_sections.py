@@ -14,9 +14,9 @@ from kinematics.measurement import direction_name
 from kinematics.registration.laser_notices import UNITS
 from kinematics.report.draw_motion import full_motion
 from stapeskit.arrays import Array
+from stapeskit.option_names import named
 from stapeskit.page import page
 from stapeskit.page.drawings import shortened
-from stapeskit.vocabulary import named
 
 if TYPE_CHECKING:
     from markupsafe import Markup

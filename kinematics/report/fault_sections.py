@@ -13,9 +13,9 @@ from kinematics.measurement import direction_name
 from kinematics.report.detectable_sections import detectable_blocks
 from kinematics.report.draw_residuals import relative_rms, residual_figure
 from kinematics.report.draw_spectra import chi2_figure
+from stapeskit.option_names import written
 from stapeskit.page import page
 from stapeskit.page.page import Section
-from stapeskit.vocabulary import written
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -32,7 +32,7 @@ from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 Records = Sequence[tuple[Array, Array]]

@@ -14,7 +14,7 @@ from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Degree of the polynomials (Pintelon et al. 2010 take 2).

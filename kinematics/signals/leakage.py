@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # The end of a segment that is looked at, and what share of its mean power is too much there.

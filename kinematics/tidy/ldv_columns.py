@@ -10,8 +10,8 @@ from difflib import get_close_matches
 from kinematics.errors import KinematicsError
 from kinematics.tidy.points_csv import other_table
 from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.option_names import named
 from stapeskit.units import SUFFIXES, Unit, unit_of
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 POSITION = ("x_mm", "y_mm", "z_mm")

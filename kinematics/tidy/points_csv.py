@@ -11,9 +11,9 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.option_names import named
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.units import FARTHEST_MM, NEAREST_MM
-from stapeskit.vocabulary import named
 
 _POSITION = ("x_mm", "y_mm", "z_mm")
 

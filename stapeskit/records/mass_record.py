@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.documents import parse_json
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.json_toml import parse_json
 from stapeskit.own_files import check_whole
 from stapeskit.records.mass_checks import MADE_BY, check
 from stapeskit.spatial import (

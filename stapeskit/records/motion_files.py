@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.json_toml import parse_json
 from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
 from stapeskit.records.hdf5_file import larger_than_file, written_h5

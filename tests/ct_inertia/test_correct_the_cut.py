@@ -11,7 +11,7 @@ import SimpleITK as sitk
 import tifffile
 
 from ct_inertia.cli import work
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from tests.ct_inertia.ears import ear
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -12,7 +12,7 @@ from ct_inertia.grey.levels import Air, Surroundings, air_shell, measure_air, un
 from ct_inertia.grey.plate_face import displaced_share
 from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth

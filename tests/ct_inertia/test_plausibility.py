@@ -12,7 +12,7 @@ from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.mass.plausibility import body_volumes, check_mesh, implausible
 from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import Surface, write_surface
-from ct_inertia.volume.coarse import coarse_scan, material_levels
+from ct_inertia.volume.coarse_view import coarse_scan, material_levels
 from ct_inertia.volume.volume import Volume
 from stapeskit.progress import silent
 from tests.ct_inertia.shapes import box, stapes

@@ -9,8 +9,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate_face import without_blur
 from ct_inertia.grey.partial_volume import as_vector
 from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.read import read_volume
-from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.read_scan import read_volume
+from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.surface.surface import enclosed_volume
 from ct_inertia.surface.surface_field import Diffusion, Mesh
 from ct_inertia.volume.volume import Volume

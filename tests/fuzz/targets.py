@@ -8,7 +8,7 @@ from pathlib import Path
 
 PRELOADED = (
     "numpy scipy.optimize scipy.ndimage scipy.spatial scipy.stats scipy.linalg scipy.io h5py pandas tifffile "
-    "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read ct_inertia.ct2mass "
+    "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read_scan ct_inertia.ct2mass "
     "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
     "fitting.options kinematics.measure_motion kinematics.readers.assemble kinematics.readers.formats "
     "kinematics.tidy.ldv_csv kinematics.tidy.points_csv pipeline.study pipeline.report pipeline.figures "
@@ -27,7 +27,7 @@ def preload() -> None:
 
 
 def _scan(path: str, *_: str) -> None:
-    from ct_inertia.read import read_volume
+    from ct_inertia.read_scan import read_volume
     from ct_inertia.readers.companions import with_data_files
 
     with_data_files({"scan": Path(path)})
@@ -37,7 +37,7 @@ def _scan(path: str, *_: str) -> None:
 
 
 def _labels(path: str, *_: str) -> None:
-    from ct_inertia.read import read_labels
+    from ct_inertia.read_scan import read_labels
 
     read_labels(path, SPACING_MM)
 

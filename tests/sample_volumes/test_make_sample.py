@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from kinematics.tidy.ldv_csv import read_ldv
 from pipeline.study import read_study
 from sample_volumes.make_sample import main, reseeded, study_text

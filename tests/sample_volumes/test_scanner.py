@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from ct_inertia.surface.surface import Surface
 from sample_volumes import bodies
 from sample_volumes.density import graded_mass

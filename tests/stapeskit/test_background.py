@@ -11,7 +11,7 @@ import pytest
 from stapeskit.background import Later
 from stapeskit.faults import StapeskitError
 from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
-from stapeskit.vocabulary import as_keyword, named, using
+from stapeskit.option_names import as_keyword, named, using
 
 
 def test_options_are_named_as_the_caller_names_them():

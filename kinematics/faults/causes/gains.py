@@ -14,7 +14,7 @@ from kinematics.faults.nuisance import Marginal, Nuisance
 from kinematics.faults.packing import Factor, Packed
 from kinematics.faults.scatter import information_of, likeliest_size
 from kinematics.faults.state import IMAGINARY, REAL, State
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 Array = NDArray[np.float64]
 # Public grids: 50 Hz in most countries, 60 Hz in the Americas and parts of Asia (IEC 60038).

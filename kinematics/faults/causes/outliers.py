@@ -12,7 +12,7 @@ from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 
 Array = NDArray[np.float64]
 # Probability by which noise alone passes for an outlier: a few values of thousands, which cost nothing.

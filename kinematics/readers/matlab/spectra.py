@@ -36,7 +36,7 @@ from kinematics.readers.recording import Recording, Recordings, scaled, unknown_
 from kinematics.readers.unit_labels import MotionUnit
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 

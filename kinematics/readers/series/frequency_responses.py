@@ -28,7 +28,7 @@ from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
 # Share of a step that may lie within another one: times are rounded.

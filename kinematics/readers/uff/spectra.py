@@ -21,7 +21,7 @@ from kinematics.readers.uff.motion_functions import Motion, direction_label, poi
 from kinematics.readers.unit_labels import is_none
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
 # Datasets of nodes, coordinate systems and units.

@@ -25,7 +25,7 @@ from kinematics.readers.uff.motion_functions import (
 )
 from kinematics.readers.unit_labels import is_none, plain
 from stapeskit.faults import Fault, collecting, raise_all
-from stapeskit.vocabulary import named
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
 # Specific data type of the abscissa (dataset 58, record 8).

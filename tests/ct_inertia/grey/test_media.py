@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import away_from_others, neighbour_share, part_from_neighbours
-from ct_inertia.grey.soft import by_soft, taken_off, without_soft
+from ct_inertia.grey.soft_tissue import by_soft, taken_off, without_soft
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, plate, volume_of

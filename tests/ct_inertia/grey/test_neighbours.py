@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ct_inertia.grey.neighbours import part_from_neighbours
-from ct_inertia.segment.cutting import Cut
-from ct_inertia.segment.separate import flooded
+from ct_inertia.segment.extract_stapes import Cut
+from ct_inertia.segment.touching_bones import flooded
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf
 
 LENGTH, WALL, SIGMA = 0.7, 0.6, 0.043
 

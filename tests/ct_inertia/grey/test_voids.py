@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.voids import closed_voids, void_notices, without_filling
-from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
 

@@ -13,8 +13,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.labelling.label_numbers import body_numbers, without_islands
 from ct_inertia.options import MassOptions
-from ct_inertia.read import read_labels, read_volume
-from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.read_scan import read_labels, read_volume
+from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.volume.volume import Volume
 
 

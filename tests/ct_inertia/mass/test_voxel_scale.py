@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.ball import ball_diameter
+from ct_inertia.grey.ball_diameter import ball_diameter
 from ct_inertia.mass.mass_properties import (
     PointMass,
     footplate_mass_matrix,
@@ -18,7 +18,7 @@ from ct_inertia.mass.mass_properties import (
 from ct_inertia.mass.voxel_scale import SCANNER_SD, voxel_scale
 from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.grid_operations import gaussian
 from ct_inertia.volume.volume import Volume
 from stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import stapes

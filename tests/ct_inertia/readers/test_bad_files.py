@@ -9,7 +9,7 @@ import SimpleITK as sitk
 import tifffile
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from ct_inertia.readers.checks import check_size
 from ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import writers as f

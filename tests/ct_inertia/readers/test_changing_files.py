@@ -10,10 +10,10 @@ import pytest
 from ct_inertia.ct2mass import _check_inputs
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.native import compiled
-from ct_inertia.readers import mapping
-from ct_inertia.readers.mapping import lost_pages, mapped
+from ct_inertia.readers import memory_mapping
+from ct_inertia.readers.memory_mapping import lost_pages, mapped
 from stapeskit.faults import StapeskitError
-from stapeskit.unchanged import InputStates
+from stapeskit.input_changes import InputStates
 
 SHAPE = (64, 128, 128)
 
@@ -38,7 +38,7 @@ def test_a_map_that_loses_its_file_reads_zeros_and_counts_them(scan):
 
 
 def test_pieces_of_a_file_that_became_shorter_are_refused(scan, monkeypatch):
-    monkeypatch.setattr(mapping, "compiled", lambda: None)
+    monkeypatch.setattr(memory_mapping, "compiled", lambda: None)
     array = mapped(scan, np.dtype("<u2"), 0, SHAPE, scan.name)
     assert np.array_equal(array[3:9:2, 5, ::-7], np.fromfile(scan, "<u2").reshape(SHAPE)[3:9:2, 5, ::-7])
     os.truncate(scan, 1 << 16)
@@ -53,7 +53,7 @@ def test_maps_and_pieces_agree_with_planes_apart(tmp_path, monkeypatch):
     path.write_bytes(b"ab" + b"".join(plane.tobytes() + bytes(8) for plane in planes))
     step = planes[0].nbytes + 8
     for kernels in (compiled, lambda: None):
-        monkeypatch.setattr(mapping, "compiled", kernels)
+        monkeypatch.setattr(memory_mapping, "compiled", kernels)
         assert np.array_equal(mapped(path, planes.dtype, 2, planes.shape, "a", step), planes)
 
 
@@ -99,20 +99,20 @@ def test_a_disk_that_fails_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_scan_that_is_rewritten_while_it_is_measured_is_refused(tmp_path, monkeypatch):
-    import ct_inertia.read
+    import ct_inertia.read_scan
     from ct_inertia.ct2mass import ct2mass
     from ct_inertia.options import MassOptions
     from tests.ct_inertia.readers import writers as w
 
     path = w.nrrd(tmp_path / "a.nrrd", w.picture())
-    whole = ct_inertia.read.read_volume
+    whole = ct_inertia.read_scan.read_volume
 
     def read_and_rewrite(scan, *given, **more):
         volume = whole(scan, *given, **more)
         Path(scan).write_bytes(Path(scan).read_bytes() + b"0")
         return replace(volume)
 
-    monkeypatch.setattr(ct_inertia.read, "read_volume", read_and_rewrite)
+    monkeypatch.setattr(ct_inertia.read_scan, "read_volume", read_and_rewrite)
     with pytest.raises(CtInertiaError) as refused:
         ct2mass(MassOptions(scan=path, density=(1900.0, None)))
     assert refused.value.faults[0].got == "a file that changed"

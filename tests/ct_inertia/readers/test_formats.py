@@ -9,7 +9,7 @@ import pytest
 
 import ct_inertia.readers
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from ct_inertia.readers.companions import data_files, with_data_files
 from ct_inertia.readers.formats import FORMATS, RAW, Format, ReadOptions, format_of
 from ct_inertia.readers.raw_layout import RawLayout

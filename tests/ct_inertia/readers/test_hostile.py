@@ -15,10 +15,10 @@ import tifffile
 from PIL import Image
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.read import read_labels, read_volume
+from ct_inertia.read_scan import read_labels, read_volume
 from ct_inertia.readers import checks
+from ct_inertia.readers.decompression import CODECS, unpack
 from ct_inertia.readers.dicom_lengths import dicom_size
-from ct_inertia.readers.unpack import CODECS, unpack
 from tests.ct_inertia.readers import writers as w
 from tests.ct_inertia.readers.writers import picture
 

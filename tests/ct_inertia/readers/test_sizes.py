@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.read import read_volume
+from ct_inertia.read_scan import read_volume
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import picture
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work
-from ct_inertia.report.report_evidence import evidence_rows
+from ct_inertia.report.segmentation_sections import evidence_rows
 from ct_inertia.surface.surface import write_surface
 from stapeskit.page.quantities import MASS
 from tests.ct_inertia.shapes import stapes

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ct_inertia.segment.candidates import labelled_pieces
-from ct_inertia.segment.search import _takes_in
+from ct_inertia.segment.find_stapes import _takes_in
 
 SPACING = np.full(3, 0.05)
 

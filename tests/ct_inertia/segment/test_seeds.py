@@ -8,10 +8,10 @@ import pytest
 from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.read import read_volume
-from ct_inertia.segment.search import look
-from ct_inertia.segment.sight import SearchOptions
-from ct_inertia.volume.coarse import take_glance
+from ct_inertia.read_scan import read_volume
+from ct_inertia.segment.coarse_segmentation import SearchOptions
+from ct_inertia.segment.find_stapes import look
+from ct_inertia.volume.coarse_view import take_glance
 
 
 def own_voxels(sight):

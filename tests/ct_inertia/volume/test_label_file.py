@@ -7,7 +7,7 @@ import pytest
 import SimpleITK as sitk
 
 from ct_inertia.bodies import LabelledVolume
-from ct_inertia.read import read_labels
+from ct_inertia.read_scan import read_labels
 from ct_inertia.volume.label_file import packed_labels
 from ct_inertia.volume.volume import Volume
 

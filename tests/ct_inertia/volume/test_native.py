@@ -16,8 +16,7 @@ from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.isosurface import largest_part
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.graphs import graph_pieces, in_hull, solver
-from ct_inertia.volume.grids import (
+from ct_inertia.volume.grid_operations import (
     boxes_and_sizes,
     dilated,
     eroded,
@@ -28,7 +27,7 @@ from ct_inertia.volume.grids import (
     used_box,
     watershed,
 )
-from ct_inertia.volume.interior import interior
+from ct_inertia.volume.interior_histogram import interior
 from ct_inertia.volume.mask_statistics import (
     deviation,
     every_nth,
@@ -38,11 +37,12 @@ from ct_inertia.volume.mask_statistics import (
     places_between,
     sums,
 )
-from ct_inertia.volume.normal import normal_cdf, normal_quantile
+from ct_inertia.volume.mesh_graphs import graph_pieces, in_hull, solver
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
-from ct_inertia.volume.working import working_box
+from ct_inertia.volume.working_copy import working_box
 from hatch_build import system_compiler
-from stapeskit.native import SWITCH, built_library, library_name, load
+from stapeskit.compiled_kernels import SWITCH, built_library, library_name, load
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -1,0 +1,72 @@
+"""The surface of other bone near the stapes: what faces the rim of the footplate across the ligament."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import Wall
+from ct_inertia.grey.bone_level import Bone
+from ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, straightened
+from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.levels import Air
+from ct_inertia.grey.neighbours import Parted, neighbour_share
+from ct_inertia.segment.extract_stapes import Cut
+from ct_inertia.surface.contours import contoured
+from ct_inertia.volume.volume import Volume
+
+# Widths of the blur around other bone within which its own grey values are followed.
+_REACH_SIGMAS = 3.0
+
+
+def wall_of(
+    cut: Cut, parted: Parted, levels: tuple[Air, Bone], sigma_mm: float, grid: Volume, tail_sd: float
+) -> Wall | None:
+    """Return the surface of other bone in the box around the stapes; None where there is none.
+
+    Parameters
+    ----------
+    cut : Cut
+    parted : Parted
+        Which grey values are the stapes', and what blur carries between it and other bone.
+    levels : (air, bone)
+    sigma_mm : float
+        Standard deviation of the blur.
+    grid : Volume
+        What the box is a part of.
+    tail_sd : float
+        Standard deviation of what blur carries between close bodies, as a share of it.
+
+    Notes
+    -----
+    Other bone has a contrast of its own; its half level is where its surface stands. The stapes' tail is
+    taken off it as its tail was taken off the stapes, and the grid is that of `frame_surface`.
+    """
+    if not np.any(cut.others):
+        return None
+    air, bone = levels[0].level, levels[1].level
+    contrast = neighbour_share(cut, (air, bone))
+    share = share_of_bone(cut.grey, air, bone)
+    if parted.behind is not None:
+        share -= parted.behind
+    np.copyto(share, np.float32(0.0) if parted.foreign is None else parted.foreign, where=parted.own)
+    share[cut.plate] = 0.0
+    near = cut.others
+    for _ in range(int(np.ceil(_REACH_SIGMAS * sigma_mm / float(grid.spacing_mm.min())))):
+        near = spread(near)
+    share /= np.float32(contrast)
+    share[~near] = 0.0
+    part, transform, variance = coarse_share(share, cut.scan_from_box(grid))
+    points, faces = contoured(straightened(part), 0.0)
+    if len(faces) == 0:
+        return None
+    points = points @ transform[:3, :3].T + transform[:3, 3]
+    level_sd = 0.5 * float(np.hypot(levels[0].sd, levels[1].sd)) / (bone - air)
+    return Wall(points, faces, blur_on_grid(sigma_mm, transform, variance), level_sd, tail_sd)
+
+
+def share_of_bone(grey: NDArray[np.float32], air: float, bone: float) -> NDArray[np.float32]:
+    """Return grey values as the share of bone in each voxel, between the levels of air and bone."""
+    share = grey - np.float32(air)
+    share /= np.float32(bone - air)
+    return share
