@@ -23,10 +23,10 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.cohort.components import independent_parameters
 from pipeline.cohort.false_discovery import false_discovery
+from pipeline.cohort.independent_parameters import independent_parameters
 from pipeline.cohort.law import Profile, fit_law
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
 from tests.pipeline.cohort.simulated import cohort
 

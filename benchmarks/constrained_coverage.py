@@ -27,8 +27,8 @@ from benchmarks.ring_ears import PISTON, EarSettings, ear
 from fitting.errors import FittingError
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DOF, PAPER_MASS
-from fitting.kd import fit_kd
-from fitting.model.symmetric import entry_names, join
+from fitting.fit_kd import fit_kd
+from fitting.model.parameter_vector import entry_names, join
 from fitting.options import KDOptions
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion

@@ -30,13 +30,13 @@ from benchmarks.faults_gate import channels, judged
 from benchmarks.fitting_estimators import six_dof
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.model.inertia import inertia_of
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
 from kinematics.points2dof import Points2Dof, points2dof
-from kinematics.registration.lasers import LaserPriors
+from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import DOF_NAMES
 

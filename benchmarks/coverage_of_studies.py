@@ -26,7 +26,7 @@ ENTRIES = np.triu_indices(3)
 def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
     from ct_inertia.results import mass_of
-    from fitting.kd import fit_kd
+    from fitting.fit_kd import fit_kd
     from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
     from pipeline.study import read_study

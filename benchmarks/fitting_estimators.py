@@ -20,15 +20,15 @@ import numpy as np
 
 from fitting.estimators import estimator, ml
 from fitting.estimators.base import EstimatorOptions
+from fitting.estimators.multistart import improve
 from fitting.estimators.problem import Problem
-from fitting.estimators.starts import improve
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of
-from fitting.model.lines import Scale
 from fitting.model.observation import observe
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
+from fitting.model.scaled_lines import Scale
 from fitting.uncertainty.covariance import attenuation, invert, noise_covariance
 from fitting.uncertainty.identifiability import identifiability
 from stapeskit.records.mass_record import MassMatrix

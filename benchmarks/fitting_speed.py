@@ -25,10 +25,10 @@ from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of
-from fitting.model.lines import Lines, Scale, real_rows, regressor
 from fitting.model.model import state_matrix
 from fitting.model.observation import observe
-from fitting.model.symmetric import join, pairs, split
+from fitting.model.parameter_vector import join, pairs, split
+from fitting.model.scaled_lines import Lines, Scale, real_rows, regressor
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF
 OPTIONS = EstimatorOptions()

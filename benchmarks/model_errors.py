@@ -33,9 +33,9 @@ import numpy as np
 
 from fitting.budget import MODEL_ERROR
 from fitting.errors import FittingError
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
-from fitting.model.symmetric import entry_names, join, pairs
+from fitting.model.parameter_vector import entry_names, join, pairs
 from fitting.options import CORRECT, KDOptions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -35,8 +35,8 @@ from stapeskit.options import OptionTable, Rule, Values, excludes, needs, option
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
 
-# kg/m3, refused outside. Chosen by judgement: it holds every bone (published_sizes.py: 1300 to 2200) and no density
-# in a wrong unit, which is off by a factor of 1000.
+# kg/m3, refused outside. Chosen by judgement: it holds every bone (published_sizes.py: 1300 to 2200) and no
+# density in a wrong unit, which is off by a factor of 1000.
 PLAUSIBLE_DENSITY = (500.0, 4000.0)
 _MASS = "mass (at least one; measured mass leads, then calibration, then density)"
 _READING = "reading"

@@ -58,7 +58,7 @@ def dof2kd(
     --------
     >>> fit = dof2kd(motion, mass=mass, band=(400, 5000))  # doctest: +SKIP
     """
-    from fitting.chain import check_chain
+    from fitting.file_chain import check_chain
     from fitting.measure_kd import kd_of
     from fitting.model.mass_file import read_mass
     from fitting.options import KDOptions

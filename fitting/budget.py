@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fitting.damping_laws import LawFit
 from fitting.estimators.problem import Problem
-from fitting.laws import LawFit
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.model.lines import Lines
 from fitting.model.model import modes
+from fitting.model.parameter_vector import entry_names, join, matrix, split, vector
 from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
-from fitting.model.symmetric import entry_names, join, matrix, split, vector
+from fitting.model.scaled_lines import Lines
 from fitting.uncertainty.covariance import (
     ATTENUATION,
     NOISE,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fitting.chain import check_chain
 from fitting.errors import FittingError
 from fitting.export_formats import file_name, json_name
+from fitting.file_chain import check_chain
 from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions

@@ -10,19 +10,19 @@ import numpy as np
 
 from fitting.budget import Budget, Derived, derived_quantities
 from fitting.causes.diagnosis import Diagnosis
+from fitting.damping_laws import LawFit, alike
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
-from fitting.fluid import FluidChoice
-from fitting.inplane import InplaneChoice
-from fitting.laws import LawFit, alike
+from fitting.fluid_mass import FluidChoice
+from fitting.inplane_load import InplaneChoice
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
-from fitting.model.lines import Lines
 from fitting.model.model import Modes, passive
 from fitting.model.observation import Observation
-from fitting.model.symmetric import entry_names, join, split
+from fitting.model.parameter_vector import entry_names, join, split
+from fitting.model.scaled_lines import Lines
 from fitting.options import KDOptions
-from fitting.uncertainty.bands import FrequencyDependence
+from fitting.uncertainty.frequency_dependence import FrequencyDependence
 from fitting.uncertainty.identifiability import Identifiability
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

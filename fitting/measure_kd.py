@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from fitting.results import KDResult
@@ -52,7 +52,7 @@ def kd_of(
     Raises
     ------
     FittingError
-        What `fitting.kd.fit_kd` refuses.
+        What `fitting.fit_kd.fit_kd` refuses.
     """
     fit = fit_kd(motion, mass, options)
     fit = replace(fit, notices=unique([*chain, *fit.notices]))

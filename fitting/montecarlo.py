@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.kd_fit import KDFit
-from fitting.ligament.repetition import Repetitions
-from fitting.model.lines import Lines, motion_rows
+from fitting.ligament.simulated_repetitions import Repetitions
 from fitting.model.model import modes
-from fitting.model.symmetric import entry_names, split
+from fitting.model.parameter_vector import entry_names, split
+from fitting.model.scaled_lines import Lines, motion_rows
 from fitting.uncertainty.covariance import ATTENUATION, JOINED_FRAME
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page import page

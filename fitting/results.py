@@ -81,7 +81,7 @@ class KDResult(Result, KDFit):
         """Return one row a parameter: value, standard deviations and 95 % interval, SI."""
         import pandas as pd
 
-        from fitting.model.symmetric import join
+        from fitting.model.parameter_vector import join
 
         intervals = self.intervals
         return pd.DataFrame(

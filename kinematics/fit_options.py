@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from kinematics.errors import KinematicsError
 from kinematics.options import LdvOptions
 from kinematics.registration.geometry_model import GeometryPriors
-from kinematics.registration.lasers import LaserPriors
+from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.faults import Fault, raise_all
 from stapeskit.spatial import DOF_NAMES
 

@@ -110,7 +110,7 @@ def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
     KinematicsError
         What is wrong with the files, row by row, or a channel to be left out that they do not hold.
     """
-    from kinematics.leave_out import without_channels
+    from kinematics.exclude_channels import without_channels
     from kinematics.readers import read_measurement
     from kinematics.registration.fiducials import read_fiducials
     from kinematics.registration.surface_points import read_surface_points
@@ -159,10 +159,10 @@ def motion_of(
     Raises
     ------
     KinematicsError
-        What `kinematics.registration.align.tie` and `kinematics.points2dof.points2dof` refuse.
+        What `kinematics.registration.align_to_scan.tie` and `kinematics.points2dof.points2dof` refuse.
     """
     from kinematics.points2dof import points2dof
-    from kinematics.registration.align import tie
+    from kinematics.registration.align_to_scan import tie
     from kinematics.registration.scan_surfaces import ScanSurfaces
     from kinematics.results import MotionResult
     from stapeskit.results import extended

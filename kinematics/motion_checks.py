@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.across.lines import column_offset
+from kinematics.faults.mislabelled.exchanged_lines import column_offset
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.faults import Fault, raise_all
 from stapeskit.option_names import named

@@ -10,17 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.across.line_order import sorted_bodies
-from kinematics.faults.across.lines import exchanged_lines
-from kinematics.faults.across.phase import phase_notice
 from kinematics.faults.adaptation import Correction, correction_notices, shown
 from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.mislabelled.exchanged_lines import exchanged_lines
+from kinematics.faults.mislabelled.line_order import sorted_bodies
+from kinematics.faults.mislabelled.phase_convention import phase_notice
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import unseen_motions
 from kinematics.fit.frf_ratio import parse_reference, per_reference
 from kinematics.fit.neglected_motion import neglected_notice
 from kinematics.fit.reference_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
+from kinematics.fit_and_search import (
+    SearchedFits,
+    corrected_fits,
+    searched_again,
+    searched_fits,
+    with_lasers,
+)
 from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, far_away
@@ -28,19 +35,12 @@ from kinematics.prepared_measurement import PreparedMeasurement, prepared
 from kinematics.registration.calibrate import Calibration
 from kinematics.registration.correction_errors import with_corrections
 from kinematics.registration.handedness import check_axes
+from kinematics.registration.laser_errors import LaserErrors, Lasers
 from kinematics.registration.laser_notices import channels_at_fault, laser_notices
-from kinematics.registration.lasers import LaserErrors, Lasers
 from kinematics.registration.motion_errors import motion_errors
 from kinematics.registration.placement import Placement, place
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import with_gain_errors
-from kinematics.searched_fits import (
-    SearchedFits,
-    corrected_fits,
-    searched_again,
-    searched_fits,
-    with_lasers,
-)
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import STORED, RigidMotion
 from stapeskit.warnings import Notice, unique

@@ -8,6 +8,7 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.unit_slips import unit_slips
 from kinematics.fit.beams import BeamSet
+from kinematics.fit_and_search import beam_sets
 from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
 from kinematics.motion_checks import uncommon_lines
@@ -15,7 +16,6 @@ from kinematics.registration.calibrate import Calibration
 from kinematics.registration.calibrated_fit import calibrated
 from kinematics.registration.placement import Placement
 from kinematics.repeats.pooling import Pooled, pooled, separate
-from kinematics.searched_fits import beam_sets
 from stapeskit.faults import raise_all
 from stapeskit.warnings import Notice
 

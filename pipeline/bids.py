@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ct_inertia.readers.companions import data_files
-from pipeline.cohort.about import about_of
+from pipeline.cohort.ear_description import about_of
 from pipeline.errors import PipelineError
 from pipeline.participants import PARTICIPANTS, with_participants
 from pipeline.study import TABLES, Study, read_study

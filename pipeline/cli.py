@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
     from pipeline.results import StudyResult
-    from pipeline.several import CohortResult
+    from pipeline.several_studies import CohortResult
     from stapeskit.command import Outcome
     from stapeskit.option_parser import Given, Parser
 
@@ -100,7 +100,7 @@ def _several(given: Given) -> Outcome:
     from pathlib import Path
 
     from pipeline.cohort.cohort_laws import planned_law
-    from pipeline.several import CohortChoices, run_studies
+    from pipeline.several_studies import CohortChoices, run_studies
     from stapeskit.command import Outcome
 
     def tell(line: str) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 from pipeline.errors import PipelineError
 from pipeline.methods import methods
-from pipeline.records import StageReport
 from pipeline.report_summary import si_table, summary_block
+from pipeline.stage_records import StageReport
 from pipeline.study import Study
 from pipeline.verdict import verdict
 from pipeline.viewer.scene import viewer

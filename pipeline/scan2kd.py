@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pipeline.checks import check_inputs
 from pipeline.errors import PipelineError
 from pipeline.progress import Progress
-from pipeline.records import (
+from pipeline.results import StageRun, StudyResult
+from pipeline.stage_records import (
     FOLDER,
     StageRecord,
     StageReport,
@@ -19,9 +19,9 @@ from pipeline.records import (
     write_record,
     write_stage_report,
 )
-from pipeline.results import StageRun, StudyResult
 from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
 from pipeline.study import Study, read_study, words
+from pipeline.study_checks import check_inputs
 from pipeline.workspace import Workspace
 from stapeskit.faults import StapeskitError, worded
 from stapeskit.own_files import OutputSet, unfinished

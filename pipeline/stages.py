@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.records import StageReport
+from pipeline.stage_records import StageReport
 from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
 from stapeskit.faults import worded
@@ -201,7 +201,7 @@ def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write kd.json."""
-    from fitting.chain import check_chain
+    from fitting.file_chain import check_chain
     from fitting.measure_kd import kd_of
     from stapeskit.provenance import input_record, record
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.options import KDOptions
 from kinematics.points2dof import points2dof
 from kinematics.registration.fiducials import read_fiducials

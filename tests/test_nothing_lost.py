@@ -20,12 +20,12 @@ from fitting.options import KDFiles, KDOptions
 from kinematics.cli import work as points2dof
 from kinematics.options import LdvOptions, PointsFiles
 from pipeline.cli import work as scan2kd
-from pipeline.runners.child import run_child
+from pipeline.runners.child_process import run_child
 from pipeline.runners.process import End
-from pipeline.sample import FILES as SAMPLE
+from pipeline.sample_study import FILES as SAMPLE
 from pipeline.scan2kd import output_set
+from pipeline.stapeskit_command import work as stapeskit
 from pipeline.study import TABLES, read_study
-from pipeline.umbrella import work as stapeskit
 from stapeskit.faults import StapeskitError
 from stapeskit.option_values import toml
 from stapeskit.options import declared
@@ -163,7 +163,7 @@ def laid_out(inputs: Path, folder: Path, words: tuple[str, ...]) -> None:
 def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     undraw(monkeypatch)
-    monkeypatch.setattr("pipeline.several.runner_of", lambda _address: in_this_process)
+    monkeypatch.setattr("pipeline.several_studies.runner_of", lambda _address: in_this_process)
 
 
 def contents(folder: Path) -> dict[Path, bytes]:

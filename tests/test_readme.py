@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from fitting.plan.plan_example import PLAN_EXAMPLE
-from pipeline.sample import FILES, copy_sample
-from pipeline.umbrella import COMMANDS
+from pipeline.sample_study import FILES, copy_sample
+from pipeline.stapeskit_command import COMMANDS
 from sample_volumes.make_sample import make_study
 from sample_volumes.phantom import Ear
 from sample_volumes.vibrometer import Vibrometry

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 from ct_inertia.report.drawn_body import Body
 from ct_inertia.report.pictures import Scene, render_scenes
 from ct_inertia.surface.surface import read_surface
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.report.responses import responses
 from stapeskit.frames import RigidTransform
 from stapeskit.page.numbers import plus_minus

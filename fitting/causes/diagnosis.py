@@ -4,7 +4,7 @@ it.
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
 misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the
 criterion of Schwarz (1978), doi:10.1214/aos/1176344136, what noise alone makes where the cause changes the
-equations much (fitting.causes.chance), and what a size beyond the usual one costs; causes
+equations much (fitting.causes.chi2_differences), and what a size beyond the usual one costs; causes
 whose refits are nearly as good are its look-alikes. A cause that can have one size only is no unknown: chi2
 must fall by twice the logarithm of how rare it is.
 """
@@ -21,10 +21,10 @@ from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, term_of
 from fitting.causes.model_error import off_unexplained
 from fitting.causes.refits import Refit, of_use, rarity, refit_with
-from fitting.causes.scores import Scores, scores
+from fitting.causes.score_tests import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.model.symmetric import pairs
+from fitting.model.parameter_vector import pairs
 from stapeskit.arrays import Array
 
 # Probability of a score below which a cause that may be far from first order is refitted to be sure: one

@@ -14,7 +14,7 @@ import numpy as np
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from stapeskit.arrays import Array
 
 # Parts of the lines, in their order, whose residuals are taken as alike: twenty lines in each of a hundred.

@@ -9,9 +9,9 @@ import numpy as np
 
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, places_of
-from fitting.causes.chance import difference_sd, measured_operator
+from fitting.causes.chi2_differences import difference_sd, measured_operator
 from fitting.causes.model_error import off_by_cause
-from fitting.causes.scores import Scores
+from fitting.causes.score_tests import Scores
 from fitting.ligament.equations import Term
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.joint_fit import JointFit
@@ -52,7 +52,7 @@ class Refit:
     chi2 : float
         With the noise as stated.
     fall_sd : float
-        Standard deviation of the fall where noise alone makes it (fitting.causes.chance).
+        Standard deviation of the fall where noise alone makes it (fitting.causes.chi2_differences).
     fixed : float
         Of the unknowns those that were chosen, not estimated: they count for a name, not for a weight.
     """

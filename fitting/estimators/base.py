@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fitting.model.lines import Lines, State
+from fitting.model.scaled_lines import Lines, State
 from stapeskit.arrays import Array, ComplexArray
 
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.

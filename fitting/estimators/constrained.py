@@ -20,12 +20,12 @@ import numpy as np
 
 from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, Method, fixed_precision
-from fitting.estimators.interior import active_names, inside, pull_inside
 from fitting.estimators.semidefinite import nearest
+from fitting.estimators.semidefinite_roots import active_names, inside, pull_inside
 from fitting.estimators.stability import best_stable, height, stable_start
-from fitting.model.lines import Lines, real_rows, regressor
 from fitting.model.model import state_matrix
-from fitting.model.symmetric import entry_names, pairs, split
+from fitting.model.parameter_vector import entry_names, pairs, split
+from fitting.model.scaled_lines import Lines, real_rows, regressor
 from stapeskit.arrays import Array
 
 # Relative gap of primal and dual objective at which the optimum is certified: far below any sd.

@@ -16,9 +16,9 @@ from fitting.estimators.base import (
     times,
     transposed_times,
 )
-from fitting.estimators.expansion import EQUAL, MEASURED, expanded
-from fitting.estimators.interior import inside, pull_inside, shortest_distance
-from fitting.model.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
+from fitting.estimators.likelihood_kernel import EQUAL, MEASURED, expanded
+from fitting.estimators.semidefinite_roots import inside, pull_inside, shortest_distance
+from fitting.model.scaled_lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 from stapeskit.arrays import Array
 
 # A fit that needs more is reported as not converged.

@@ -24,9 +24,18 @@ from fitting.estimators.base import (
     solve_symmetric,
     transposed_times,
 )
-from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
-from fitting.estimators.interior import active_names, inside, minimise
-from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
+from fitting.estimators.likelihood_kernel import CORRECTED, DISTANCES, Expansion, expanded
+from fitting.estimators.semidefinite_roots import active_names, inside, minimise
+from fitting.model.scaled_lines import (
+    Lines,
+    State,
+    backward,
+    cholesky,
+    evaluate,
+    forward,
+    real_rows,
+    regressor,
+)
 from stapeskit.arrays import Array, ComplexArray
 
 # A fit that needs more is reported as not converged.

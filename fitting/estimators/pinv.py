@@ -15,7 +15,7 @@ from fitting.estimators.base import (
     least_squares,
     times,
 )
-from fitting.model.lines import Lines, evaluate, real_rows, regressor
+from fitting.model.scaled_lines import Lines, evaluate, real_rows, regressor
 from stapeskit.arrays import Array
 
 

@@ -10,8 +10,8 @@ from fitting.estimators import estimator
 from fitting.estimators.base import Estimate, EstimatorOptions, Method
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import Inertia
-from fitting.model.lines import Lines, Scale, assemble
 from fitting.model.observation import Observation
+from fitting.model.scaled_lines import Lines, Scale, assemble
 from stapeskit.arrays import Array, ComplexArray
 
 

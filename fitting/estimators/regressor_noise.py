@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from fitting.estimators import ml
-from fitting.model.lines import Lines, backward, forward
-from fitting.model.symmetric import basis
+from fitting.model.parameter_vector import basis
+from fitting.model.scaled_lines import Lines, backward, forward
 from stapeskit.arrays import Array, ComplexArray
 
 # Share of the Hessian that must be information for first order to mean anything.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.model.symmetric import basis, split
+from fitting.model.parameter_vector import basis, split
 from stapeskit.arrays import Array
 
 # A fit that needs more steps is reported as not converged.

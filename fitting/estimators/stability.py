@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 
 from fitting.errors import FittingError
-from fitting.estimators.interior import descent
+from fitting.estimators.semidefinite_roots import descent
 from fitting.model.model import state_matrix
-from fitting.model.symmetric import basis, split
+from fitting.model.parameter_vector import basis, split
 from stapeskit.arrays import Array
 
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.

@@ -14,10 +14,10 @@ from fitting.examples import paper
 from fitting.examples.beam import Beam, deviations_percent
 from fitting.examples.page_command import write_page
 from fitting.examples.paper_figures import simulated_figure
+from fitting.model.annular_ligament import ellipse_mm, ring_test
 from fitting.model.model import NORMALISATION, Modes, modes, passive
+from fitting.model.parameter_vector import entry_units
 from fitting.model.principal_axes import principal_axes
-from fitting.model.ring import ellipse_mm, ring_test
-from fitting.model.symmetric import entry_units
 from fitting.report.figures import principal_figure
 from fitting.report.mode_shapes import shape_figure
 from stapeskit.page import page

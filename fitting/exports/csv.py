@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fitting.kd_fit import KDFit
-from fitting.model.symmetric import entry_units, join, pairs
+from fitting.model.parameter_vector import entry_units, join, pairs
 
 
 def content(fit: KDFit) -> bytes:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fitting.kd_fit import KDFit
-from fitting.model.symmetric import join, pairs, vector
+from fitting.model.parameter_vector import join, pairs, vector
 from stapeskit.arrays import Array
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.prior import Prior
 from fitting.model.damping import DampingLaw
-from fitting.model.symmetric import split
+from fitting.model.parameter_vector import split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

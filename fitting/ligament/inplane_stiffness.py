@@ -15,8 +15,8 @@ from fitting.ligament.joint_fit import JointFit, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.prior import Prior
 from fitting.model.damping import DampingLaw
+from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from fitting.model.symmetric import join, pairs, split
 from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]

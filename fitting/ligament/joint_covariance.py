@@ -22,7 +22,7 @@ from fitting.ligament.equations import (
 )
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.joint_lines import DOFS, JointLines
-from fitting.model.symmetric import basis, split
+from fitting.model.parameter_vector import basis, split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

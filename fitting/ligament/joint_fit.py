@@ -28,8 +28,8 @@ from fitting.ligament.equations import (
     turned,
 )
 from fitting.ligament.joint_lines import DOFS, JointLines
-from fitting.model.lines import regressor
-from fitting.model.symmetric import split
+from fitting.model.parameter_vector import split
+from fitting.model.scaled_lines import regressor
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

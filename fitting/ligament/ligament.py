@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
-from fitting.ligament.held_fit import fit_held
 from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semidefinite
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint, same_valley
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
 from fitting.ligament.misfit import descend, explained, explained_below, fit_any, fit_with_noise
 from fitting.ligament.prior import Prior, coupling_prior
+from fitting.ligament.semidefinite_joint_fit import fit_held
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
 from stapeskit.spatial import DOF_NAMES

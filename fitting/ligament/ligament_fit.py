@@ -22,8 +22,8 @@ from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.joint_lines import JointLines
 from fitting.model.damping import DampingLaw
+from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from fitting.model.symmetric import join, pairs, split
 from fitting.uncertainty.covariance import NOISE, SharedEffect
 
 Array = NDArray[np.float64]

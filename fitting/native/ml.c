@@ -2,7 +2,7 @@
  *
  * For every line: Z = K + s D, e = Z dq - f, G = Spp Z^H - Spf, Ce = Z G - (Z Spf)^H + Sff = L L^H,
  * distance = |L^-1 e|^2, corrected motion dq - G Ce^-1 e, J = L^-1 d(Z dq)/dp at the corrected motion;
- * H = sum w Re(J^H J), g = sum w Re(J^H L^-1 e)  (fitting/model/lines.py, fitting/estimators/ml.py).
+ * H = sum w Re(J^H J), g = sum w Re(J^H L^-1 e)  (fitting/model/scaled_lines.py, fitting/estimators/ml.py).
  * The columns of J that belong to D are s times those of K, so that only the latter are formed.
  * Lines are taken WIDE at a time; arrays are complex, rows of `count` lines, as numpy keeps them.
  */

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.model.symmetric import entry_names
+from fitting.model.parameter_vector import entry_names
 from fitting.plan.plan import Expectation, Option, summary_rows
 from fitting.report.sections import source_words
 from stapeskit.page import page

@@ -9,7 +9,7 @@ import numpy as np
 from fitting.causes.catalogue import CAUSES, title_of, unit_of
 from fitting.causes.diagnosis import Diagnosis, largest_effect, relative_effect
 from fitting.kd_fit import KDFit
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus

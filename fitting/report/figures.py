@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting.report.responses import Responses
-from fitting.uncertainty.bands import FrequencyDependence
+from fitting.uncertainty.frequency_dependence import FrequencyDependence
 from stapeskit.arrays import Array
 from stapeskit.page.drawings import amplitude_axis
 from stapeskit.page.page import new_figure

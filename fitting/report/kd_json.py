@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fitting.kd_fit import KDFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.model.model import NORMALISATION
-from fitting.model.symmetric import split
+from fitting.model.parameter_vector import split
 from fitting.report.causes import causes_json
 
 SCHEMA = "stapeskit.kd/1"

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.damping_laws import LawFit
 from fitting.kd_fit import KDFit
-from fitting.laws import LawFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.model.symmetric import join, split
+from fitting.model.parameter_vector import join, split
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section

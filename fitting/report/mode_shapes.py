@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.model.annular_ligament import ellipse_mm
 from fitting.model.model import Modes
-from fitting.model.ring import ellipse_mm
 from stapeskit.arrays import Array
 from stapeskit.page.page import new_figure
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fitting.estimators import ml
 from fitting.kd_fit import KDFit
 from fitting.model.model import dynamic_stiffness, simulate
-from fitting.model.symmetric import basis, split
+from fitting.model.parameter_vector import basis, split
 from stapeskit.arrays import Array, ComplexArray
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fitting.model.annular_ligament import RingTest, Value, ring_test
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from fitting.model.ring import RingTest, Value, ring_test
 from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus

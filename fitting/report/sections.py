@@ -11,7 +11,7 @@ from fitting.budget import MODEL_ERROR
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.causality import causal_rise
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from fitting.report.causes import causes_section
 from fitting.report.figures import (
     correlation_figure,
@@ -25,8 +25,8 @@ from fitting.report.ligament_section import ligament_section
 from fitting.report.modes_section import modes_section
 from fitting.report.responses import responses
 from fitting.report.ring_section import ring_of, ring_parts
-from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.covariance import ATTENUATION, NOISE
+from fitting.uncertainty.frequency_dependence import FrequencyDependence
 from stapeskit.arrays import Array
 from stapeskit.option_values import WithSd
 from stapeskit.page import page

@@ -16,8 +16,8 @@ from fitting.estimators import ml
 from fitting.estimators.base import Estimate, solve_symmetric
 from fitting.estimators.problem import Problem
 from fitting.estimators.regressor_noise import information, regressor_noise
-from fitting.model.lines import Lines, evaluate
-from fitting.model.symmetric import basis
+from fitting.model.parameter_vector import basis
+from fitting.model.scaled_lines import Lines, evaluate
 from fitting.uncertainty.sensitivity import contract, slope_by_motion
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fitting.estimators.base import gram
-from fitting.model.lines import Lines, real_rows, regressor
-from fitting.model.symmetric import entry_names, pairs, split
+from fitting.model.parameter_vector import entry_names, pairs, split
+from fitting.model.scaled_lines import Lines, real_rows, regressor
 from fitting.uncertainty.covariance import chi2, degrees, invert, known_and_spread
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice

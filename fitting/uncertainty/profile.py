@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric
-from fitting.model.lines import Lines
-from fitting.model.symmetric import pairs
+from fitting.model.parameter_vector import pairs
+from fitting.model.scaled_lines import Lines
 from fitting.uncertainty.covariance import degrees, invert, known_and_spread
 from stapeskit.arrays import Array
 

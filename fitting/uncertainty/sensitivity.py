@@ -15,8 +15,8 @@ import numpy as np
 
 from fitting.estimators import ml
 from fitting.estimators.problem import Problem
-from fitting.model.lines import Lines, evaluate, motion_rows, regressor
-from fitting.model.symmetric import split
+from fitting.model.parameter_vector import split
+from fitting.model.scaled_lines import Lines, evaluate, motion_rows, regressor
 from stapeskit.arrays import Array, ComplexArray
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from fitting.estimators import ml
 from fitting.estimators.base import solve_symmetric
 from fitting.estimators.problem import Problem
-from fitting.model.lines import Lines, forward, real_rows
-from fitting.uncertainty.bands import common_errors
+from fitting.model.scaled_lines import Lines, forward, real_rows
+from fitting.uncertainty.frequency_dependence import common_errors
 from stapeskit.arrays import Array
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
-from kinematics.faults.describe import channel_list, describe
 from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.finding_text import channel_list, describe
 from kinematics.faults.findings import Finding
 from kinematics.fit.beams import observability
 from kinematics.fit.rigid_fit import LineFit

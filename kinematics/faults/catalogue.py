@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults import sentences
-from kinematics.faults.packing import Assumed, Packed
-from kinematics.faults.state import (
+from kinematics.faults.packed_readings import Assumed, Packed
+from kinematics.faults.score_information import (
     AXES,
     DELAY,
     DRIFT,

@@ -14,16 +14,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.equal_noise import equalise_noise
+from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, adapted, can_lose, corrected, joined
-from kinematics.faults.flexible import Structure, no_structure
+from kinematics.faults.flexible_body import Structure, no_structure
 from kinematics.faults.masking import masking_pairs
-from kinematics.faults.nuisance import Nuisance
-from kinematics.faults.packing import Assumed, Packed, Source, initial
+from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
-from kinematics.faults.scatter import information_of, likeliest_size
+from kinematics.faults.score_information import SHIFTS
 from kinematics.faults.search import FALSE_ALARM, Search
-from kinematics.faults.state import SHIFTS
+from kinematics.faults.uncertain_positions import Nuisance
+from kinematics.faults.variance_components import information_of, likeliest_size
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refitted

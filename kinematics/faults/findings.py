@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
-from kinematics.faults.packing import Packed
+from kinematics.faults.packed_readings import Packed
 from kinematics.faults.refit import FaultFit
 
 ComplexArray = NDArray[np.complex128]

@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.equal_noise import NOISY
+from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding
-from kinematics.faults.noise import own_noise
-from kinematics.faults.state import State
+from kinematics.faults.noise_size import own_noise
+from kinematics.faults.score_information import State
 
 Array = NDArray[np.float64]
 # Share of the alarm probability that the tests of noise have.

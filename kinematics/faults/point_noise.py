@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.noise import ChannelNoise
-from kinematics.faults.packing import Packed
-from kinematics.faults.state import State
+from kinematics.faults.noise_size import ChannelNoise
+from kinematics.faults.packed_readings import Packed
+from kinematics.faults.score_information import State
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

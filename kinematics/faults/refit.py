@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
-from kinematics.faults.nuisance import Marginal, Nuisance, settled
-from kinematics.faults.packing import Packed, Source, packed
-from kinematics.faults.state import Model, State, model_of
+from kinematics.faults.packed_readings import Packed, Source, packed
+from kinematics.faults.score_information import Model, State, model_of
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

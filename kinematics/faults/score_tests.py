@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
-from kinematics.faults.nuisance import Marginal
-from kinematics.faults.state import AXES, State
+from kinematics.faults.score_information import AXES, State
+from kinematics.faults.uncertain_positions import Marginal
 
 Array = NDArray[np.float64]
 # Fewer groups of lines than this show no change from line to line.

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
-from kinematics.faults.bounds import Bounds
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.flexible import Structure, structure_of
-from kinematics.faults.lasers import lasers_of
+from kinematics.faults.flexible_body import Structure, structure_of
 from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
-from kinematics.faults.noise import LEAST_SAMPLES, channel_noise, common_level
-from kinematics.faults.nuisance import Marginal, Nuisance, settled
-from kinematics.faults.packing import Packed
+from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, common_level
+from kinematics.faults.objective_bounds import Bounds
+from kinematics.faults.packed_readings import Packed
+from kinematics.faults.parallel_beams import lasers_of
 from kinematics.faults.point_noise import point_covariance, scaled
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
+from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import Tested, score_tests
-from kinematics.faults.state import State, model_of
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
 
 Array = NDArray[np.float64]
 # Share of clean files that may raise an alarm.

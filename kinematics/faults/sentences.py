@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.state import across
+from kinematics.faults.score_information import across
 from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.describe import channel_list, describe
 from kinematics.faults.diagnose import Diagnosis, Finding
+from kinematics.faults.finding_text import channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice

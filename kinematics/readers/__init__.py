@@ -51,7 +51,7 @@ def read_measurement(
     KinematicsError
         What is wrong with the files; the faults of all of them together.
     """
-    from kinematics.readers.assemble import assemble
+    from kinematics.readers.assemble_measurement import assemble
     from kinematics.readers.formats import TIDY, format_of
     from kinematics.tidy.ldv_csv import read_ldv
 

@@ -14,11 +14,11 @@ from importlib import import_module
 from pathlib import Path
 
 from kinematics.errors import KinematicsError
-from kinematics.readers import vendor
+from kinematics.readers import proprietary_formats
 from kinematics.readers.input_options import InputOptions
-from kinematics.readers.psv.blocks import decoded
 from kinematics.readers.psv.fastscan import looks_like_fastscan
 from kinematics.readers.psv.per_point import looks_like_points
+from kinematics.readers.psv.text_blocks import decoded
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff.datasets import looks_like_uff, plain_content
@@ -115,8 +115,11 @@ def _has_time(head: Head) -> bool:
 FORMATS = (
     Format(
         "vendor",
-        "kinematics.readers.vendor",
-        holds=lambda head: head.suffix in vendor.SUFFIXES or head.content.startswith(vendor.COMPOUND),
+        "kinematics.readers.proprietary_formats",
+        holds=lambda head: (
+            head.suffix in proprietary_formats.SUFFIXES
+            or head.content.startswith(proprietary_formats.COMPOUND)
+        ),
         in_folders=True,
     ),
     Format(
@@ -214,8 +217,8 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     known = f"{', '.join(first)} or {last}"
     by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
     if head.content.startswith(_ZIP):
-        if head.suffix in vendor.WORKBOOKS:
-            vendor.refuse_workbook(path)
+        if head.suffix in proprietary_formats.WORKBOOKS:
+            proprietary_formats.refuse_workbook(path)
         step = "Unpack it, and give the files or folders in it"
         raise KinematicsError.of("the vibrometer file", known, "a ZIP archive", path.name, step)
     if not head.content and [entry.name for entry in by_name] != [TIDY]:

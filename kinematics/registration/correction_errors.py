@@ -11,7 +11,7 @@ from kinematics.faults.adaptation import Correction
 from kinematics.faults.catalogue import Fault
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
-from kinematics.registration.lasers import channel_part
+from kinematics.registration.laser_errors import channel_part
 from kinematics.registration.shared_errors import fit_derivatives
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion, SharedErrors

@@ -8,8 +8,8 @@ import numpy as np
 
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.measurement import direction_name
+from kinematics.registration.laser_errors import LaserErrors
 from kinematics.registration.laser_estimate import UNLIKELY
-from kinematics.registration.lasers import LaserErrors
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 

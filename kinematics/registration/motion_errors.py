@@ -10,7 +10,7 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.registration.calibrate import Calibration
 from kinematics.registration.calibrated_fit import calibration_errors
-from kinematics.registration.lasers import LaserErrors
+from kinematics.registration.laser_errors import LaserErrors
 from kinematics.registration.placement import Placement
 from kinematics.registration.shared_errors import pose_derivatives, position_errors
 from stapeskit.records.motion import SharedErrors

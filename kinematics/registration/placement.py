@@ -44,7 +44,7 @@ class Placement:
         The fit of the fiducials or of points on a surface, when there are any.
     notices : tuple of Notice
     checks : tuple of SurfaceCheck
-        Measured points against the surfaces of the scan (kinematics.registration.sample_moved).
+        Measured points against the surfaces of the scan (kinematics.registration.sample_displacement).
     """
 
     transform: RigidTransform

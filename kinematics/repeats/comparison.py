@@ -10,6 +10,7 @@ import numpy as np
 
 from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
+from kinematics.repeats.repeat_shapes import Shapes
 from kinematics.repeats.repeat_tests import (
     SHAPE,
     RepeatTest,
@@ -18,7 +19,6 @@ from kinematics.repeats.repeat_tests import (
     scatter_test,
     shape_tests,
 )
-from kinematics.repeats.take_shapes import Shapes
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

@@ -10,10 +10,10 @@ import numpy as np
 from kinematics.calibrated import calibrated
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.repeats.comparison import ALARM, RunRepeats, compare
-from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
+from kinematics.repeats.noise_degrees_of_freedom import inverse_moments, stated_freedom
+from kinematics.repeats.repeat_shapes import Shapes, Stack, shapes_of
 from kinematics.repeats.repeat_shift import frequency_shifts
 from kinematics.repeats.scatter_noise import scatter_noise
-from kinematics.repeats.take_shapes import Shapes, Stack, shapes_of
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.warnings import Notice

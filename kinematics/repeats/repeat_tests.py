@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
 from kinematics.repeats.contrast_sums import ContrastSums, Outliers, contrasts, energy_of
-from kinematics.repeats.take_shapes import Shapes
+from kinematics.repeats.repeat_shapes import Shapes
 from stapeskit.arrays import Array
 
 SHAPE = ("shape_trend", "shape_level", "shape_outlier")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.repeats.take_shapes import Shapes
+from kinematics.repeats.repeat_shapes import Shapes
 from stapeskit.arrays import Array
 
 # Degrees of freedom to which neighbouring lines are added up (the sd is known to 7 % then), and the fewest

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
     from kinematics.registration.calibrate import Calibration
-    from kinematics.registration.lasers import LaserErrors
+    from kinematics.registration.laser_errors import LaserErrors
     from kinematics.registration.surface_check import SurfaceCheck
     from stapeskit.page.page import Section
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.cohort.about import about_of
 from pipeline.cohort.cohort_laws import CohortLaws
+from pipeline.cohort.ear_description import about_of
 from stapeskit.results import Result, extended
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def cohort(
     >>> ears.law("K11", "mass").law.interval  # doctest: +SKIP
     """
     from pipeline.cohort.cohort_laws import PRIMARY, cohort_laws, planned_law
-    from pipeline.cohort.ears import Ear, read_ear
+    from pipeline.cohort.compare_ears import Ear, read_ear
     from pipeline.errors import PipelineError
     from stapeskit.faults import Fault, StapeskitError, raise_all
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.cohort.compare_ears import Ear, labels
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
-from pipeline.cohort.components import Components, independent_parameters
 from pipeline.cohort.covariates import covariates_of, stated
-from pipeline.cohort.ears import Ear, labels
 from pipeline.cohort.false_discovery import false_discovery
+from pipeline.cohort.independent_parameters import Components, independent_parameters
 from pipeline.cohort.law import Law, fit_law
+from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.log_table import LogTable, log_table
 from pipeline.cohort.mass_content import mass_content
-from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import LeftOut, Prediction, Predictor, left_out
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all

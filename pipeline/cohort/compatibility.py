@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.compare_ears import Ear
 from stapeskit.faults import Fault
 
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}

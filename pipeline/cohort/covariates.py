@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.compare_ears import Ear
 from pipeline.errors import PipelineError
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all

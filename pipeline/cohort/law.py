@@ -7,10 +7,10 @@ from math import inf
 
 import numpy as np
 
+from pipeline.cohort.intrinsic_scatter import scatter_interval
 from pipeline.cohort.likelihood import HIGHEST, LOWEST, RestrictedLikelihood
+from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.minimise import Minimum, minimise
-from pipeline.cohort.pairs import LogPairs
-from pipeline.cohort.scatter import scatter_interval
 from stapeskit.arrays import Array
 
 # A side of an interval that is not closed within so many widenings of 1.7 is called unbounded: the widest is

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
-from pipeline.cohort.components import Components
 from pipeline.cohort.covariates import stated
+from pipeline.cohort.independent_parameters import Components
 from pipeline.cohort.law_labels import SHOWN, label, law_name, response_unit
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
 from stapeskit.page import page
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pipeline.cohort.cohort_laws import CohortLaw
-from pipeline.cohort.ears import Ear, damping_exponent
+from pipeline.cohort.compare_ears import Ear, damping_exponent
 from stapeskit.page.quantities import (
     AREA,
     INERTIA,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
-from pipeline.cohort.ears import labels
+from pipeline.cohort.compare_ears import labels
 from pipeline.cohort.law_figures import (
     components_figure,
     exponents_figure,

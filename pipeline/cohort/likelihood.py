@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 from stapeskit.arrays import Array
 
 # Natural logarithms of scatter are kept within these: e^-9 is far below, e^2 far above what ears can show.

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.cohort.compare_ears import SHARED_SOURCES, Ear, source_id
 from pipeline.cohort.covariates import Covariates
-from pipeline.cohort.ears import SHARED_SOURCES, Ear, source_id
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
+from pipeline.cohort.compare_ears import Ear, Quantity, damping_exponent, labels, quantities
 from pipeline.cohort.covariates import stated
-from pipeline.cohort.ears import Ear, Quantity, damping_exponent, labels, quantities
 from pipeline.cohort.law_page import MOST_AS_PATHS, law_sections
 from stapeskit.page import page
 from stapeskit.page.drawings import plain

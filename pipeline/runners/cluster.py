@@ -152,7 +152,7 @@ def _refusal(order: _Order) -> str:
 
 def _versions() -> dict[str, str]:
     """Return the versions of code and packages on which numbers depend."""
-    from pipeline.records import code_hash
+    from pipeline.stage_records import code_hash
     from stapeskit.provenance import versions
 
     return {**versions(), "the code of stapeskit": code_hash(_ROOMS)}

@@ -44,7 +44,7 @@ class Task:
     study: Path
     folder: Path
     force: bool = False
-    program: str = "pipeline.runners.child"
+    program: str = "pipeline.runners.child_process"
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.examples.experiment import driven_base, simulated_motion
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.options import KDOptions
 from fitting.uncertainty.covariance import NOISE

@@ -14,7 +14,7 @@ import pytest
 from fitting.cli import work
 from fitting.dof2kd import dof2kd
 from fitting.errors import FittingError
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.measure_kd import footplate_outline
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fitting.errors import FittingError
-from fitting.kd import fit_kd
-from fitting.model.ranges import check_result
+from fitting.fit_kd import fit_kd
+from fitting.model.range_checks import check_result
 from fitting.options import KDOptions
 from stapeskit.faults import StapeskitError
 from stapeskit.spatial import DOF_NAMES
@@ -171,7 +171,7 @@ def test_equations_without_a_finite_solution_are_told(monkeypatch) -> None:
     def never(*_given: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("fitting.kd.choose", never)
+    monkeypatch.setattr("fitting.fit_kd.choose", never)
     with pytest.raises(FittingError, match="got equations without a finite solution"):
         fit_kd(paper_motion(), M)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.kd import KDFit, fit_kd
+from fitting.fit_kd import KDFit, fit_kd
 from fitting.options import KDOptions
 from stapeskit.records.motion import RigidMotion
 

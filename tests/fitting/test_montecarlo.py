@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fitting.cli import work
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from stapeskit.faults import StapeskitError

@@ -34,7 +34,7 @@ def prepare() -> None:
 @cache
 def sound() -> dict[str, bytes]:
     """Make the records of a finished stage and of a command."""
-    from pipeline.records import StageRecord, StageReport, write_record, write_stage_report
+    from pipeline.stage_records import StageRecord, StageReport, write_record, write_stage_report
     from stapeskit.own_files import OutputSet
     from stapeskit.page import page
     from stapeskit.warnings import Notice

@@ -10,10 +10,10 @@ PRELOADED = (
     "numpy scipy.optimize scipy.ndimage scipy.spatial scipy.stats scipy.linalg scipy.io h5py pandas tifffile "
     "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read_scan ct_inertia.ct2mass "
     "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
-    "fitting.options kinematics.measure_motion kinematics.readers.assemble kinematics.readers.formats "
-    "kinematics.tidy.ldv_csv kinematics.tidy.points_csv pipeline.study pipeline.report pipeline.figures "
-    "matplotlib.figure matplotlib.backends.backend_pdf kinematics.registration.scan_surfaces "
-    "stapeskit.records.mass_record stapeskit.records.motion_files"
+    "fitting.options kinematics.measure_motion kinematics.readers.assemble_measurement "
+    "kinematics.readers.formats kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
+    "pipeline.study pipeline.report pipeline.figures matplotlib.figure matplotlib.backends.backend_pdf "
+    "kinematics.registration.scan_surfaces stapeskit.records.mass_record stapeskit.records.motion_files"
 )
 """Imported once, before the process that reads is forked."""
 
@@ -105,7 +105,7 @@ def _surface(path: str, *_: str) -> None:
 
 def _own(stage: str) -> None:
     """Read what the program keeps beside outputs."""
-    from pipeline.records import read_record, read_stage_report, stage_report_name
+    from pipeline.stage_records import read_record, read_stage_report, stage_report_name
     from stapeskit.own_files import OutputSet, unfinished
 
     folder = Path()
@@ -156,5 +156,5 @@ TARGETS: dict[str, Callable[..., None]] = {
     "points2dof": _command("kinematics.cli"),
     "dof2kd": _command("fitting.cli"),
     "scan2kd": _command("pipeline.cli"),
-    "stapeskit": _command("pipeline.umbrella"),
+    "stapeskit": _command("pipeline.stapeskit_command"),
 }

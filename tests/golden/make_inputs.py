@@ -167,7 +167,7 @@ def _labels(grey: np.ndarray) -> np.ndarray:
 def _surfaces(folder: Path) -> None:
     """A folder of ct2mass with points on the plate and the bone, as tests/kinematics has them."""
     from tests.kinematics.registration import test_geometry_command as command
-    from tests.kinematics.registration.test_moved import write_scan
+    from tests.kinematics.registration.test_sample_displacement import write_scan
 
     made = folder / "surfaces"
     made.mkdir()

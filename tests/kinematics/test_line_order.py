@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.across.line_order import rate_ratio, sorted_bodies, text_orders
+from kinematics.faults.mislabelled.line_order import rate_ratio, sorted_bodies, text_orders
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from tests.kinematics.ligament import study
-from tests.kinematics.test_phase import moved
+from tests.kinematics.test_phase_convention import moved
 
 FREQ = np.linspace(200.0, 6000.0, 117)
 

@@ -10,7 +10,7 @@ import pytest
 from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
-from kinematics.registration.lasers import LaserPriors
+from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.spatial import DOF_NAMES
 
 # Accelerometers have no lasers whose gains could differ.

@@ -11,7 +11,7 @@ from tests.pipeline.ears import make_ear
 
 def settle(patch):
     """Draw by matplotlib, the same on every machine, and take the code as one that nobody edits meanwhile."""
-    patch.setattr("pipeline.records.code_hash", lambda rooms: "code of " + " ".join(rooms))
+    patch.setattr("pipeline.stage_records.code_hash", lambda rooms: "code of " + " ".join(rooms))
 
 
 def undraw(patch):

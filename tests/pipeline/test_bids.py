@@ -9,7 +9,7 @@ import pytest
 from pipeline import cli
 from pipeline.bids import derivatives, read_dataset, write_dataset
 from pipeline.errors import PipelineError
-from pipeline.several import folder_names
+from pipeline.several_studies import folder_names
 from pipeline.study import read_study
 
 STUDY = """[study]
@@ -146,7 +146,7 @@ def test_a_dataset_is_written_whole_and_through_no_link(studies, tmp_path, monke
 
 def test_the_command_runs_the_dataset(studies, tmp_path, monkeypatch):
     called = []
-    monkeypatch.setattr("pipeline.several.run_studies", lambda *given: called.append(given) or 1 / 0)
+    monkeypatch.setattr("pipeline.several_studies.run_studies", lambda *given: called.append(given) or 1 / 0)
     for words in ([*map(str, studies), "--bids", str(tmp_path / "bids")], ["--bids", str(tmp_path / "bids")]):
         with pytest.raises(ZeroDivisionError):
             cli.work(words)

@@ -23,7 +23,7 @@ from scipy.io import loadmat
 from ct_inertia.options import MassOptions
 from fitting.cli import work as dof2kd
 from fitting.export_formats import exported
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.options import KDOptions
 from stapeskit.options import declared
 from stapeskit.records.mass_record import read_mass_record

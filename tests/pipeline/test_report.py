@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.records import StageReport
 from pipeline.report import ordered, read_truth
+from pipeline.stage_records import StageReport
 from stapeskit.page.page import Section
 
 HEADINGS = (

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinematics.faults.causes.suspect import Explanation, Suspect
-from kinematics.faults.lasers import lasers_of
+from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.parallel_beams import lasers_of
 from kinematics.fit.rigid_fit import fit_noise
 
 # Share of the misfit that must go.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
+from kinematics.faults.causes.misfit_causes import Explanation, Suspect
 from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
-from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.faults.diagnose import Diagnosis, diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import with_noise

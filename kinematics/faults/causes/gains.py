@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.suspect import Explanation, Suspect
-from kinematics.faults.noise import channel_noise
-from kinematics.faults.nuisance import Marginal, Nuisance
-from kinematics.faults.packing import Factor, Packed
-from kinematics.faults.scatter import information_of, likeliest_size
-from kinematics.faults.state import IMAGINARY, REAL, State
+from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.noise_size import channel_noise
+from kinematics.faults.packed_readings import Factor, Packed
+from kinematics.faults.score_information import IMAGINARY, REAL, State
+from kinematics.faults.uncertain_positions import Marginal, Nuisance
+from kinematics.faults.variance_components import information_of, likeliest_size
 from stapeskit.option_names import named
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.suspect import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, Suspect
 from stapeskit.option_names import named
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.suspect import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, Suspect
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.blocks import Block, fields_of, read_blocks
 from kinematics.readers.psv.signals import Signal, frequency_hz, signals
+from kinematics.readers.psv.text_blocks import Block, fields_of, read_blocks
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.blocks import Block, fields_of, read_blocks, value_of
 from kinematics.readers.psv.fastscan import axes_notice, beam_of
 from kinematics.readers.psv.signals import signals
+from kinematics.readers.psv.text_blocks import Block, fields_of, read_blocks, value_of
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale

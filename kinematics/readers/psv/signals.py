@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.blocks import Block, value_of
+from kinematics.readers.psv.text_blocks import Block, value_of
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit

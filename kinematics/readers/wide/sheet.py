@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.blocks import decoded, value_of
+from kinematics.readers.psv.text_blocks import decoded, value_of
 from kinematics.readers.text import lines_of, shown
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all

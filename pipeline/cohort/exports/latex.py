@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
-from pipeline.cohort.ears import labels, quantities
+from pipeline.cohort.compare_ears import labels, quantities
 from pipeline.cohort.law_labels import law_name
 from stapeskit.page.numbers import plus_minus
 

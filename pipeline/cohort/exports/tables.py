@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.cohort.ears import ear_table
+from pipeline.cohort.compare_ears import ear_table
 from stapeskit.tables.text_cells import as_text_cell
 
 if TYPE_CHECKING:

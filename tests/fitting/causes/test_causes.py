@@ -10,15 +10,15 @@ import pytest
 
 from benchmarks.ring_ears import BRANCHES, ERRORS, PISTON, EarSettings, ear
 from fitting.causes.catalogue import CAUSES, HEAD_PLACE, places_of, term_of
-from fitting.causes.chance import difference_sd
+from fitting.causes.chi2_differences import difference_sd
 from fitting.causes.diagnosis import setting_of, with_refits
 from fitting.causes.refits import Refit
 from fitting.errors import FittingError
-from fitting.fluid import speaks_for_fluid
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
+from fitting.fluid_mass import speaks_for_fluid
 from fitting.kd_fit import KDFit
 from fitting.ligament.equations import operator_of
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from fitting.options import CORRECT, KDOptions
 from fitting.report.kd_json import kd_json
 from fitting.report.sections import kd_page

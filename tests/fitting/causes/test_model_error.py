@@ -11,9 +11,9 @@ import pytest
 from benchmarks.ring_ears import PISTON, EarSettings, SimulatedEar, ear
 from fitting.budget import MODEL_ERROR
 from fitting.causes.diagnosis import Refit
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 from fitting.report.kd_json import kd_json
 

@@ -8,13 +8,13 @@ import pytest
 from fitting.errors import FittingError
 from fitting.estimators import constrained, pinv
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.interior import pull_inside, smallest_eigenvalues
+from fitting.estimators.semidefinite_roots import pull_inside, smallest_eigenvalues
 from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
-from fitting.model.lines import (
+from fitting.model.model import modes
+from fitting.model.parameter_vector import split
+from fitting.model.scaled_lines import (
     Lines,
 )
-from fitting.model.model import modes
-from fitting.model.symmetric import split
 from tests.fitting.cases import DOF, K, M, paper_motion
 from tests.fitting.estimators.test_estimators import OPTIONS, lines_of, weak_lines
 

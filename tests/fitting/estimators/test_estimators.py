@@ -8,9 +8,12 @@ import pytest
 from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, estimator, ml, pinv
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.interior import inside, pull_inside
+from fitting.estimators.semidefinite_roots import inside, pull_inside
 from fitting.model.damping import VISCOUS, DampingLaw
-from fitting.model.lines import (
+from fitting.model.model import modes, passive
+from fitting.model.observation import observe
+from fitting.model.parameter_vector import join, split
+from fitting.model.scaled_lines import (
     Lines,
     Scale,
     assemble,
@@ -21,9 +24,6 @@ from fitting.model.lines import (
     real_rows,
     regressor,
 )
-from fitting.model.model import modes, passive
-from fitting.model.observation import observe
-from fitting.model.symmetric import join, split
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, D, K, M, damping_for, paper_motion, six_dof_matrices, six_dof_motion

@@ -8,11 +8,11 @@ from scipy import optimize
 
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.interior import inside, minimise, minimise_near, smallest_eigenvalues
+from fitting.estimators.semidefinite_roots import inside, minimise, minimise_near, smallest_eigenvalues
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.model.damping import DampingLaw
-from fitting.model.lines import Lines
-from fitting.model.symmetric import basis, join, pairs, split
+from fitting.model.parameter_vector import basis, join, pairs, split
+from fitting.model.scaled_lines import Lines
 from tests.fitting.cases import DOF, K, M
 from tests.fitting.estimators.test_estimators import lines_of
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.estimators.semidefinite import nearest
-from fitting.model.symmetric import join, pairs, split
+from fitting.model.parameter_vector import join, pairs, split
 
 N = 3
 # Squared Frobenius norm of both matrices: entries off the diagonal count twice.

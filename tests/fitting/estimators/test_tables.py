@@ -8,7 +8,7 @@ import pytest
 from fitting.cli import parser
 from fitting.estimators import ESTIMATORS, estimator
 from fitting.estimators.base import Method
-from fitting.kd import KDOptions, fit_kd
+from fitting.fit_kd import KDOptions, fit_kd
 from fitting.model.damping import DampingLaw
 from fitting.model.laws import LAWS, law_of
 from tests.fitting.cases import K, M, damping_for, paper_motion

@@ -18,7 +18,7 @@ from fitting.errors import FittingError
 from fitting.export_formats import EXPORTS, exported, file_name
 from fitting.exports.inp import mass_points, spring_points
 from fitting.exports.joint import joint_parameters
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.measure_kd import kd_of
 from fitting.options import KDOptions
 from stapeskit.spatial import matrix_from_parameters

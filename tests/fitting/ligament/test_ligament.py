@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import PISTON, EarSettings, SimulatedEar, ear, frame_change
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import equation_error_start, expand
 from fitting.ligament.joint_lines import joint_lines
 from fitting.model.observation import observe_both
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from fitting.report.kd_json import kd_json

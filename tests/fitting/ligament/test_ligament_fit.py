@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import EarSettings, ear
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.ligament.ligament_fit import LigamentFit, _slopes
-from fitting.model.symmetric import join
+from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 
 

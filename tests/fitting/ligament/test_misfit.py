@@ -10,7 +10,7 @@ import pytest
 from scipy.special import chdtri
 
 from benchmarks.ring_ears import PISTON, EarSettings, ear
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.joint_fit import fit_joint
 from fitting.ligament.misfit import descend, explained_below, fit_any, fit_with_noise

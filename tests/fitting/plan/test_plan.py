@@ -15,8 +15,8 @@ from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
 from fitting.model.damping import VISCOUS
-from fitting.model.lines import Scale, assemble
 from fitting.model.observation import observe
+from fitting.model.scaled_lines import Scale, assemble
 from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
 from fitting.plan.plan_example import PLAN_EXAMPLE
 from fitting.plan.plan_file import read_plan
@@ -150,7 +150,7 @@ def test_halves_of_stated_errors_stand_among_the_changes() -> None:
 
 
 def test_errors_of_lasers_are_those_of_points2dof() -> None:
-    from kinematics.registration.lasers import LaserPriors
+    from kinematics.registration.laser_errors import LaserPriors
 
     defaults = {error.name: error.default for error in fields(PlannedErrors)}
     for name in ("gain_sd_percent", "phase_sd_deg", "delay_sd_us"):

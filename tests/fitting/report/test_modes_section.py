@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
+from fitting.model.annular_ligament import ellipse_mm
 from fitting.model.model import modes
-from fitting.model.ring import ellipse_mm
 from fitting.options import KDOptions
 from fitting.report.figures import correlation_figure
 from fitting.report.mode_shapes import shape_figure

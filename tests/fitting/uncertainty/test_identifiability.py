@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.kd import fit_kd
-from fitting.model.symmetric import join
+from fitting.fit_kd import fit_kd
+from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 from fitting.uncertainty.identifiability import Identifiability, identifiability, relative_sizes
 from stapeskit.records.motion import RigidMotion

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.kd import fit_kd
-from fitting.model.symmetric import join
+from fitting.fit_kd import fit_kd
+from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 from fitting.report.sections import kd_sections
 from fitting.uncertainty.covariance import chi2, known_and_spread

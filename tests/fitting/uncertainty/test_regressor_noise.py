@@ -9,8 +9,8 @@ import pytest
 
 from fitting.estimators import ml
 from fitting.estimators.regressor_noise import information, regressor_noise
-from fitting.kd import fit_kd
-from fitting.model.symmetric import join
+from fitting.fit_kd import fit_kd
+from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 from stapeskit.records.motion import RigidMotion
 from tests.fitting.cases import DOF, D, K, M, paper_motion

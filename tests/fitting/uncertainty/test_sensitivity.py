@@ -9,8 +9,8 @@ from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of
-from fitting.model.lines import Scale
 from fitting.model.observation import observe
+from fitting.model.scaled_lines import Scale
 from fitting.uncertainty.sensitivity import contract, slope_by_motion
 from tests.fitting.cases import DOF, six_dof_mass, six_dof_motion
 

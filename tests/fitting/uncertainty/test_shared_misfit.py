@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.options import KDOptions
 from fitting.uncertainty.shared_misfit import chi2_with_shared_errors
 from stapeskit.records.motion import SharedErrors

@@ -10,12 +10,12 @@ import pytest
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
 from fitting.examples.experiment import driven_base, simulated_motion
-from fitting.kd import fit_kd
+from fitting.fit_kd import fit_kd
 from fitting.model.damping import VISCOUS
-from fitting.model.lines import Scale, assemble
 from fitting.model.model import simulate
 from fitting.model.observation import Observation, observe
-from fitting.model.symmetric import join, split, vector
+from fitting.model.parameter_vector import join, split, vector
+from fitting.model.scaled_lines import Scale, assemble
 from fitting.options import KDOptions
 from fitting.uncertainty.covariance import invert
 from stapeskit.frames import rotation_from_vector

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
-from kinematics.faults.nuisance import Marginal, Nuisance, settled
-from kinematics.faults.packing import Source, initial, packed
+from kinematics.faults.packed_readings import Source, initial, packed
 from kinematics.faults.refit import Refit
+from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import score_tests
-from kinematics.faults.state import State, model_of
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from kinematics.faults.catalogue import Fault
-from kinematics.faults.nuisance import Marginal, Nuisance, settled
 from kinematics.faults.refit import Refit
+from kinematics.faults.score_information import State, model_of
 from kinematics.faults.search import Search
-from kinematics.faults.state import State, model_of
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
 from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
 from tests.kinematics.simulated import scene
 

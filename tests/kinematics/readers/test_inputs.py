@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinematics.readers import InputOptions
-from kinematics.readers.assemble import assemble
+from kinematics.readers.assemble_measurement import assemble
 from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.tidy.points_csv import read_points
 from stapeskit.faults import Place, StapeskitError

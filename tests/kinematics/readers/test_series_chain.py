@@ -11,7 +11,7 @@ from kinematics.options import LdvOptions
 from kinematics.points2dof import points2dof
 from kinematics.readers import read_measurement
 from kinematics.readers.from_options import input_options
-from kinematics.registration.lasers import LaserPriors
+from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import read_motion, standard_deviation
 from tests.kinematics import series

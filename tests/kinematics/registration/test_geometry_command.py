@@ -9,7 +9,7 @@ import pytest
 
 from kinematics.cli import work
 from stapeskit.faults import StapeskitError
-from tests.kinematics.registration.test_moved import (
+from tests.kinematics.registration.test_sample_displacement import (
     MARKS,
     PLATE,
     SCAN_FROM_PLATE,

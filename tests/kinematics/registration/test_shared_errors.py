@@ -14,7 +14,7 @@ from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
 from kinematics.points2dof import points2dof
 from kinematics.registration.fiducials import Fiducials
-from kinematics.registration.lasers import LaserPriors
+from kinematics.registration.laser_errors import LaserPriors
 from kinematics.registration.placement import Placement, place
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector

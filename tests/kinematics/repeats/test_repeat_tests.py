@@ -7,10 +7,10 @@ import pytest
 
 from kinematics.measurement import BodyChannels, Take
 from kinematics.repeats.contrast_sums import ContrastSums, contrasts, energy_of
+from kinematics.repeats.repeat_shapes import Stack, shapes_of
 from kinematics.repeats.repeat_shift import frequency_shifts
 from kinematics.repeats.repeat_tests import gain_tests, regressors, scatter_test, shape_tests
 from kinematics.repeats.scatter_noise import scatter_noise
-from kinematics.repeats.take_shapes import Stack, shapes_of
 
 FREQ = np.linspace(400.0, 5000.0, 60)
 CHANNELS = 12

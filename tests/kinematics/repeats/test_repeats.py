@@ -15,7 +15,7 @@ from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.points2dof import points2dof
 from kinematics.repeats.comparison import code_of
-from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
+from kinematics.repeats.noise_degrees_of_freedom import inverse_moments, stated_freedom
 from kinematics.repeats.pooling import pooled
 from kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.simulated import HEADER, readings, scene
@@ -163,14 +163,14 @@ def test_repeats_that_differ_at_all_lines_alike_are_as_uncertain_as_they_say():
 
 
 def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypatch):
-    from kinematics.repeats import take_shapes
+    from kinematics.repeats import repeat_shapes
 
     measurement = measured(3, repeats(4), lines=2000)[0]
     spoiled = measurement.bodies[0].displacement
     spoiled[1, 2, 5:40] = np.nan
     made = []
     for values in (100, 10**9):
-        monkeypatch.setattr(take_shapes, "_VALUES", values)
+        monkeypatch.setattr(repeat_shapes, "_VALUES", values)
         made.append(pooled(measurement))
     for one, two in zip(made[0].measurement.bodies, made[1].measurement.bodies, strict=True):
         np.testing.assert_allclose(one.displacement, two.displacement, rtol=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 
 
 def cohort(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pipeline.cohort.compare_ears import Ear
 from pipeline.cohort.covariates import covariates_of
-from pipeline.cohort.ears import Ear
 from pipeline.cohort.law import fit_law
-from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.prediction import Predictor, left_out
 from pipeline.errors import PipelineError
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pipeline.cohort.intrinsic_scatter import scatter_interval
 from pipeline.cohort.law import Profile, fit_law
 from pipeline.cohort.likelihood import RestrictedLikelihood
-from pipeline.cohort.pairs import LogPairs
-from pipeline.cohort.scatter import scatter_interval
+from pipeline.cohort.log_pairs import LogPairs
 from tests.pipeline.cohort.simulated import cohort
 
 

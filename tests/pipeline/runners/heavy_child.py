@@ -5,13 +5,13 @@ import sys
 import time
 from pathlib import Path
 
-from pipeline import records
-from pipeline.runners.child import end_with_parent, run_child
+from pipeline import stage_records
+from pipeline.runners.child_process import end_with_parent, run_child
 
 if __name__ == "__main__":
     end_with_parent()
     if Path(sys.argv[1]).parent.name == "heavy":
         held = b"x" * (800 << 20)
         time.sleep(60.0)
-    records.code_hash = lambda rooms: "code of " + " ".join(rooms)
+    stage_records.code_hash = lambda rooms: "code of " + " ".join(rooms)
     sys.stdout.write(json.dumps(run_child(sys.argv[1:])) + "\n")

@@ -18,11 +18,11 @@ import pytest
 from distributed import KilledWorker
 
 from pipeline.errors import PipelineError
-from pipeline.records import code_hash
 from pipeline.runners import Where, cluster, local
 from pipeline.runners.cluster import _end_of, _Order, _refusal
 from pipeline.runners.process import Task
-from pipeline.several import run_studies
+from pipeline.several_studies import run_studies
+from pipeline.stage_records import code_hash
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 ROOT = Path(__file__).parents[3]
@@ -88,7 +88,7 @@ class Asked(Report):
 
 
 def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.records.code_hash", code_hash)
+    monkeypatch.setattr("pipeline.stage_records.code_hash", code_hash)
     plans = {"a": 'after = "go"', "b": 'after = "go" #', "c": "", "d": 'fails = "input"'}
     folder, quiet = tmp_path / "there", tmp_path / "here"
     folder.mkdir()
@@ -118,9 +118,9 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
 
 
 def test_an_ear_beyond_the_memory_of_its_worker_has_its_sentence_in_the_cohort(ear, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.records.code_hash", code_hash)
+    monkeypatch.setattr("pipeline.stage_records.code_hash", code_hash)
     program = "tests.pipeline.runners.heavy_child"
-    monkeypatch.setattr("pipeline.several.Task", partial(Task, program=program))
+    monkeypatch.setattr("pipeline.several_studies.Task", partial(Task, program=program))
     study, out = ear
     (tmp_path / "all").mkdir()
     out.rename(tmp_path / "all" / "ear1")

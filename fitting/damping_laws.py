@@ -1,0 +1,311 @@
+"""Fit under one damping law, or under all of them, compared by chi2 and BIC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fitting.calibrated import calibrated
+from fitting.causes.catalogue import Setting, term_of
+from fitting.causes.correction import corrected_problem
+from fitting.errors import FittingError
+from fitting.estimators import ml
+from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
+from fitting.estimators.multistart import with_fluid
+from fitting.estimators.problem import Problem
+from fitting.ligament.equations import Term
+from fitting.ligament.joint_lines import JointLines
+from fitting.ligament.ligament import NotPassive, fit_ligament
+from fitting.ligament.ligament_fit import LigamentFit
+from fitting.model.damping import DampingLaw
+from fitting.model.laws import LAWS, law_of
+from fitting.model.parameter_vector import entry_names, split
+from fitting.model.scaled_lines import forward, real_rows
+from fitting.uncertainty.covariance import chi2, degrees
+from stapeskit.arrays import Array
+from stapeskit.page.quantities import MASS
+
+# Exponents or times at which a law is tried before a joint fit; the fit goes on from the best of them. Chosen
+# by judgement.
+_STARTS = 6
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """A fit under one damping law.
+
+    Attributes
+    ----------
+    law : DampingLaw
+    problem : Problem
+    estimate : Estimate
+    chi2 : float
+    bic : float
+        chi2 over the best law's chi2 per degree of freedom (when above 1) + unknowns ln(equations).
+    exponent_sd : float or None
+        Standard deviation of an estimated exponent, channel noise only; with a ligament from all sources.
+    ligament : LigamentFit or None
+        The joint fit with the plane of the ligament; chi2 is its then.
+    outside : float
+        Chi2 of the joint fit that was left since its K or D is not positive semidefinite; 0 where none was.
+    """
+
+    law: DampingLaw
+    problem: Problem
+    estimate: Estimate
+    chi2: float
+    bic: float
+    exponent_sd: float | None = None
+    ligament: LigamentFit | None = None
+    outside: float = 0.0
+
+    @property
+    def n_dof(self) -> int:
+        """Degrees of freedom of chi2."""
+        if self.ligament is not None:
+            return self.ligament.n_dof
+        return degrees(self.problem.lines()) - self.law.unknowns
+
+
+def fit_law(
+    problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float], ratio: float = 0.0
+) -> LawFit:
+    """Estimate under one damping law; an exponent or a time is estimated by a one-dimensional search."""
+    search = law_of(name).search
+    if search is None:
+        return fit_at(problem, DampingLaw(name), lower, upper)
+    from scipy.optimize import minimize_scalar
+
+    unit = 1.0 / problem.scale.omega
+
+    def objective(exponent: float) -> float:
+        law = DampingLaw(name, float(exponent), ratio).scaled(unit)
+        return fit_at(problem, law, lower, upper).estimate.objective
+
+    optimum = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
+    best = fit_at(problem, DampingLaw(name, float(optimum.x), ratio).scaled(unit), lower, upper)
+    return replace(best, exponent_sd=_exponent_sd(best))
+
+
+def start_of_law(
+    problem: Problem,
+    name: str,
+    lower: Mapping[str, float],
+    upper: Mapping[str, float],
+    ratio: float = 0.0,
+    fluid: bool = False,
+) -> LawFit:
+    """Return the best fit under a law at a few of the exponents or times that it may have.
+
+    With ``fluid`` it is the best one from which a fit with a mass of fluid goes on: without that mass a
+    relaxation time comes out below zero, and the fit with it would stay there.
+    """
+    search = law_of(name).search
+    if search is None:
+        return fit_law(problem, name, lower, upper)
+    ends = np.linspace(*search, _STARTS + 1)
+    laws = [
+        DampingLaw(name, float(at), ratio).scaled(1.0 / problem.scale.omega)
+        for at in ends[:-1] + 0.5 * np.diff(ends)
+    ]
+    free = replace(problem, options=replace(problem.options, passive=False))
+    tried = [fit_at(free, law, lower, upper) for law in laws]
+    if fluid:
+        left = [with_fluid(fit.estimate.parameters, fit.problem.lines())[2] for fit in tried]
+        return fit_at(problem, laws[int(np.argmin(left))], lower, upper)
+    best = None
+    for first in sorted(tried, key=lambda fit: fit.chi2):
+        if best is not None and best.chi2 <= first.chi2:  # no K, D >= 0 fits better than it does
+            break
+        held = fit_at(problem, first.law, lower, upper)
+        best = held if best is None or held.chi2 < best.chi2 else best
+    assert best is not None  # noqa: S101
+    return best
+
+
+def fits_of_laws(
+    problem: Problem,
+    names: Iterable[str],
+    lower: Mapping[str, float],
+    upper: Mapping[str, float],
+    fit: Callable[..., LawFit] = fit_law,
+) -> tuple[tuple[LawFit, ...], dict[str, str]]:
+    """Estimate under damping laws; a law with two times has a fit for each of their ratios.
+
+    Parameters
+    ----------
+    problem : Problem
+    names : iterable of str
+    lower, upper : mapping of str to float
+        Bounds.
+    fit : callable
+        `fit_law`, or `start_of_law` where a joint fit goes on from it.
+
+    Returns
+    -------
+    fits : tuple of LawFit
+    undetermined : dict of str to str
+        Why a law has no fit, by its name.
+
+    Raises
+    ------
+    FittingError
+        No law has a fit; the fault of the first.
+    """
+    fits, faults = [], {}
+    for name in names:
+        try:
+            fits += [fit(problem, name, lower, upper, ratio) for ratio in law_of(name).ratios or (0.0,)]
+        except (FittingError, np.linalg.LinAlgError) as fault:
+            faults[name] = fault
+    if not fits:
+        raise next(iter(faults.values()))
+    made = comparable(fits) if len(fits) > 1 else tuple(fits)
+    return made, {name: str(fault) for name, fault in faults.items()}
+
+
+def best_of_each(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
+    """Return the best fit of each law."""
+    best: dict[str, LawFit] = {}
+    for fit in sorted(fits, key=lambda fit: (fit.ligament is None, fit.bic)):
+        best.setdefault(fit.law.name, fit)
+    return tuple(best[name] for name in LAWS if name in best)
+
+
+def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
+    """Return the fits with BIC made comparable by the best chi2 per degree of freedom."""
+    fits = tuple(fits)
+    spread = max(1.0, min(fit.chi2 / max(fit.n_dof, 1) for fit in fits))
+    return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
+
+
+def alike(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
+    """Return the other laws that the data do not tell from the one of the best fit.
+
+    A law that the best one is a special case of is no other: the simple one is kept until the data speak
+    against it. Numbers that were chosen for a law do not count here, since they say nothing of the data.
+    """
+    names = []
+    for other in laws:
+        same = other.law.name == best.law.name or best.law.name in other.law.law.includes
+        if same or not other.law.physical or (best.ligament is not None and other.ligament is None):
+            continue
+        equations = 2 * best.problem.n * len(best.problem.observation.freq_hz)
+        chosen = (other.law.law.fixed - best.law.law.fixed) * np.log(equations)
+        if other.bic - best.bic - chosen < calibrated("causes.look_alike_chi2"):
+            names.append(other.law.name)
+    return tuple(names)
+
+
+def with_ligament(
+    fit: LawFit,
+    measured: JointLines,
+    names: tuple[str, ...] = (),
+    sizes: Mapping[str, float] | None = None,
+    held: bool = False,
+    within: float | None = None,
+) -> LawFit:
+    """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
+
+    Parameters
+    ----------
+    fit : LawFit
+    measured : JointLines
+        Motion of both bodies without units.
+    names : tuple of str
+        Causes of the catalogue that are part of the model.
+    sizes : mapping of str to float, optional
+        Where the fit starts as well, in the units of the causes.
+    held : bool
+        Whether K and D are kept positive semidefinite, without causes.
+    within : float, optional
+        Chi2 below which the fit is of use; a misfit is left as it is.
+
+    Raises
+    ------
+    NotWithin
+        Chi2 does not come below ``within``.
+    """
+    problem = fit.problem
+    begun = None
+    if "fluid" in names:
+        parameters, fluid, _ = with_fluid(fit.estimate.parameters, problem.lines())
+        size = MASS.of(fluid * float(problem.scale.root_mass[0]) ** 2)
+        begun = (parameters, np.array([size if name == "fluid" else 0.0 for name in names]))
+
+    def extend(lines: JointLines) -> tuple[Term, ...]:
+        setting = Setting(lines, lines.omega * problem.scale.omega, problem.inertia.matrix)
+        terms = [term_of(name, setting) for name in names]
+        more = sizes or {}
+        return tuple(
+            replace(term, starts=(*term.starts, more[term.name])) if term.name in more else term
+            for term in terms
+        )
+
+    start = fit.estimate.parameters
+    try:
+        ligament = fit_ligament(problem, measured, start, extend if names else None, begun, held, within)
+    except NotPassive as fault:
+        return replace(fit, outside=fault.chi2)
+    if ligament is None:
+        return fit
+    extended = LawFit(
+        ligament.law,
+        corrected_problem(problem, ligament),
+        ligament.estimate,
+        ligament.chi2,
+        0.0,
+        ligament.exponent_sd,
+        ligament,
+    )
+    return replace(extended, bic=_bic(extended, 1.0))
+
+
+def fit_at(
+    problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Mapping[str, float]
+) -> LawFit:
+    """Estimate under one damping law with its exponent or time as it is."""
+    same = problem.with_law(law)
+    options = replace(same.options, lower=_bounds(same, lower, -np.inf), upper=_bounds(same, upper, np.inf))
+    same = replace(same, options=options)
+    estimate = same.solve()
+    level = chi2(estimate.parameters, same.lines())
+    fit = LawFit(law, same, estimate, level, 0.0)
+    return replace(fit, bic=_bic(fit, 1.0))
+
+
+def _bic(fit: LawFit, spread: float) -> float:
+    observation = fit.problem.observation
+    unknowns = len(fit.estimate.parameters) + fit.law.unknowns + fit.law.law.fixed
+    if fit.ligament is not None:
+        unknowns += len(fit.ligament.terms)
+    equations = 2 * fit.problem.n * len(observation.freq_hz)
+    return float(fit.chi2 / spread + unknowns * np.log(equations))
+
+
+def _bounds(problem: Problem, bounds: Mapping[str, float], default: float) -> Array | None:
+    """Return bounds (SI by name) as scaled parameters."""
+    if not bounds:
+        return None
+    names = entry_names(problem.n)
+    filled = np.full(len(names), default)
+    for name, value in bounds.items():
+        filled[names.index(name)] = value / problem.units[names.index(name)]
+    return filled
+
+
+def _exponent_sd(fit: LawFit) -> float:
+    """Return the sd of a fractional exponent: the Schur complement of its Fisher information."""
+    lines = fit.problem.lines()
+    now = ml.whiten(fit.estimate.parameters, lines)
+    rows = real_rows(now.corrected(lines))
+    _, damping = split(fit.estimate.parameters, lines.n)
+    omega = fit.problem.scale.omega
+    slope = fit.law.scaled(omega).slope(lines.omega)
+    extra = real_rows(forward(now.factor, slope * (damping @ lines.dq)))
+    coupling = transposed_times(rows, extra)
+    explained = float(coupling @ solve_symmetric(gram(rows), coupling))
+    information = 2.0 * (float(extra @ extra) - explained)
+    return fit.law.unit_of_exponent(omega) / max(information, 1e-300) ** 0.5

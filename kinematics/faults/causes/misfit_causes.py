@@ -1,0 +1,169 @@
+"""The body whose misfit is to be explained, and an explanation with its remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.estimated_weights import equalise_noise
+from kinematics.faults.packed_readings import Packed, Source, initial
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
+from kinematics.fit.beams import BeamSet
+from kinematics.fit.body_noise import with_noise
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.spatial import DOF_NAMES
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One body in one run with a misfit on many channels.
+
+    Attributes
+    ----------
+    placed : Measurement
+    run : int
+    body : BodyChannels
+    beams : BeamSet
+        For the fitted degrees of freedom.
+    known : bool
+        The noise is stated.
+    offsets_m : ndarray, (channel, 3), optional
+        Most probable errors of positions with a stated sd, by which the fits correct them.
+    offset_covariance : ndarray, (channel, 3, 3), optional
+        Of what then is unknown of the positions, m^2; that of the stated sd by default.
+    size : ndarray, (channel, freq)
+        Squares of the residuals over those that most have; NaN where missing. See ``with_far_values``.
+    far : ndarray, (channel, freq), bool
+        Single values that lie far off the motion.
+    """
+
+    placed: Measurement
+    run: int
+    body: BodyChannels
+    beams: BeamSet
+    known: bool
+    offsets_m: Array | None = None
+    offset_covariance: Array | None = None
+    size: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    far: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+
+    @property
+    def value(self) -> ComplexArray:
+        """Readings (channel, freq), m; NaN where missing."""
+        return self.body.displacement[self.run]
+
+    @property
+    def freq_hz(self) -> Array:
+        """Frequencies (freq,)."""
+        return self.placed.freq_hz
+
+    @cached_property
+    def whole_beams(self) -> BeamSet:
+        """For all degrees of freedom that the beams observe."""
+        body = self.body
+        if self.offsets_m is not None:
+            body = replace(body, positions_mm=body.positions_mm + 1e3 * self.offsets_m)
+        return extended_beams(body, self.beams.dof)
+
+    @cached_property
+    def plain(self) -> LineFit:
+        """The least-squares fit of all observed degrees of freedom."""
+        return self._fit("none")
+
+    @cached_property
+    def robust(self) -> LineFit:
+        """The fit of all observed degrees of freedom that single outliers hardly move."""
+        return self._fit("huber")
+
+    @property
+    def position_sd_m(self) -> Array:
+        """Stated standard deviations of the positions (channel,); zero where there are none."""
+        return np.nan_to_num(self.body.position_sd_mm) * 1e-3
+
+    def packed(self, fit: LineFit, known: bool) -> Packed:
+        """Return the readings of a fit in few columns, at the positions as given."""
+        source = Source.of(fit, self.body, self.freq_hz, known, self.placed.line_spread)
+        return initial(source, self.body)
+
+    def settled(self, some: NDArray[np.bool_]) -> Suspect:
+        """Return the suspect with the most probable positions by the values that are not ``some``."""
+        data = self.packed(self.without(some), self.known)
+        nuisance = Nuisance.of(data, self.position_sd_m)
+        if not self.known:
+            data = equalise_noise(data, nuisance)[0]
+        state = settled(data, nuisance)[0]
+        inverse = 0.5 * Marginal(state, nuisance).inverse
+        own = nuisance.owner.T
+        covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
+        offsets = state.model.arms_m - data.assumed.arms_m
+        return replace(self, offsets_m=offsets, offset_covariance=covariance)
+
+    def position_variance(self, fit: LineFit, lines: NDArray[np.intp]) -> Array:
+        """Return the variance of readings (channel, n) by what is unknown of the positions, m^2.
+
+        A shift s of a point changes what a beam d reads by s . (d x omega).
+        """
+        covariance = self.offset_covariance
+        if covariance is None:
+            covariance = self.position_sd_m[:, None, None] ** 2 * np.eye(3)
+        turn = np.zeros((len(lines), 3), dtype=complex)
+        for column, name in enumerate(fit.beams.dof):
+            if name in DOF_NAMES[3:]:
+                turn[:, DOF_NAMES.index(name) - 3] = np.nan_to_num(fit.q[lines, column])
+        slope = np.cross(self.body.directions[:, None], turn[None])
+        return np.asarray(np.real(np.einsum("cfi,cij,cfj->cf", slope.conj(), covariance, slope)))
+
+    def without(self, some: NDArray[np.bool_]) -> LineFit:
+        """Return the least-squares fit without some values (channel, freq)."""
+        body = self.with_value(np.where(some, np.nan, self.value))
+        return with_noise(self.placed, self.run, body, self.whole_beams, "none")[0]
+
+    def _fit(self, robust: str) -> LineFit:
+        return with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
+
+    def with_value(self, value: ComplexArray) -> BodyChannels:
+        """Return the body with other readings (channel, freq) in this run."""
+        displacement = self.body.displacement.copy()
+        displacement[self.run] = value
+        return replace(self.body, displacement=displacement)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause of the misfit.
+
+    Attributes
+    ----------
+    code : str
+        Code of the warning.
+    verdict : str
+        Of the channels, as in ``dof.channels.csv``.
+    channels : list of int
+    text : str
+        What was found, with its size.
+    step : str
+        What to do.
+    size : float
+        Relative size.
+    remedied : BodyChannels
+        The body without this cause.
+    alike : bool
+        A body that bends would look alike: the channels are too few.
+    """
+
+    code: str
+    verdict: str
+    channels: list[int]
+    text: str
+    step: str
+    size: float
+    remedied: BodyChannels
+    alike: bool = False

@@ -1,0 +1,273 @@
+"""Rows that carry another body's, run's or frequency's label, and rows in the other phase convention.
+
+A point whose rows do not fit its own body is compared with every place that they could belong to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.findings import Finding
+from kinematics.faults.mislabelled.clean_motion import REACH, Cleared
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Key = tuple[int, int]
+# Rows belong where they leave twice their noise at most, or a hundredth of what they leave at home.
+_NOISE, _LEFT = 2.0, 0.01
+# By how much the log likelihood must be better beyond the price of its parameters: odds of 20 000.
+_MARGIN = 10.0
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where rows could belong: another motion, another point's position, or another reading of the same.
+
+    ``sign`` is that of conjugates: of velocities, i w times displacements, these are the opposite.
+    """
+
+    kind: str
+    at: Cleared
+    arms_m: Array
+    partner: tuple[int, ...] = ()
+    shift: int = 0
+    sign: int = 1
+
+
+@dataclass(frozen=True)
+class _Suspect:
+    home: Cleared
+    channels: tuple[int, ...]
+    scores: dict[int, float]
+    places: list[_Place]
+    bar: float
+    own: float
+
+    @property
+    def point(self) -> str:
+        return self.home.body.points[self.channels[0]]
+
+
+_Entry = tuple[_Suspect, _Place, float]
+
+
+def label_findings(
+    motions: Mapping[Key, Cleared], runs: Sequence[str], freq_hz: Array
+) -> dict[Key, list[Finding]]:
+    """Name the rows of one point or channel that stand under a wrong body, point, run or frequency.
+
+    Parameters
+    ----------
+    motions : mapping of (run, body) to Cleared
+    runs : sequence of str
+    freq_hz : ndarray, (freq,)
+
+    Notes
+    -----
+    Rows y are held against rows p of a motion that other channels measured, with the variance of both:
+    S = sum |y - p|^2 / var is the negative log likelihood of complex normal noise, and 2 S is chi-squared
+    when they belong there. That is accepted when S is as small as noise makes it, or a hundredth of what it
+    was, and lies by more than the Bayesian information criterion (Schwarz 1978,
+    doi:10.1214/aos/1176344136) below the best real change of the rows and the best course of a factor over
+    frequency, the faults that a single point can have.
+    """
+    motions = {key: motion for key, motion in motions.items() if motion.level > 0.0}
+    suspects = [
+        suspect
+        for home in motions.values()
+        for channels in home.suspects
+        if (suspect := _suspect(home, channels, motions)) is not None
+    ]
+    findings: dict[Key, list[Finding]] = {}
+    for suspect, place, score in _with_reverse(_paired(suspects), motions):
+        home = suspect.home
+        text = _told(suspect, place, runs, freq_hz)
+        p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
+        kind = "sign" if place.kind == "conjugate" else "label_swap"
+        finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=text)
+        findings.setdefault((home.run, home.number), []).append(finding)
+    return findings
+
+
+def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[_Entry]:
+    """Add the rows that were exchanged with others, where a fault of their own would explain them as well."""
+    taken = {(s.home.run, s.home.number, c) for s, _, _ in chosen for c in s.channels}
+    both_ways = list(chosen)
+    for suspect, place, _ in chosen:
+        other = place.at
+        if place.kind != "run" or any((other.run, other.number, c) in taken for c in suspect.channels):
+            continue
+        arms = other.body.positions_mm[suspect.channels[0]] * 1e-3
+        back = _Place("run", suspect.home, arms)
+        own = _misfit(other, suspect.channels, _Place("own", other, arms))[0]
+        score, count = _misfit(other, suspect.channels, back)
+        level = max(other.level, suspect.home.level)
+        if count and score < _NOISE * level * count and score / level < own / other.level - _MARGIN:
+            entry = _Suspect(
+                other, suspect.channels, {}, _places(other, arms, motions), own, own / other.level
+            )
+            both_ways.append((entry, back, score / level))
+    return both_ways
+
+
+def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cleared]) -> _Suspect | None:
+    """Score every place that rows could belong to; None when a fault of their own explains them as well."""
+    arms = home.body.positions_mm[channels[0]] * 1e-3
+    own, count = _misfit(home, channels, _Place("own", home, arms))
+    if count == 0:
+        return None
+    bar = own if len(home.lines) == 2 else _fault_of_its_own(home, channels, arms)
+    places = _places(home, arms, motions)
+    scores = {}
+    for number, place in enumerate(places):
+        score, used = _misfit(home, channels, place)
+        level = max(home.level, place.at.level)
+        if used > 0.8 * count and score < max(_NOISE * level * used, _LEFT * own):
+            scores[number] = score * count / used / level
+    level = home.level
+    bar, own = bar / level, own / level
+    margin = _MARGIN + np.log(max(len(places), 1))
+    scores = {k: v for k, v in scores.items() if v < min(bar, own) - margin}
+    return _Suspect(home, channels, scores, places, bar, own) if scores else None
+
+
+def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[_Place]:
+    if len(home.lines) == 2:
+        return [_Place("lines", home, arms)]
+    places = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
+    places += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
+    for (run, number), other in motions.items():
+        if number == home.number and run != home.run:
+            places.append(_Place("run", other, arms))
+        if number != home.number and run == home.run:
+            places.append(_Place("body", other, arms))
+            names = other.body.points
+            for point in dict.fromkeys(names):
+                partner = tuple(c for c, name in enumerate(names) if name == point)
+                places.append(_Place("point", other, other.body.positions_mm[partner[0]] * 1e-3, partner))
+    return places
+
+
+def _expected(
+    home: Cleared, channels: tuple[int, ...], place: _Place
+) -> tuple[NDArray[np.intp], ComplexArray, Array]:
+    """Return which lines compare, what rows would read at a place, and its variance."""
+    lines, at = home.lines, place.at
+    if place.kind == "lines":
+        here, same = np.arange(len(lines))[::-1], np.ones(len(lines), dtype=bool)
+    else:
+        here = np.minimum(np.searchsorted(at.lines, lines + place.shift), len(at.lines) - 1)
+        same = at.lines[here] == lines + place.shift
+        here = here[same]
+    directions = home.body.directions[list(channels)]
+    rows = at.rows(place.arms_m, directions)
+    q = place.sign * at.q[here].conj() if place.kind == "conjugate" else at.q[here]
+    variance = np.einsum("ka,fab,kb->kf", rows, at.covariance[here], rows, optimize=True)
+    prior = home.body.position_sd_mm[channels[0]] * 1e-3
+    if np.isfinite(prior) and prior > 0.0:
+        across = np.cross(directions[:, None], q[None, :, 3:])
+        variance = variance + prior**2 * np.sum(np.abs(across) ** 2, axis=-1)
+    return np.flatnonzero(same), rows @ q.T, variance
+
+
+def _misfit(home: Cleared, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
+    """Return the squared misfit of rows at a place over its variance, and how many values it sums."""
+    lines, expected, variance = _expected(home, channels, place)
+    own = list(channels)
+    value, noise = home.value[own][:, lines], home.variance[own][:, lines]
+    used = np.isfinite(noise)
+    share = np.where(used, np.abs(value - expected) ** 2 / np.where(used, noise + variance, 1.0), 0.0)
+    return float(np.sum(share)), int(np.sum(used))
+
+
+def _fault_of_its_own(home: Cleared, channels: tuple[int, ...], arms: Array) -> float:
+    """Return the least misfit, with the price of its parameters, that a fault of the rows could leave."""
+    place = _Place("own", home, arms)
+    lines, expected, variance = _expected(home, channels, place)
+    course = np.linspace(-1.0, 1.0, len(lines))[:, None] ** np.arange(3)
+    observed = np.any(np.abs(home.q) > 0.0, axis=0)
+    motion = home.q[lines][:, observed]
+    static, factor = 0.0, 0.0
+    for k, channel in enumerate(channels):
+        noise = home.variance[channel, lines]
+        used = np.isfinite(noise)
+        if not np.any(used):
+            continue
+        root = 1.0 / np.sqrt(noise[used] + variance[k, used])
+        value = home.value[channel, lines][used] * root
+        whole = motion[used] * root[:, None]
+        single = expected[k, used, None] * course[used] * root[:, None]
+        price = 0.5 * np.log(2.0 * len(value))
+        parts = np.vstack([whole.real, whole.imag])
+        static += _left(parts, np.concatenate([value.real, value.imag])) + parts.shape[1] * price
+        factor += _left(single, value) + 2.0 * single.shape[1] * price
+    return min(static, factor)
+
+
+def _left(columns: NDArray[Any], value: NDArray[Any]) -> float:
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    coefficients = np.linalg.lstsq(columns / scale, value, rcond=1e-10)[0]
+    return float(np.sum(np.abs(value - columns / scale @ coefficients) ** 2))
+
+
+def _paired(suspects: list[_Suspect]) -> list[_Entry]:
+    """Choose where each suspect belongs: two that belong to each other's places before all others."""
+    candidates: list[tuple[float, list[tuple[int, _Place, float]]]] = []
+    for number, suspect in enumerate(suspects):
+        for k, score in suspect.scores.items():
+            place = suspect.places[k]
+            if place.kind != "point":
+                candidates.append((score - suspect.bar, [(number, place, score)]))
+                continue
+            for other, partner in enumerate(suspects[number + 1 :], start=number + 1):
+                back = _back(suspect, place, partner)
+                if back is not None:
+                    total = score - suspect.bar + partner.scores[back] - partner.bar
+                    both = [(number, place, score), (other, partner.places[back], partner.scores[back])]
+                    candidates.append((total, both))
+    taken: set[int] = set()
+    chosen: list[_Entry] = []
+    for _, entries in sorted(candidates, key=lambda entry: entry[0]):
+        if not taken & {entry[0] for entry in entries}:
+            taken |= {entry[0] for entry in entries}
+            chosen += [(suspects[number], place, score) for number, place, score in entries]
+    return chosen
+
+
+def _back(suspect: _Suspect, place: _Place, partner: _Suspect) -> int | None:
+    """Return the place of ``partner`` at the suspect's point, when ``place`` is the point of ``partner``."""
+    if place.at is not partner.home or not set(partner.channels) <= set(place.partner):
+        return None
+    if len(suspect.channels) != len(partner.channels):
+        return None
+    for k in partner.scores:
+        back = partner.places[k]
+        if back.kind == "point" and back.at is suspect.home and set(suspect.channels) <= set(back.partner):
+            return k
+    return None
+
+
+def _told(suspect: _Suspect, place: _Place, runs: Sequence[str], freq_hz: Array) -> str:
+    home, other = suspect.home, place.at
+    mine, theirs = f"point {suspect.point} of body {home.body.body}", other.body.body
+    if place.kind == "conjugate":
+        return "conjugate of what it should read (amplitudes of e^{-iwt})"
+    if place.kind == "lines":
+        first, second = freq_hz[home.lines]
+        return f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"
+    if place.kind == "run":
+        return f"rows of {mine} under run {runs[home.run]} are those of run {runs[other.run]}"
+    if place.kind == "body":
+        return f"{mine} moves with body {theirs}, at its own position: it belongs to {theirs}"
+    if place.kind == "point":
+        partner = other.body.points[place.partner[0]]
+        return f"{mine} and point {partner} of body {theirs} exchanged"
+    step = float(np.median(np.diff(freq_hz))) * place.shift
+    lines = f"{abs(place.shift)} line{'s' if abs(place.shift) > 1 else ''}"
+    way = "higher" if place.shift > 0 else "lower"
+    return f"rows of {mine} belong {lines} {way}: their frequencies are off by {-step:.4g} Hz"

@@ -1,0 +1,61 @@
+"""Search all bodies and runs together for rows under a wrong label."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from kinematics.faults.diagnose import Diagnosis, diagnosed
+from kinematics.faults.findings import Finding
+from kinematics.faults.mislabelled.clean_motion import Cleared, chosen_lines, cleared
+from kinematics.faults.mislabelled.exchanged_lines import loud_lines
+from kinematics.faults.mislabelled.row_labels import label_findings
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.noise_spectrum import noise_course
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
+
+Key = tuple[int, int]
+
+
+def told_across(
+    placed: Measurement,
+    fits: Mapping[Key, LineFit],
+    diagnoses: Mapping[Key, Diagnosis],
+    known: Mapping[Key, bool],
+) -> dict[Key, Diagnosis]:
+    """Return the diagnoses in which rows under a wrong body, point, run or frequency are named.
+
+    Nothing is looked at when no body has a fault.
+    """
+    if not any(diagnosis.findings for diagnosis in diagnoses.values()):
+        return {}
+    motions: dict[Key, Cleared] = {}
+    findings_of: dict[Key, list[Finding]] = {}
+    for key, fit in fits.items():
+        if fit.is_rounding() or not np.any(fit.solution.good):
+            continue
+        body = placed.bodies[key[1]]
+        beams = extended_beams(body, fit.beams.dof)
+        noise = fit.noise
+        if not known[key]:
+            noise = LineNoise(noise.stated, noise_course(fit, placed.freq_hz))
+        lines = chosen_lines(fit.solution.good)
+        motions[key] = cleared(key, fit, body, beams, noise.at(lines), lines)
+        for pair in loud_lines(fit):
+            both = np.array(pair)
+            single = {key: cleared(key, fit, body, beams, noise.at(both), both)}
+            findings_of |= label_findings(single, placed.runs, placed.freq_hz)
+            if key in findings_of:
+                break
+    findings_of = {**findings_of, **label_findings(motions, placed.runs, placed.freq_hz)}
+    told = {}
+    for key, findings in findings_of.items():
+        out = [c for finding in findings for c in finding.channels]
+        rest = diagnosed(placed, placed.bodies[key[1]], fits[key], known[key], out)
+        kept = 0.0 if not rest.findings else rest.kept
+        told[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
+    return told

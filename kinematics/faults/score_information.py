@@ -1,0 +1,301 @@
+"""The rigid fit of packed readings, and the score and information of any change of its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.packed_readings import RIDGE, Packed, whitened
+from stapeskit.frames import cross_matrix
+from stapeskit.spatial import cross
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+# Tangents of a reading: real and imaginary part of a factor, delay, both parts of a factor that runs with the
+# lines, two turns of the beam, three shifts of the point, three turns of all beams.
+REAL, IMAGINARY, DELAY, DRIFT, DRIFT_IMAGINARY = range(5)
+TURNS, SHIFTS, AXES = (5, 6), (7, 8, 9), (10, 11, 12)
+# Beams (n, 3) times these are the products of the unit vectors along x, y, z with them.
+_ABOUT = tuple(cross_matrix(axis).T for axis in np.eye(3))
+# Numbers that are held at once.
+_HELD = 4_000_000
+
+
+class Model(NamedTuple):
+    """Positions (channel, 3), directions (channel, 3) and factors (group, channel) of the readings."""
+
+    arms_m: Array
+    directions: Array
+    factor: ComplexArray | None = None
+
+    def times(self, channels: Sequence[int], factor: NDArray[Any], groups: int) -> Model:
+        """Multiply the readings of channels by a factor (group,)."""
+        product = np.ones((groups, len(self.arms_m)), dtype=complex)
+        product = product if self.factor is None else self.factor.copy()
+        product[:, channels] *= np.broadcast_to(factor, (groups,))[:, None]
+        return self._replace(factor=product)
+
+
+def model_of(data: Packed) -> Model:
+    """Return the model that data assume."""
+    return Model(data.assumed.arms_m, data.assumed.directions)
+
+
+def across(directions: Array) -> Array:
+    """Return two unit vectors (..., 2, 3) square to beams (..., 3) and to each other."""
+    least = np.eye(3)[np.argmin(np.abs(directions), axis=-1)]
+    first = cross(directions, least)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, cross(directions, first)], axis=-2)
+
+
+class Sums(NamedTuple):
+    """Scores (B, p), information (B, p, p) and projections (B, p, D) of tangents of B sets of channels."""
+
+    score: Array
+    information: Array
+    taken: Array
+
+
+@dataclass(frozen=True)
+class State:
+    """A fit of all columns.
+
+    Attributes
+    ----------
+    data : Packed
+    model : Model
+    own : ndarray, (group, channel, m)
+        Rows over their noise, before the whitening of channels of one point.
+    span : ndarray, (group, channel, m)
+        Orthonormal columns of the whitened rows.
+    upper : ndarray, (group, m, m)
+        From coefficients of ``span`` to the motion.
+    z : ndarray, (group, m, column), complex
+        Motion in the basis of the beams.
+    e : ndarray, (group, channel, column), complex
+        Whitened residual.
+    """
+
+    data: Packed
+    model: Model
+    own: NDArray[Any]
+    span: NDArray[Any]
+    upper: NDArray[Any]
+    z: ComplexArray
+    e: ComplexArray
+
+    @classmethod
+    def of(cls, data: Packed, model: Model | None = None) -> State:
+        """Fit the motion under a model."""
+        model = model or model_of(data)
+        own: NDArray[Any] = data.weight[:, :, None] * data.rows(model.arms_m, model.directions)
+        if model.factor is not None:
+            own = model.factor[:, :, None] * own
+        rows = whitened(own, data.whiten)
+        turned = rows.conj().swapaxes(1, 2)
+        gram = turned @ rows
+        half = _root(gram)
+        upper = np.linalg.inv(half).conj().swapaxes(1, 2)
+        span = rows @ upper
+        seen = span.conj().swapaxes(1, 2) @ data.y
+        return cls(data, model, own, span, upper, upper @ seen, data.y - span @ seen)
+
+    @property
+    def energy(self) -> float:
+        """Sum of |e|^2 over the columns with motion."""
+        return float(np.sum(e.real**2 + e.imag**2)) if (e := self.e).size else 0.0
+
+    @cached_property
+    def rest(self) -> ComplexArray:
+        """Whitened residual of the columns without motion, (group, channel, sample)."""
+        held = self.data.rest
+        return np.asarray(held - self.span @ (self.span.conj().swapaxes(1, 2) @ held))
+
+    @cached_property
+    def leverage(self) -> Array:
+        """Share (group, channel) of each reading's noise that the fit takes."""
+        return np.asarray(np.sum(np.abs(self.plain(self.span)) ** 2, axis=2))
+
+    @cached_property
+    def back(self) -> Array:
+        """Matrix (channel, channel) from whitened values to those of the channels over their noise."""
+        whiten = self.data.whiten
+        return np.eye(len(self.data.points)) if whiten is None else np.asarray(np.linalg.inv(whiten))
+
+    def plain(self, white: NDArray[Any]) -> NDArray[Any]:
+        """Return whitened values (group, channel, n) as those of the channels over their noise."""
+        return white if self.data.whiten is None else np.asarray(self.back @ white)
+
+    @cached_property
+    def own_e(self) -> ComplexArray:
+        """Residual whose products with changes of the channels' own rows are those of ``e``."""
+        whiten = self.data.whiten
+        return self.e if whiten is None else np.asarray(whiten.T @ self.e)
+
+    @cached_property
+    def own_span(self) -> NDArray[Any]:
+        """Columns whose products with changes of the channels' own rows are those of ``span``."""
+        whiten = self.data.whiten
+        return self.span if whiten is None else np.asarray(whiten.T @ self.span)
+
+    @cached_property
+    def norm(self) -> Array | None:
+        """Products (channel, channel) of changes of two channels' rows; None for the unit matrix."""
+        whiten = self.data.whiten
+        return None if whiten is None else np.asarray(whiten.T @ whiten)
+
+    def free(self) -> Array:
+        """Return the residual degrees of freedom (group,) of a complex column."""
+        used = np.sum(self.data.weight > 0.0, axis=1)
+        return np.maximum(used - np.sum(np.abs(self.span) ** 2, axis=(1, 2)), 0.0)
+
+    def tangents(
+        self, channels: NDArray[np.intp], which: Sequence[int], beam: Array | None = None
+    ) -> ComplexArray:
+        """Return derivatives (p, group, n, column) of the readings of channels over their noise.
+
+        Parameters
+        ----------
+        channels : ndarray, (n,), int
+        which : sequence of int, (p,)
+            Out of REAL to AXES.
+        beam : ndarray, (3,), optional
+            The beam that TURNS are square to; each its own by default.
+        """
+        data, model = self.data, self.model
+        read = self.own[:, channels] @ self.z
+        tau, ratio = data.tau[:, None, None], data.ratio[:, None, None]
+        simple: dict[int, Any] = {REAL: 1.0, IMAGINARY: 1j, DELAY: -1j * ratio}
+        simple |= {DRIFT: tau, DRIFT_IMAGINARY: 1j * tau}
+        changed = [k for k in which if k >= TURNS[0]]
+        tangents = np.empty((len(which), *read.shape), dtype=complex)
+        if changed:
+            arms, beams = model.arms_m[channels], model.directions[channels]
+            weight = data.weight[:, channels]
+            factor = None if model.factor is None else model.factor[:, channels]
+            size = weight if factor is None else weight * factor
+            rows = _turned(data, changed, arms, beams, beam)
+            moved = (rows[:, None] @ self.z[None]) * size[None, :, :, None]
+        for place, k in enumerate(which):
+            tangents[place] = moved[changed.index(k)] if k in changed else read * simple[k]
+        return tangents
+
+    def products(self, channels: NDArray[np.intp], tangents: ComplexArray) -> ComplexArray:
+        """Apply ``norm`` to tangents (p, group, n, column) of single channels or of whole points."""
+        if self.norm is None:
+            return tangents
+        inner = self.norm[np.ix_(channels, channels)]
+        return np.asarray(inner @ tangents)
+
+    def sums(self, groups: NDArray[np.intp], tangents: ComplexArray, shared: bool = True) -> Sums:
+        """Return scores, information and projections of tangents.
+
+        Parameters
+        ----------
+        groups : ndarray, (B, n), int
+        tangents : ndarray, (p, group, B, n, column), complex
+        shared : bool
+            The projections are needed; without them single channels take less time.
+
+        Notes
+        -----
+        For a change t of the readings the score is Re t^H e, and the information of two of them
+        Re t^H P t' with P the projector on the residuals (Rao 1948, doi:10.1017/S0305004100023987).
+        """
+        count, sets = tangents.shape[0], tangents.shape[2]
+        if self.norm is None and groups.shape[1] == 1 and not shared:
+            t = tangents[:, :, :, 0].transpose(2, 0, 1, 3).reshape(sets, count, -1)
+            kept = 1.0 - self.leverage[:, groups[:, 0]]
+            kept = np.repeat(kept.T, tangents.shape[4], axis=1)
+            one = self.own_e[:, groups[:, 0]].transpose(1, 0, 2).reshape(sets, -1, 1)
+            whole = np.real((t.conj() * kept[:, None]) @ t.swapaxes(1, 2))
+            return Sums(np.real(t.conj() @ one)[:, :, 0], whole, np.zeros((sets, count, 0)))
+        flat = tangents.transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
+        e = self.own_e[:, groups].transpose(1, 0, 2, 3).reshape(sets, -1, 1)
+        score = np.real(flat.conj() @ e)[:, :, 0]
+        if self.norm is None:
+            other = flat
+        else:
+            inner = self.norm[groups[:, :, None], groups[:, None, :]]
+            other = (inner[None, None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
+        whole = np.real(flat.conj() @ other.swapaxes(1, 2))
+        span = self.own_span[:, groups].conj().transpose(0, 1, 3, 2)
+        taken = (span[None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
+        real = np.concatenate([taken.real, taken.imag], axis=2)
+        return Sums(score, whole - real @ real.swapaxes(1, 2), real)
+
+    def chunks(self, groups: NDArray[np.intp], count: int, shared: int = 0) -> list[NDArray[np.intp]]:
+        """Split sets of channels (B, n) so that the sums of ``count`` tangents fit into memory.
+
+        ``shared``: number of parameters whose products with the tangents are made, too.
+        """
+        parts, size, columns = self.z.shape
+        each = count * max(parts * columns * max(2 * size, 2 * groups.shape[1]), shared)
+        step = max(1, _HELD // max(each, 1))
+        return [groups[start : start + step] for start in range(0, len(groups), step)]
+
+    def left_out(self, groups: NDArray[np.intp]) -> Array:
+        """Return by how much the energy falls (B,) when sets of channels (B, n) are left out."""
+        parts = []
+        for part in self.chunks(groups, groups.shape[1]):
+            span = self.own_span[:, part]
+            if self.norm is None and part.shape[1] > span.shape[3]:
+                parts.append(_left_out_of_many(span, self.own_e[:, part]))
+                continue
+            norm = (
+                np.eye(part.shape[1]) if self.norm is None else self.norm[part[:, :, None], part[:, None, :]]
+            )
+            kept = norm - span @ span.conj().swapaxes(2, 3)
+            e = self.own_e[:, part]
+            if part.shape[1] > 1:
+                values, vectors = np.linalg.eigh(kept)
+                e = vectors.conj().swapaxes(2, 3) @ e
+            else:
+                values = np.real(kept[..., 0])
+            along = np.sum(np.abs(e) ** 2, axis=3)
+            seen = values > 1e-6
+            parts.append(np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=(0, 2)))
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _left_out_of_many(span: NDArray[Any], e: ComplexArray) -> Array:
+    """Return what ``State.left_out`` does, by matrices of the size of the motion (Woodbury's identity)."""
+    turned = span.conj().swapaxes(2, 3)
+    values, vectors = np.linalg.eigh(turned @ span)
+    along = np.sum(np.abs(vectors.conj().swapaxes(2, 3) @ (turned @ e)) ** 2, axis=3)
+    left = 1.0 - values
+    seen = left > 1e-6
+    held = np.sum(np.where(seen, along / np.where(seen, left, 1.0), 0.0), axis=(0, 2))
+    return np.asarray(held + np.sum(np.abs(e) ** 2, axis=(0, 2, 3)))
+
+
+def _root(gram: NDArray[Any]) -> NDArray[Any]:
+    """Return the triangular root (group, m, m) of normal matrices; with a ridge where one is singular."""
+    size = np.maximum(np.trace(gram, axis1=1, axis2=2).real, 1e-300)
+    for share in (0.1 * np.finfo(float).eps, RIDGE, 1e3 * RIDGE):
+        try:
+            return np.asarray(
+                np.linalg.cholesky(gram + (share * size)[:, None, None] * np.eye(gram.shape[-1]))
+            )
+        except np.linalg.LinAlgError:
+            continue
+    raise np.linalg.LinAlgError("normal matrices of no definite sign")
+
+
+def _turned(data: Packed, which: Sequence[int], arms: Array, beams: Array, beam: Array | None) -> Array:
+    """Return derivatives (p, n, m) of rows by turns of beams and shifts of points."""
+    turns = dict(zip((*SHIFTS, *AXES), 2 * [beams @ turn for turn in _ABOUT], strict=True))
+    if set(TURNS) & set(which):
+        square = across(beams if beam is None else np.broadcast_to(beam, beams.shape))
+        turns |= zip(TURNS, square.swapaxes(0, 1), strict=True)
+    rows = data.rows(arms, np.stack([turns[k] for k in which]))
+    for place, k in enumerate(which):
+        if k in SHIFTS:  # the product of arm and beam changes, the beam does not
+            rows[place] = turns[k] @ data.source.beams.to_six[3:]
+    return rows
