@@ -27,14 +27,14 @@ def fragments(corners: Array, shape: tuple[int, int]) -> tuple[Pixels, Array, Pi
     Parameters
     ----------
     corners : ndarray, (m, 3, 3)
-        Column, row and depth of each corner.
+        Column, row, and height towards the eye, of each corner.
     shape : (int, int)
         Rows and columns of the picture.
 
     Returns
     -------
     place, height, face, shares : ndarray, (n,), (n,), (n,), (n, 3)
-        Pixel (row * columns + column), depth there, number of the triangle, and the shares of its corners.
+        Pixel (row * columns + column), height there, number of the triangle, and the shares of its corners.
     """
     ends = shape[::-1]
     low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 1e-9), 0, ends).astype(np.intp)
