@@ -33,7 +33,7 @@ def shorten_name(name: str, most: int = 16) -> str:
 
     Examples
     --------
-    >>> shortened("head", 8), shortened("measurement point 12", 9)
+    >>> shorten_name("head", 8), shorten_name("measurement point 12", 9)
     ('head', 'meas…t 12')
     """
     if len(name) <= most:
@@ -47,7 +47,7 @@ def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]
 
     Examples
     --------
-    >>> distinct(["point 1 on the plate", "point 12 on the plate"])
+    >>> distinct_short_names(["point 1 on the plate", "point 12 on the plate"])
     {'point 1 on the plate': '1', 'point 12 on the plate': '12'}
     """
     several = list(dict.fromkeys(names))
