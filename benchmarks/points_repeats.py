@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.repeats.comparison import code_of
-from kinematics.repeats.pooling import pooled
+from kinematics.repeats.pooling import pool_repeats
 
 RESONANCES = ((1753.0, 0.12), (2783.0, 0.14))
 ALARM = {
@@ -114,7 +114,7 @@ def alarms(replicates, seed):
     for row, (name, options) in enumerate(ALARM.items()):
         detected, low, count = 0, 0, 0
         for k in range(replicates):
-            report = pooled(simulate(np.random.default_rng([seed, row, k]), **options)[0]).repeats[0]
+            report = pool_repeats(simulate(np.random.default_rng([seed, row, k]), **options)[0]).repeats[0]
             detected += bool(report.found)
             values = [test.p_value for test in report.tests if test.name != "shape_scatter"]
             low, count = low + sum(p < 0.05 for p in values), count + len(values)
@@ -127,7 +127,9 @@ def powers(replicates, seed):
     for row, (name, (code, options)) in enumerate(FAULTS.items()):
         detected, right, others = 0, 0, Counter()
         for k in range(replicates):
-            report = pooled(simulate(np.random.default_rng([seed, 100 + row, k]), **options)[0]).repeats[0]
+            report = pool_repeats(
+                simulate(np.random.default_rng([seed, 100 + row, k]), **options)[0]
+            ).repeats[0]
             codes = [code_of(test) for test in report.found]
             detected += bool(codes)
             right += code in codes
@@ -158,7 +160,7 @@ def pooling(replicates, seed):
         square, inside, plain = [], [], []
         for k in range(replicates):
             measured, truth = simulate(np.random.default_rng([seed, 200 + row, k]), **options)
-            mean = pooled(measured).measurement
+            mean = pool_repeats(measured).measurement
             value = np.concatenate([body.displacement[0] for body in mean.bodies])
             sd = np.concatenate([body.sd[0] for body in mean.bodies])
             true = np.concatenate(truth)

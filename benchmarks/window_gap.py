@@ -29,7 +29,7 @@ _FINE_MM = 0.022
 
 def true_gap(anatomy: shapes.Anatomy, gap_mm: float) -> NDArray[np.float64]:
     """Return the median gap, the harmonic mean, the sd along the rim, mm, and the share of the rim."""
-    from ct_inertia.bodies import Wall
+    from ct_inertia.bodies import WindowWall
     from ct_inertia.frames.anatomy import AnatomyHints
     from ct_inertia.frames.footplate import footplate_frame
     from ct_inertia.frames.window_gap import window_gap
@@ -39,7 +39,7 @@ def true_gap(anatomy: shapes.Anatomy, gap_mm: float) -> NDArray[np.float64]:
     grid, place = scans.fine_grid(_FINE_MM)
     stapes = iso_surface(-grid.signed(lambda p: shapes.body(anatomy, p)), 0.0, place)
     points, faces = contoured(-grid.signed(lambda p: shapes.window(anatomy, p, gap_mm)), 0.0)
-    wall = Wall(points @ place[:3, :3].T + place[:3, 3], faces, 0.0, 0.0, 0.0)
+    wall = WindowWall(points @ place[:3, :3].T + place[:3, 3], faces, 0.0, 0.0, 0.0)
     frame = footplate_frame(stapes, AnatomyHints(np.array([1.0, 0.0, 0.0]), {}, None))
     gap = window_gap(frame, stapes, 0.0, wall)
     if gap is None:

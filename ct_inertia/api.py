@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from stapeskit.faults import worded
+from stapeskit.faults import translate_option_names
 from stapeskit.option_names import as_keyword
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult
 
 
-@worded(as_keyword)
+@translate_option_names(as_keyword)
 def ct2mass(scan: str | os.PathLike[str] | None = None, **options: Any) -> MassResult:
     """Find stapes, frames and mass matrix in a micro-CT scan.
 

@@ -167,7 +167,7 @@ class PlateFace:
 
 
 @dataclass(frozen=True)
-class Wall:
+class WindowWall:
     """The surface of bone that is not the stapes, as seen.
 
     Attributes
@@ -210,7 +210,7 @@ class Bodies:
         Spectral density of its height noise at long waves, as far as neighbouring voxels share noise.
     frame_doubt : Surface or None
         The same surface, less of what is soft around the stapes taken off by a standard deviation.
-    wall : Wall or None
+    wall : WindowWall or None
         Surface of other bone near the stapes.
     plate : Surface or None
     moments : Moments
@@ -240,7 +240,7 @@ class Bodies:
     frame_blur_mm: float = 0.0
     frame_noise_mm4: float = 0.0
     frame_doubt: Surface | None = None
-    wall: Wall | None = None
+    wall: WindowWall | None = None
     plate_face: PlateFace | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

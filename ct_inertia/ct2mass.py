@@ -116,9 +116,9 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             options.follow,
         )
         if options.labels is None and options.box_mm is None:
-            from ct_inertia.volume.coarse_view import take_glance
+            from ct_inertia.volume.coarse_view import coarse_overview
 
-            glance = Later(take_glance, volume)
+            glance = Later(coarse_overview, volume)
     from ct_inertia.grey.soft_coat import stated_coat
     from ct_inertia.labelling.from_scan import find_bodies
     from ct_inertia.segment.coarse_segmentation import SearchOptions

@@ -15,7 +15,7 @@ from ct_inertia.readers.checks import existing_file
 from ct_inertia.readers.formats import ReadOptions, format_of
 from ct_inertia.readers.raw_layout import RawLayout
 from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
-from ct_inertia.volume.lazy_arrays import turned
+from ct_inertia.volume.lazy_arrays import invert_grey_values
 from ct_inertia.volume.volume import Volume, check_axis
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
@@ -100,7 +100,7 @@ def read_labels(
         volume = read_volume(path, spacing_mm, mirror, follow=follow)
     kept = tuple(notice for notice in volume.notices if notice.code != WHITE_IS_ZERO)
     # Numbers that name bodies are no matter of bright and dark.
-    array = volume.array if len(kept) == len(volume.notices) else turned(volume.array)
+    array = volume.array if len(kept) == len(volume.notices) else invert_grey_values(volume.array)
     return replace(volume, array=np.asarray(array), notices=kept)
 
 

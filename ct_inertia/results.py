@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ct_inertia.ct2mass import MassMeasurement, ct2mass
 from stapeskit.progress import Tell, silent
-from stapeskit.results import Result, extended
+from stapeskit.results import Result, extend_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,4 +108,4 @@ def mass_of(
 ) -> MassResult:
     """Measure the mass properties of a stapes; see `ct_inertia.ct2mass.ct2mass`."""
     measured = ct2mass(options, progress, found)
-    return extended(MassResult, replace(measured, options=measured.options.anchored()))
+    return extend_result(MassResult, replace(measured, options=measured.options.anchored()))

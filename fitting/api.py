@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
-from stapeskit.faults import worded
+from stapeskit.faults import translate_option_names
 from stapeskit.option_names import as_keyword
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
@@ -28,7 +28,7 @@ class HasMotion(Protocol):
         """The motion of the bodies."""
 
 
-@worded(as_keyword)
+@translate_option_names(as_keyword)
 def dof2kd(
     motion: str | os.PathLike[str] | RigidMotion | HasMotion,
     *,

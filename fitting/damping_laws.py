@@ -162,7 +162,7 @@ def fits_of_laws(
             faults[name] = fault
     if not fits:
         raise next(iter(faults.values()))
-    made = comparable(fits) if len(fits) > 1 else tuple(fits)
+    made = rescale_bic(fits) if len(fits) > 1 else tuple(fits)
     return made, {name: str(fault) for name, fault in faults.items()}
 
 
@@ -174,14 +174,14 @@ def best_of_each(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
     return tuple(best[name] for name in LAWS if name in best)
 
 
-def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
+def rescale_bic(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
     """Return the fits with BIC made comparable by the best chi2 per degree of freedom."""
     fits = tuple(fits)
     spread = max(1.0, min(fit.chi2 / max(fit.n_dof, 1) for fit in fits))
     return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
 
 
-def alike(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
+def indistinguishable_laws(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
     """Return the other laws that the data do not tell from the one of the best fit.
 
     A law that the best one is a special case of is no other: the simple one is kept until the data speak

@@ -18,7 +18,7 @@ from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
 from fitting.results import KDResult
-from stapeskit.input_changes import left_alone
+from stapeskit.input_changes import refuse_changes
 from stapeskit.own_files import OutputSet
 from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
@@ -85,7 +85,7 @@ def dof2kd(
     outputs = _outputs(out, [motion_path, beside, mass_path, config], force, export)
     outputs.check()
     progress("reading motion and mass")
-    with left_alone((motion_path, beside, mass_path), FittingError):
+    with refuse_changes((motion_path, beside, mass_path), FittingError):
         mass, mass_record = read_mass(mass_path, options.dof)
         motion = read_motion(motion_path)
         chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)

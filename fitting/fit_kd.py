@@ -15,10 +15,10 @@ from fitting.causes.diagnosis import model_error
 from fitting.damping_laws import (
     LawFit,
     best_of_each,
-    comparable,
     fit_at,
     fit_law,
     fits_of_laws,
+    rescale_bic,
     start_of_law,
     with_ligament,
 )
@@ -27,11 +27,11 @@ from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.multistart import improve
 from fitting.estimators.problem import Problem
 from fitting.fluid_mass import FLUID, choose_fluid
-from fitting.inplane_load import AUTO, LOAD, InplaneChoice, choose
+from fitting.inplane_load import AUTO, LOAD, InplaneChoice, choose_inplane_load
 from fitting.kd_fit import KDFit
 from fitting.ligament.joint_lines import JointLines, joint_lines
 from fitting.ligament.ligament import NotWithin, applies
-from fitting.ligament.misfit import explained
+from fitting.ligament.misfit import is_explained
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
 from fitting.model.laws import LAWS
@@ -41,7 +41,7 @@ from fitting.model.parameter_vector import split
 from fitting.model.range_checks import check_motion, check_result, unsolvable
 from fitting.model.scaled_lines import Lines, Scale
 from fitting.options import COMPARE, KDOptions
-from fitting.result_checks import cause_notices, verdicts
+from fitting.result_checks import cause_notices, result_warnings
 from fitting.uncertainty.covariance import chi2
 from fitting.uncertainty.frequency_dependence import fewer_bands, frequency_dependence
 from fitting.uncertainty.identifiability import Identifiability, identifiability
@@ -185,7 +185,7 @@ def _laws(
     undetermined : dict of str to str
     """
     if measured is not None:
-        loaded, choice = choose(problem, LOAD)
+        loaded, choice = choose_inplane_load(problem, LOAD)
         fits, undetermined = _fits(loaded, options, partial(start_of_law, fluid=FLUID in options.causes))
         settled = _joint_fits(fits, measured, options)
         if options.causes and not settled:
@@ -194,9 +194,9 @@ def _laws(
             if settled and fit.law.name not in {other.law.name for other in settled}:
                 undetermined[fit.law.name] = NOT_SETTLED
         if any(fit.ligament is not None for fit in settled):
-            laws = best_of_each(comparable(settled))
+            laws = best_of_each(rescale_bic(settled))
             return fits, laws, replace(choice, reason=WITH_LIGAMENT), undetermined
-    chosen, choice = choose(problem, options.inplane)
+    chosen, choice = choose_inplane_load(problem, options.inplane)
     if measured is not None:
         choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
     fits, undetermined = _fits(chosen, options, fit_law)
@@ -245,14 +245,14 @@ def _joint(
     if options.fluid == "auto":
         start = start_of_law(fit.problem, fit.law.name, options.lower, options.upper, fit.law.ratio, True)
         fluid = with_ligament(start, measured, (FLUID,), within=within)
-        if fluid.ligament is not None and explained(fluid.ligament.joint):
+        if fluid.ligament is not None and is_explained(fluid.ligament.joint):
             least = fluid.bic - (free.bic - free.chi2)  # chi2 that is held would need, at the level of fluid
             if free.outside > max(1.0, fluid.ligament.joint.level) * least:
                 return fluid
         tried.append(fluid)
     with suppress(np.linalg.LinAlgError):
         tried.append(with_ligament(fit, measured, held=True))
-    settled = comparable(joint for joint in tried if joint.ligament is not None)
+    settled = rescale_bic(joint for joint in tried if joint.ligament is not None)
     return min(settled, key=lambda joint: joint.bic) if settled else None
 
 
@@ -352,7 +352,7 @@ def _result(
         local = frequency_dependence(problem, lines, best.estimate, budget.widened, options.bands)
         fit = replace(fit, frequency=local)
     notices = fewer_bands(lines.count, options.bands)
-    return replace(fit, notices=unique([*motion.notices, *verdicts(fit), *notices]))
+    return replace(fit, notices=unique([*motion.notices, *result_warnings(fit), *notices]))
 
 
 def _plain(best: LawFit, options: KDOptions) -> LawFit:

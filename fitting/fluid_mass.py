@@ -12,13 +12,13 @@ import numpy as np
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import title_of
 from fitting.causes.diagnosis import Diagnosis, diagnose, with_corrected, with_refits
-from fitting.causes.model_error import off_by_law
+from fitting.causes.model_error import law_error
 from fitting.causes.refits import Refit
-from fitting.damping_laws import LawFit, best_of_each, comparable, fits_of_laws, start_of_law, with_ligament
+from fitting.damping_laws import LawFit, best_of_each, fits_of_laws, rescale_bic, start_of_law, with_ligament
 from fitting.errors import FittingError
 from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament import NotWithin
-from fitting.ligament.misfit import explained
+from fitting.ligament.misfit import is_explained
 from fitting.model.laws import LAWS
 from fitting.model.parameter_vector import join
 from fitting.options import COMPARE, KDOptions
@@ -98,11 +98,11 @@ def choose_fluid(
         diagnosis = _diagnosed(best, plain, measured, options, compared)
         return best, diagnosis, _used(best, options, reason, asked), compared
     found: tuple[LawFit, ...] = ()
-    if options.fluid == "auto" and not explained(first.joint):  # a refit may end beside the mass
+    if options.fluid == "auto" and not is_explained(first.joint):  # a refit may end beside the mass
         found = _with_fluid(best, plain, measured, options)
     known = [_refit_with_fluid(best, fit) for fit in found]
     diagnosis = _diagnosed(best, plain, measured, options, compared, known)
-    refit, reason, notices = speaks_for_fluid(diagnosis, options)
+    refit, reason, notices = decide_on_fluid(diagnosis, options)
     if reason or refit is None:
         return best, diagnosis, _unused(options, reason, notices), compared
     found = found or _with_fluid(best, plain, measured, options, refit.size)
@@ -116,9 +116,7 @@ def choose_fluid(
     return chosen, again, _used(chosen, options, reason, False, also), compared
 
 
-def speaks_for_fluid(
-    diagnosis: Diagnosis, options: KDOptions
-) -> tuple[Refit | None, str, tuple[Notice, ...]]:
+def decide_on_fluid(diagnosis: Diagnosis, options: KDOptions) -> tuple[Refit | None, str, tuple[Notice, ...]]:
     """Return the fit with fluid if it is to be part of the model, else why not, and warnings.
 
     A relaxation that the law of the fit does not follow looks like a mass: where another law, without fluid,
@@ -172,14 +170,14 @@ def _with_fluid(
             found.append(fit)
             near = calibrated("causes.look_alike_chi2") + float(np.log(2 * fit.problem.n * measured.count))
             limit = min(other.chi2 for other in found) + near
-    return best_of_each(comparable(found)) if found else ()
+    return best_of_each(rescale_bic(found)) if found else ()
 
 
 def _joined(compared: tuple[LawFit, ...], found: tuple[LawFit, ...]) -> tuple[LawFit, tuple[LawFit, ...]]:
     """Return the best fit with fluid, and the fits under all laws, with fluid where there is such a fit."""
     best = min(found, key=lambda fit: (not fit.law.physical, fit.bic))
     by_name = {fit.law.name: fit for fit in found}
-    compared = comparable(by_name.get(fit.law.name, fit) for fit in compared)
+    compared = rescale_bic(by_name.get(fit.law.name, fit) for fit in compared)
     return next((fit for fit in compared if fit.law == best.law), best), compared
 
 
@@ -267,7 +265,7 @@ def _refit_of(best: LawFit, other: LawFit, unknowns: float) -> Refit:
         change,
         other.ligament.p_value,
         unknowns + _counted(other) - _counted(best),
-        off=off_by_law(best.ligament, other.ligament, omega),
+        off=law_error(best.ligament, other.ligament, omega),
         chi2=other.ligament.chi2,
         fixed=other.law.law.fixed - best.law.law.fixed,
     )

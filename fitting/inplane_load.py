@@ -87,7 +87,7 @@ class InplaneChoice:
         ]
 
 
-def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
+def choose_inplane_load(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     """Decide about the load and return the problem with or without it.
 
     Raises

@@ -10,7 +10,7 @@ import numpy as np
 
 from fitting.budget import Budget, Derived, derived_quantities
 from fitting.causes.diagnosis import Diagnosis
-from fitting.damping_laws import LawFit, alike
+from fitting.damping_laws import LawFit, indistinguishable_laws
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
 from fitting.fluid_mass import FluidChoice
@@ -113,7 +113,7 @@ class KDFit:
     def laws_alike(self) -> tuple[str, ...]:
         """Damping laws, out of those that were compared, that the data do not tell from the chosen one."""
         best = next((law for law in self.laws if law.law == self.law), None)
-        return () if best is None else alike(best, self.laws)
+        return () if best is None else indistinguishable_laws(best, self.laws)
 
     @property
     def parameters(self) -> tuple[str, ...]:

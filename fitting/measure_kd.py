@@ -15,7 +15,7 @@ from fitting.options import KDOptions
 from fitting.results import KDResult
 from stapeskit.arrays import Array
 from stapeskit.option_values import WithSd
-from stapeskit.results import extended
+from stapeskit.results import extend_result
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def kd_of(
     """
     fit = fit_kd(motion, mass, options)
     fit = replace(fit, notices=unique([*chain, *fit.notices]))
-    return extended(
+    return extend_result(
         KDResult,
         fit,
         provenance=dict(provenance or {}),

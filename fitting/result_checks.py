@@ -28,7 +28,7 @@ _FALSE_OUTLIERS = 0.01
 _BIASED = 0.02
 
 
-def verdicts(fit: KDFit) -> list[Notice]:
+def result_warnings(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
     notices = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
     return [*notices, *_fit_quality(fit), *_local(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stapeskit.faults import worded
+from stapeskit.faults import translate_option_names
 from stapeskit.option_names import as_keyword
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stapeskit.records.measured_mass import MassInput
 
 
-@worded(as_keyword)
+@translate_option_names(as_keyword)
 def points2dof(
     ldv: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,

@@ -11,7 +11,7 @@ from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, LeftOut, Measurement, direction_name
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
-from stapeskit.options import near
+from stapeskit.options import suggestion
 
 # Beams are written with three decimals in messages; two different lasers are farther apart.
 _SAME_BEAM = 2e-3
@@ -82,7 +82,7 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
     possible = [k for k, body in enumerate(names) if name.startswith(body + ":")]
     if not possible:
         expected = f"BODY:POINT[:BEAM] with a body of the files: {_listed(names)}"
-        return _fault(expected, name, near(name.split(":")[0], names) or f"Bodies are {_listed(names)}")
+        return _fault(expected, name, suggestion(name.split(":")[0], names) or f"Bodies are {_listed(names)}")
     for k in possible:
         body, rest = measurement.bodies[k], name[len(names[k]) + 1 :]
         channels = _of_point(body, rest)
@@ -100,7 +100,7 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
             return _fault(expected, name, f"Write {names[k]}:{point} for all of them")
     body = measurement.bodies[possible[0]]
     points = list(dict.fromkeys(body.points))
-    step = near(name[len(body.body) + 1 :], points) or f"Points are {_listed(points)}"
+    step = suggestion(name[len(body.body) + 1 :], points) or f"Points are {_listed(points)}"
     return _fault(f"a point of body {body.body}", name, step)
 
 

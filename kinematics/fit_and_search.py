@@ -8,13 +8,13 @@ from itertools import product
 
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
-from kinematics.faults.causes.explain import explained
+from kinematics.faults.causes.explain import explain_misfit
 from kinematics.faults.diagnose import MOST_CHANNELS, Diagnosis, too_large
-from kinematics.faults.mislabelled.search_all_bodies import told_across
+from kinematics.faults.mislabelled.search_all_bodies import find_mislabelled
 from kinematics.faults.screening import Screened
-from kinematics.faults.sequential_records import searched_body
+from kinematics.faults.sequential_records import search_body
 from kinematics.fit.beams import BeamSet, beam_set
-from kinematics.fit.body_noise import with_noise
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.laser_errors import Lasers
@@ -73,7 +73,7 @@ def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
     return beam_sets
 
 
-def searched_fits(
+def fit_and_search(
     placed: Measurement, screens: Sequence[Screened], beams: Sequence[BeamSet], robust: str
 ) -> SearchedFits:
     """Fit every body in every run, and search the fits for faults.
@@ -96,19 +96,19 @@ def searched_fits(
     keys = list(product(range(len(placed.runs)), range(len(screens))))
     for key in keys:
         run, body = key[0], screens[key[1]].body
-        fits[key], known[key], raised = with_noise(placed, run, body, beams[key[1]], robust)
+        fits[key], known[key], raised = fit_with_noise(placed, run, body, beams[key[1]], robust)
         notices += raised
         if too_large(body, known[key]):
             notices.append(_unsearched(body))
-        diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
+        diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key])
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first, and
     # believed unless a body that bends remains.
-    exchanged = told_across(placed, searched, diagnoses, known)
+    exchanged = find_mislabelled(placed, searched, diagnoses, known)
     for key in keys:
         other = None
         if key not in exchanged or exchanged[key].bends:
             body = screens[key[1]].body
-            other = explained(placed, key[0], body, searched[key], known[key], diagnoses[key])
+            other = explain_misfit(placed, key[0], body, searched[key], known[key], diagnoses[key])
         diagnoses[key] = other[0] if other else exchanged.get(key, diagnoses[key])
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices)
 
@@ -147,13 +147,13 @@ def with_lasers(
         placed = lasers.corrected(searched.placed, values)
         if not stated:
             fits = {
-                (run, number): with_noise(placed, run, placed.bodies[number], beams[number], robust)[0]
+                (run, number): fit_with_noise(placed, run, placed.bodies[number], beams[number], robust)[0]
                 for run, number in fits
             }
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
-    again = searched_fits(placed, screens, beams, robust)
+    again = fit_and_search(placed, screens, beams, robust)
     return replace(again, applied=values) if again.clean else None
 
 
@@ -170,11 +170,11 @@ def corrected_fits(
         if not corrections:
             break
         done += corrections
-        searched = searched_again(searched, corrections, dof, robust)
+        searched = search_again(searched, corrections, dof, robust)
     return searched, tuple(done)
 
 
-def searched_again(
+def search_again(
     searched: SearchedFits, corrections: Sequence[Correction], dof: tuple[str, ...], robust: str
 ) -> SearchedFits:
     """Return the fits of a measurement after some corrections, and what is wrong with them."""
@@ -184,5 +184,5 @@ def searched_again(
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
-    again = searched_fits(placed, screens, beam_sets(placed, dof), robust)
+    again = fit_and_search(placed, screens, beam_sets(placed, dof), robust)
     return replace(again, applied=searched.applied)

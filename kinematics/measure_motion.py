@@ -114,19 +114,19 @@ def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
     from kinematics.readers import read_measurement
     from kinematics.registration.fiducials import read_fiducials
     from kinematics.registration.surface_points import read_surface_points
-    from stapeskit.faults import Fault, collecting, raise_all
+    from stapeskit.faults import Fault, collect_faults, raise_all
 
     faults: list[Fault] = []
     fiducials: Fiducials | None = None
     clouds: dict[str, Cloud] = {}
     if inputs.fiducials is not None:
-        with collecting(faults):
+        with collect_faults(faults):
             fiducials = read_fiducials(inputs.fiducials)
     for kind, path in (("plate", inputs.plate_points), ("bone", inputs.bone_points)):
         if path is not None:
-            with collecting(faults):
+            with collect_faults(faults):
                 clouds[kind] = read_surface_points(path, kind)
-    with collecting(faults):
+    with collect_faults(faults):
         measurement = read_measurement(inputs.files, inputs.points, inputs.source_frame, inputs.reading)
     raise_all(KinematicsError, dict.fromkeys(faults))
     read = MeasurementInputs(without_channels(measurement, inputs.leave_out), fiducials, clouds)
@@ -159,17 +159,17 @@ def motion_of(
     Raises
     ------
     KinematicsError
-        What `kinematics.registration.align_to_scan.tie` and `kinematics.points2dof.points2dof` refuse.
+        What `align_to_scan` and `points2dof` refuse.
     """
     from kinematics.points2dof import points2dof
-    from kinematics.registration.align_to_scan import tie
+    from kinematics.registration.align_to_scan import align_to_scan
     from kinematics.registration.scan_surfaces import ScanSurfaces
     from kinematics.results import MotionResult
-    from stapeskit.results import extended
+    from stapeskit.results import extend_result
 
     record = None if mass is None else mass.record
     surfaces = None if mass is None else ScanSurfaces.of(mass)
-    placement = tie(
+    placement = align_to_scan(
         read.measurement,
         read.fiducials,
         inputs.frame or "footplate",
@@ -181,7 +181,7 @@ def motion_of(
     result = points2dof(read.measurement, placement, options, record, provenance)
     read_files = (*inputs.by_role.values(), None if mass is None else mass.file)
     files = tuple(Path(path).absolute() for path in read_files if path is not None)
-    return extended(MotionResult, result, mass=record, surfaces=surfaces, files=files)
+    return extend_result(MotionResult, result, mass=record, surfaces=surfaces, files=files)
 
 
 def motion_inputs(options: LdvOptions) -> MotionInputs:
@@ -232,13 +232,13 @@ def measure(
     """
     from kinematics.calibrated import calibrated
     from kinematics.fit_options import fit_options
-    from stapeskit.input_changes import left_alone
+    from stapeskit.input_changes import refuse_changes
     from stapeskit.provenance import record
     from stapeskit.records.measured_mass import measured_mass
 
     chosen = fit_options(options)
     mass_file = Path(given_mass) if isinstance(given_mass, str | Path) else None
-    with left_alone((*inputs.by_role.values(), mass_file), KinematicsError):
+    with refuse_changes((*inputs.by_role.values(), mass_file), KinematicsError):
         mass = None if given_mass is None else measured_mass(given_mass)
         read = read_inputs(inputs)
         files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}

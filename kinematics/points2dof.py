@@ -24,14 +24,14 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.fit_and_search import (
     SearchedFits,
     corrected_fits,
-    searched_again,
-    searched_fits,
+    fit_and_search,
+    search_again,
     with_lasers,
 )
 from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, far_away
-from kinematics.prepared_measurement import PreparedMeasurement, prepared
+from kinematics.prepared_measurement import PreparedMeasurement, prepare_measurement
 from kinematics.registration.calibrate import Calibration
 from kinematics.registration.correction_errors import with_corrections
 from kinematics.registration.handedness import check_axes
@@ -125,7 +125,7 @@ def points2dof(
     placement = placement or place()
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
-    ready = prepared(measurement, placement, options)
+    ready = prepare_measurement(measurement, placement, options)
     lasers = Lasers.of(ready.placed, options.laser_priors)
     searched, corrections = _searched(ready, lasers, options)
     diagnoses = searched.diagnoses
@@ -179,7 +179,7 @@ def _searched(
     ready: PreparedMeasurement, lasers: Lasers | None, options: Options
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
     """Return the fits with their faults, and the corrections made."""
-    searched = searched_fits(ready.placed, ready.screens, ready.beams, options.robust)
+    searched = fit_and_search(ready.placed, ready.screens, ready.beams, options.robust)
     if lasers is not None:
         searched = with_lasers(searched, lasers, ready.beams, options.robust) or searched
     if not options.correct:
@@ -192,7 +192,7 @@ def _searched(
         found = sorted_bodies(motion, searched.placed.order)
         whole = [one.correction(searched.placed) for one in found]
         if whole:
-            searched = searched_again(searched, whole, options.dof, options.robust)
+            searched = search_again(searched, whole, options.dof, options.robust)
         corrections += tuple(whole)
     return searched, corrections
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
+from kinematics.faults.screening import Screened, empty_faults, is_whole, screen_values
 from kinematics.faults.unit_slips import unit_slips
 from kinematics.fit.beams import BeamSet
 from kinematics.fit_and_search import beam_sets
@@ -13,9 +13,9 @@ from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
 from kinematics.motion_checks import uncommon_lines
 from kinematics.registration.calibrate import Calibration
-from kinematics.registration.calibrated_fit import calibrated
+from kinematics.registration.calibrated_fit import calibrate_with_noise
 from kinematics.registration.placement import Placement
-from kinematics.repeats.pooling import Pooled, pooled, separate
+from kinematics.repeats.pooling import Pooled, pool_repeats, separate_repeats
 from stapeskit.faults import raise_all
 from stapeskit.warnings import Notice
 
@@ -47,7 +47,9 @@ class PreparedMeasurement:
     notices: tuple[Notice, ...]
 
 
-def prepared(measurement: Measurement, placement: Placement, options: Options) -> PreparedMeasurement:
+def prepare_measurement(
+    measurement: Measurement, placement: Placement, options: Options
+) -> PreparedMeasurement:
     """Prepare a measurement for the fit.
 
     Parameters
@@ -66,19 +68,19 @@ def prepared(measurement: Measurement, placement: Placement, options: Options) -
     if not whole:
         raise_all(KinematicsError, empty_faults(measurement))
     slips = unit_slips(measurement)
-    repeats = pooled(measurement) if options.repeats == "pool" else separate(measurement)
+    repeats = pool_repeats(measurement) if options.repeats == "pool" else separate_repeats(measurement)
     placed = repeats.measurement.mapped(placement.transform)
     beams = beam_sets(placed, options.dof)
     screens = [
         Screened(body, tuple({} for _ in placed.runs), ())
         if whole
-        else screened(body, placed.runs, options.dof)
+        else screen_values(body, placed.runs, options.dof)
         for body in placed.bodies
     ]
     placed = replace(placed, bodies=tuple(screen.body for screen in screens))
     calibration = None
     if options.calibrate is not None:
-        calibration = calibrated(placed, options.dof, options.calibrate, options.robust)
+        calibration = calibrate_with_noise(placed, options.dof, options.calibrate, options.robust)
         placed = calibration.measurement
         screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
         beams = beam_sets(placed, options.dof)

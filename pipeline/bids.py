@@ -25,10 +25,10 @@ from pipeline.cohort.ear_description import about_of
 from pipeline.errors import PipelineError
 from pipeline.participants import PARTICIPANTS, with_participants
 from pipeline.study import TABLES, Study, read_study
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.option_values import toml
 from stapeskit.options import declared
-from stapeskit.outputs import staged
+from stapeskit.outputs import stage_outputs
 
 # Files of other tables, such as the true values of a simulated ear, stay beside the study.
 _FOLDERS = {"scan": "uct", "ldv": "ldv"}
@@ -92,7 +92,7 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
     faults += [_taken(target) for target, text in texts.items() if _is_other(target, text.encode())]
     faults += [_taken(target) for target, source in files.items() if _is_other(target, source)]
     faults += [_taken(stray) for target, source in copies.items() for stray in _strays(source, target, files)]
-    with collecting(faults):
+    with collect_faults(faults):
         table = with_participants(dataset / PARTICIPANTS, participants)
     raise_all(PipelineError, faults)
     new: dict[Path, Path | bytes] = {**files, **{target: text.encode() for target, text in texts.items()}}
@@ -108,7 +108,7 @@ def _write(dataset: Path, files: Mapping[Path, Path | bytes]) -> None:
     """Let files appear in the dataset at once: copies of others, or with this content."""
     if not files:
         return
-    with staged(dataset) as stage:
+    with stage_outputs(dataset) as stage:
         for target, content in files.items():
             place = stage / target.relative_to(dataset)
             place.parent.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
 from pipeline.study import Study, read_study, words
 from pipeline.study_checks import check_inputs
 from pipeline.workspace import Workspace
-from stapeskit.faults import StapeskitError, worded
+from stapeskit.faults import StapeskitError, translate_option_names
 from stapeskit.own_files import OutputSet, unfinished
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import unique
@@ -150,7 +150,7 @@ def _stage(
             return kept
         reason = reason or "its sections are not as this program writes them"
         try:
-            with worded(words(stage.table)):
+            with translate_option_names(words(stage.table)):
                 names, report = stage.run(study, work)
         except PipelineError:
             raise

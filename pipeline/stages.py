@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from pipeline.stage_records import StageReport
 from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
-from stapeskit.faults import worded
-from stapeskit.input_changes import InputStates, left_alone
+from stapeskit.faults import translate_option_names
+from stapeskit.input_changes import InputStates, refuse_changes
 
 if TYPE_CHECKING:
     from kinematics.measure_motion import MeasurementInputs
@@ -73,7 +73,7 @@ def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) ->
         The study, or a file that it names, is at fault.
     """
     stage = next(stage for stage in STAGES if stage.name == name)
-    with worded(words(stage.table)):
+    with translate_option_names(words(stage.table)):
         names, _ = stage.run(read_study(study_file), Workspace(Path(folder_in), Path(folder_out)))
     return names
 
@@ -103,7 +103,7 @@ def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
     files = tuple(inputs.by_role.values())
 
     def read() -> tuple[InputStates, MeasurementInputs]:
-        with left_alone(files) as states:
+        with refuse_changes(files) as states:
             return states, read_inputs(inputs)
 
     states, measurement = work.once("measurement", read)

@@ -12,7 +12,7 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
-from stapeskit.faults import Fault, in_words, raise_all
+from stapeskit.faults import Fault, raise_all, translate_fault
 from stapeskit.json_toml import parse_toml
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice, file
 from stapeskit.options import OptionTable, declared, option, read_table
@@ -131,7 +131,7 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
             faults.append(Fault(f"the table [{key}]", "a table of keys", values, name))
         else:
             read[key], wrong = read_table(kind, values, name, folder, TABLES.values(), check_files)
-            faults += [in_words(fault, words(key)) for fault in wrong]
+            faults += [translate_fault(fault, words(key)) for fault in wrong]
     raise_all(PipelineError, faults)
     study = Study(**read)
     sides = {study.study.side, study.scan.side} - {None}

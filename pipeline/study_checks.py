@@ -6,7 +6,7 @@ from pipeline.errors import PipelineError
 from pipeline.stages import measurement_of
 from pipeline.study import Study, words
 from pipeline.workspace import Workspace
-from stapeskit.faults import Fault, StapeskitError, raise_all, worded
+from stapeskit.faults import Fault, StapeskitError, raise_all, translate_option_names
 
 
 def check_inputs(study: Study, work: Workspace) -> None:
@@ -18,7 +18,7 @@ def check_inputs(study: Study, work: Workspace) -> None:
         Every fault of the options and of the vibrometer's files.
     """
     try:
-        with worded(words("ldv")):
+        with translate_option_names(words("ldv")):
             _check_measurement(study, work)
     except StapeskitError as error:
         raise PipelineError(*error.faults) from error

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Self
 
-from stapeskit.option_names import Vocabulary, named, using, written
+from stapeskit.option_names import Vocabulary, named, use_vocabulary, written
 
 LONGEST = 4000
 """Characters of a message at most: what fits on a screen or two."""
@@ -44,7 +44,7 @@ class Place:
     detail: str = ""
 
     def __str__(self) -> str:
-        numbers = ranges(self.numbers, self.unit) if self.numbers else ""
+        numbers = format_ranges(self.numbers, self.unit) if self.numbers else ""
         return ", ".join(part for part in (self.file, numbers, self.detail) if part)
 
 
@@ -83,7 +83,7 @@ class Fault:
         return render(self)
 
 
-def in_words(fault: Fault, vocabulary: Vocabulary) -> Fault:
+def translate_fault(fault: Fault, vocabulary: Vocabulary) -> Fault:
     """Return a fault whose references to options are written by a vocabulary."""
     texts = (written(text, vocabulary) for text in (fault.thing, fault.expected, fault.next_step))
     thing, expected, step = texts
@@ -100,7 +100,7 @@ def render(fault: Fault, vocabulary: Vocabulary = named) -> str:
         Takes the name of an option, returns what the reader calls it; default that of the edge.
     """
 
-    fault = in_words(fault, vocabulary)
+    fault = translate_fault(fault, vocabulary)
     if not fault.expected:
         return fault.thing
     place = f" ({fault.where})" if str(fault.where) else ""
@@ -138,7 +138,7 @@ class StapeskitError(ValueError):
         return cls(Fault(thing, expected, got, where, next_step))
 
     def __str__(self) -> str:
-        return message(self.faults)
+        return format_faults(self.faults)
 
 
 def raise_all(error: type[StapeskitError], faults: Iterable[Fault]) -> None:
@@ -155,18 +155,18 @@ def raise_all(error: type[StapeskitError], faults: Iterable[Fault]) -> None:
 
 
 @contextmanager
-def worded(vocabulary: Vocabulary) -> Iterator[None]:
+def translate_option_names(vocabulary: Vocabulary) -> Iterator[None]:
     """Write the names of options in texts and errors of the block by a vocabulary."""
-    with using(vocabulary):
+    with use_vocabulary(vocabulary):
         try:
             yield
         except StapeskitError as error:
-            error.faults = tuple(in_words(fault, vocabulary) for fault in error.faults)
+            error.faults = tuple(translate_fault(fault, vocabulary) for fault in error.faults)
             raise
 
 
 @contextmanager
-def collecting(faults: list[Fault]) -> Iterator[None]:
+def collect_faults(faults: list[Fault]) -> Iterator[None]:
     """Add the faults raised inside the block to a list, and go on after the block."""
     try:
         yield
@@ -174,7 +174,7 @@ def collecting(faults: list[Fault]) -> Iterator[None]:
         faults += error.faults
 
 
-def message(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> str:
+def format_faults(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> str:
     """Write faults one a line, in `LONGEST` characters at most.
 
     More than `FEW` faults that differ in their row and value only become one sentence with ranges of rows.
@@ -279,12 +279,12 @@ def _count(faults: Sequence[Fault]) -> str:
     for fault in faults:
         if isinstance(fault.where, Place) and fault.where.numbers:
             rows.setdefault((fault.where.file, fault.where.unit), []).extend(fault.where.numbers)
-    parts = [f"{ranges(numbers, unit, 5)} of {file}" for (file, unit), numbers in rows.items()]
+    parts = [f"{format_ranges(numbers, unit, 5)} of {file}" for (file, unit), numbers in rows.items()]
     more = f" ({_cut(_some(parts))})" if parts else ""
     return f"... and {len(faults)} more faults{more}."
 
 
-def ranges(numbers: Sequence[int], unit: str = "line", most: int = 30) -> str:
+def format_ranges(numbers: Sequence[int], unit: str = "line", most: int = 30) -> str:
     """Write numbers of lines (or rows, datasets, ...), neighbours as ranges: ``lines 3 to 5, 9``."""
     spans: list[list[int]] = []
     for number in sorted(set(numbers)):

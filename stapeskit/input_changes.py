@@ -52,7 +52,7 @@ class InputStates:
 
 
 @contextmanager
-def left_alone(
+def refuse_changes(
     paths: Iterable[Path | None], error: type[StapeskitError] = StapeskitError
 ) -> Iterator[InputStates]:
     """Lend the states of files that the block reads, and refuse those that change meanwhile.

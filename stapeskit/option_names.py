@@ -40,7 +40,7 @@ def written(text: str, vocabulary: Vocabulary = named) -> str:
 
 
 @contextmanager
-def using(vocabulary: Vocabulary) -> Iterator[None]:
+def use_vocabulary(vocabulary: Vocabulary) -> Iterator[None]:
     """Write the names of options by a vocabulary within the block."""
     token = _VOCABULARY.set(vocabulary)
     try:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
+from stapeskit.faults import Fault, StapeskitError, raise_all, translate_fault
 from stapeskit.json_toml import parse_toml
 from stapeskit.option_kinds import FLAG, file, output
 from stapeskit.option_names import written
@@ -131,7 +131,9 @@ class Parser(argparse.ArgumentParser):
         ]
         faults += [*absent, *self._check(values, faults)]
         flags = {entry.name: entry.flag for entry in self.declared.values()}
-        raise_all(StapeskitError, [in_words(fault, lambda name: flags.get(name, name)) for fault in faults])
+        raise_all(
+            StapeskitError, [translate_fault(fault, lambda name: flags.get(name, name)) for fault in faults]
+        )
         if values["log"] is not None:
             from stapeskit.run_log import begin
 

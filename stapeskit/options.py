@@ -83,7 +83,7 @@ class Option:
         step = self.kind.advise(got) if self.kind.advise else ""
         if not step and isinstance(got, str) and _DECIMAL_COMMA.fullmatch(got):
             step = f"Write a decimal point: {got.replace(',', '.')}"
-        return Fault(thing or f"{{{self.name}}}", self.kind.expected, shown(got), where, step)
+        return Fault(thing or f"{{{self.name}}}", self.kind.expected, shorten_value(got), where, step)
 
     def missing_files(
         self, value: Any, thing: str, where: str = "", folder: Path | None = None
@@ -194,7 +194,7 @@ class Rule:
         """Return the fault when the values break the rule."""
         if not self.breaks(values):
             return None
-        got = shown(getattr(values, self.shows)) if self.shows else self.got
+        got = shorten_value(getattr(values, self.shows)) if self.shows else self.got
         return Fault(self.thing, self.expected, got, "", self.next_step)
 
 
@@ -257,7 +257,13 @@ class OptionTable:
         raise_all(
             cls.error,
             [
-                Fault("an option", "a known one", name, "", _WRITE if name in _WRITING else near(name, names))
+                Fault(
+                    "an option",
+                    "a known one",
+                    name,
+                    "",
+                    _WRITE if name in _WRITING else suggestion(name, names),
+                )
                 for name in unknown
             ],
         )
@@ -381,18 +387,18 @@ def unknown_key(
     return Fault(f"a key of [{kind.table}]", "a known one", key, where, step)
 
 
-def near(word: str, known: Iterable[str]) -> str:
+def suggestion(word: str, known: Iterable[str]) -> str:
     """Return a question for the nearest known word, or nothing."""
     close = difflib.get_close_matches(word, list(known), 1)
     return f"Did you mean {close[0]}?" if close else ""
 
 
-def shown(value: Any) -> str:
+def shorten_value(value: Any) -> str:
     """Show a value in a message, shortened."""
     if is_with_sd(value):
         text = command_word(value)
     elif isinstance(value, list | tuple):
-        text = ",".join(shown(entry) for entry in value if entry is not None)
+        text = ",".join(shorten_value(entry) for entry in value if entry is not None)
     else:
         text = str(value).lower() if isinstance(value, bool) else str(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
-from stapeskit.process import outputs_written, undisturbed
+from stapeskit.process import defer_interrupts, outputs_written
 from stapeskit.system_faults import is_full
 from stapeskit.temporary_folders import remove_abandoned, scratch
 
@@ -23,7 +23,7 @@ _ELSEWHERE = "Choose another place with --out"
 
 
 @contextmanager
-def staged(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
+def stage_outputs(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
     """Lend an empty folder whose files replace those of the same name in ``folder`` when the block ends well.
 
     When the block fails or is interrupted, nothing of it remains and the old files are untouched. A file at
@@ -58,7 +58,7 @@ def staged(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
             yield stage
             raise_all(StapeskitError, _in_the_way(stage, folder))
             _store(stage)
-            with undisturbed(), _alone(folder):
+            with defer_interrupts(), _alone(folder):
                 _place(stage, folder, settle)
                 outputs_written()
     except (OSError, RuntimeError) as fault:

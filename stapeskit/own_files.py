@@ -18,7 +18,7 @@ from typing import Any
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.json_toml import parse_json
-from stapeskit.outputs import existing_folder, staged
+from stapeskit.outputs import existing_folder, stage_outputs
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice
 
@@ -94,7 +94,7 @@ class OutputSet:
         StapeskitError
             As in `check`, for what has changed since.
         """
-        with staged(self.folder, partial(self._settle, kept)) as stage:
+        with stage_outputs(self.folder, partial(self._settle, kept)) as stage:
             yield stage
 
     def kept_notices(self, written: Collection[str]) -> tuple[Notice, ...]:

@@ -108,7 +108,7 @@ def outputs_written() -> None:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def defer_interrupts() -> Iterator[None]:
     """Hold interruptions back until the block has ended."""
     caught: list[int] = []
     with _State.placing:

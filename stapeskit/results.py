@@ -81,18 +81,18 @@ class Result:
 
     def _shown(self) -> list[tuple[str, str]]:
         """Return the rows of the summary, at most one screen of them, and the codes of the warnings."""
-        rows = [(name, shortened(text)) for name, text in self.summary()]
+        rows = [(name, shorten_line(text)) for name, text in self.summary()]
         if len(rows) > _MOST_ROWS:
             rows = [*rows[:_MOST_ROWS], ("...", f"{len(rows) - _MOST_ROWS} more in summary()")]
         return [*rows, ("warnings", codes_of(self.notices))]
 
 
-def extended(kind: type[Kind], core: Any, **more: Any) -> Kind:
+def extend_result(kind: type[Kind], core: Any, **more: Any) -> Kind:
     """Return a result with the fields of what was computed and more fields."""
     return kind(**{part.name: getattr(core, part.name) for part in fields(core)}, **more)
 
 
-def shortened(text: str, most: int = _WIDEST) -> str:
+def shorten_line(text: str, most: int = _WIDEST) -> str:
     """Return a text of at most ``most`` letters on one line."""
     line = " ".join(text.split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
@@ -102,4 +102,4 @@ def codes_of(notices: Iterable[Notice]) -> str:
     """Return the codes of warnings, each once, with how often it occurs."""
     counts = Counter(notice.code for notice in notices)
     named = (code if number == 1 else f"{code} ({number})" for code, number in counts.items())
-    return shortened(", ".join(named) or "none", 3 * _WIDEST)
+    return shorten_line(", ".join(named) or "none", 3 * _WIDEST)

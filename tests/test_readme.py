@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import json
 import os
@@ -175,6 +176,16 @@ def test_every_link_into_a_page_has_its_heading():
     for page in PAGES.values():
         for target, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", page.read_text(encoding="utf-8")):
             assert anchor in anchors(page.parent / target if target else page), (page.name, anchor)
+
+
+def test_examples_of_docstrings_print_what_they_say():
+    rooms = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")
+    files = [path for room in rooms for path in sorted((ROOT / room).rglob("*.py"))]
+    shown = [path for path in files if ">>> " in path.read_text(encoding="utf-8")]
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in shown]
+    results = [doctest.testmod(importlib.import_module(name)) for name in names]
+    assert sum(result.attempted for result in results) >= 10
+    assert not any(result.failed for result in results)
 
 
 def test_the_website_has_every_page():

@@ -10,7 +10,7 @@ import numpy as np
 from ct_inertia.bodies import PlateFace
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plane_faces import PlaneFace
-from ct_inertia.frames.plane_fit import fitted_to_grey
+from ct_inertia.frames.plane_fit import fit_to_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
@@ -51,7 +51,7 @@ def covered_face(
             basis = np.linalg.svd(near.normal[None, :])[2][1:].T
             start = replace(main, normal=near.normal, point_mm=main.point_mm + off * near.normal, basis=basis)
             others = [face for face in faces if face is not main]
-            fitted = fitted_to_grey([start], others, volume, sigma_mm)[0]
+            fitted = fit_to_grey_values([start], others, volume, sigma_mm)[0]
             if fitted is not start:
                 return fitted, ()
             main = start

@@ -8,7 +8,15 @@ import numpy as np
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
+from ct_inertia.surface.surface_field import (
+    Diffusion,
+    Mesh,
+    Patch,
+    outer_loop,
+    positive_patch,
+    refine_edges,
+    unit,
+)
 from stapeskit.arrays import Array
 
 # Definition of the footplate frame: the medial face is what faces medially within this angle, its normals
@@ -123,9 +131,9 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
     part = mesh.part(height > height.max() - depth_mm)
     corners = part.points[part.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
-    part = refined(part, max(EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM, 0.008 * extent_mm))
+    part = refine_edges(part, max(EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM, 0.008 * extent_mm))
     diffusion = Diffusion(part, NORMAL_SCALE_MM)
-    points = part.points if blur_mm == 0.0 else without_blur(diffusion, blur_mm)
+    points = part.points if blur_mm == 0.0 else correct_blur(diffusion, blur_mm)
     normals = diffusion.normals(points)
     smoother = diffusion.step(normals)
     known = blur_mm > 0.0
@@ -135,13 +143,15 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
     return Region(part, points, diffusion, resolution, blur_mm, grain, unit(normals), unit(smoother), edge)
 
 
-def without_blur(diffusion: Diffusion, blur_mm: float) -> Array:
+def correct_blur(diffusion: Diffusion, blur_mm: float) -> Array:
     """Return the vertices (n, 3) corrected for the blur, by a shift along the normals."""
     normals = unit(diffusion.normals())
-    return np.asarray(diffusion.mesh.points + sunk_by_blur(diffusion, blur_mm, normals)[:, None] * normals)
+    return np.asarray(
+        diffusion.mesh.points + blur_displacement(diffusion, blur_mm, normals)[:, None] * normals
+    )
 
 
-def sunk_by_blur(diffusion: Diffusion, blur_mm: float, normals: Array) -> Array:
+def blur_displacement(diffusion: Diffusion, blur_mm: float, normals: Array) -> Array:
     """Return how far blur has moved each vertex (n,) inward, mm, along unit normals (n, 3).
 
     Notes

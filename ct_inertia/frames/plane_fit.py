@@ -46,7 +46,7 @@ _STEEP, _OUTSIDE_MM, _INSIDE = calibrated("plane_fit.bounding")
 _CORRELATED = calibrated("plane_fit.correlated")
 
 
-def fitted_to_grey(
+def fit_to_grey_values(
     faces: Sequence[PlaneFace], known: Sequence[PlaneFace], volume: Volume, sigma_mm: float
 ) -> list[PlaneFace]:
     """Return faces fitted to grey values; one that cannot be stays as it is.

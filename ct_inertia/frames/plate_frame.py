@@ -19,7 +19,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.covered_plate import covered_face
 from ct_inertia.frames.footplate import SurfaceLike
 from ct_inertia.frames.plane_faces import PlaneFace, large_faces
-from ct_inertia.frames.plane_fit import fitted_to_grey
+from ct_inertia.frames.plane_fit import fit_to_grey_values
 from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
@@ -112,7 +112,7 @@ def plate_frame(
     main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))
     sides = _sides(faces, main)
     if volume is not None and sigma_mm > 0.0:
-        seen, (main, *sides) = main, fitted_to_grey([main, *sides], faces, volume, sigma_mm)
+        seen, (main, *sides) = main, fit_to_grey_values([main, *sides], faces, volume, sigma_mm)
         if main is seen and not main.at_border:
             main, covered = covered_face(main, faces, near, volume, sigma_mm)
     frame = _frame(main, sides)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.segment.coarse_segmentation import Sight
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
 from ct_inertia.segment.plate_region import PlateRegion, thinned
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
@@ -48,7 +48,7 @@ class PlateSurface(Surface):
         return large_faces(self, self.on_border)
 
 
-def surface_with_planes(volume: Volume, sight: Sight, plate: PlateRegion) -> PlateSurface | None:
+def surface_with_planes(volume: Volume, sight: CoarseSegmentation, plate: PlateRegion) -> PlateSurface | None:
     """Return the closed surface of the plate, its plane faces found already."""
     surface = plate_surface(volume, sight, plate)
     if surface is not None:
@@ -56,7 +56,7 @@ def surface_with_planes(volume: Volume, sight: Sight, plate: PlateRegion) -> Pla
     return surface
 
 
-def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> PlateSurface | None:
+def plate_surface(volume: Volume, sight: CoarseSegmentation, plate: PlateRegion) -> PlateSurface | None:
     """Return the closed surface of the plate, cut out of the bone glued to it.
 
     On the grid of the coarse view, at the level half way between air and plastic; None when nothing closed

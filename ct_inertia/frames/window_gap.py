@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Wall
+from ct_inertia.bodies import WindowWall
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame, SurfaceLike
-from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, sunk_by_blur
-from ct_inertia.surface.surface_field import Diffusion, Mesh, refined, unit
+from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, blur_displacement
+from ct_inertia.surface.surface_field import Diffusion, Mesh, refine_edges, unit
 from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array
 from stapeskit.background import Later
@@ -87,7 +87,7 @@ class _Body(NamedTuple):
 
 
 def window_gap(
-    footplate: FootplateFrame, surface: SurfaceLike, blur_mm: float, wall: Wall | None
+    footplate: FootplateFrame, surface: SurfaceLike, blur_mm: float, wall: WindowWall | None
 ) -> WindowGap | None:
     """Measure the gap; None where less than half of the rim has a wall opposite, or its sd is half of it.
 
@@ -98,7 +98,7 @@ def window_gap(
         Of the stapes, as its frame was found on it; scan coordinates, mm.
     blur_mm : float
         Standard deviation of the blur of the grey values whose half level the surface is; 0: exact.
-    wall : Wall or None
+    wall : WindowWall or None
     """
     if wall is None:
         return None
@@ -131,7 +131,7 @@ def window_gap(
     )
 
 
-def _deviation(lifted_mm: float, gap_mm: float, wall: Wall) -> float:
+def _deviation(lifted_mm: float, gap_mm: float, wall: WindowWall) -> float:
     """Return the standard deviation of the gap, mm.
 
     Parameters
@@ -139,7 +139,7 @@ def _deviation(lifted_mm: float, gap_mm: float, wall: Wall) -> float:
     lifted_mm : float
         How far both surfaces were moved to where they stand without the blur.
     gap_mm : float
-    wall : Wall
+    wall : WindowWall
 
     Notes
     -----
@@ -180,10 +180,10 @@ def _body(
     part = Mesh(points, np.asarray(faces)).part(near)
     if len(part.faces) == 0:
         return None
-    part = refined(part, EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM)
+    part = refine_edges(part, EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM)
     diffusion = Diffusion(part, NORMAL_SCALE_MM)
     normals = unit(diffusion.normals())
-    sunk = np.zeros(len(normals)) if blur_mm == 0.0 else sunk_by_blur(diffusion, blur_mm, normals)
+    sunk = np.zeros(len(normals)) if blur_mm == 0.0 else blur_displacement(diffusion, blur_mm, normals)
     return _Body(part.points + sunk[:, None] * normals, normals, np.abs(sunk))
 
 

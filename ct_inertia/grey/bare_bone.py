@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone
-from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.neighbours import away_from_others
 from ct_inertia.grey.partial_volume import with_contribution
@@ -17,8 +17,14 @@ from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plat
 from ct_inertia.grey.plate_face_uncertainty import face_covariance, face_doubt
 from ct_inertia.grey.preparation import Prepared, blur_of
 from ct_inertia.grey.soft_coat import USUAL, Coat, CoatImage, coat_image, with_coat_sd, with_suspected_coat
-from ct_inertia.grey.soft_tissue import Soft, by_soft, soft_notices, taken_off, without_soft
-from ct_inertia.grey.voids import Voids, by_filling, closed_voids, void_notices, without_filling
+from ct_inertia.grey.soft_tissue import (
+    SoftTissue,
+    soft_notices,
+    soft_tissue_covariance,
+    subtract_soft_tissue,
+    taken_off,
+)
+from ct_inertia.grey.voids import Voids, closed_voids, empty_voids, filling_covariance, void_notices
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
@@ -55,7 +61,7 @@ class BareBone:
     coat, suspected : CoatImage or None
         The coat that was stated, or the usual one where edges look coated and none was stated.
     voids : Voids or None
-    soft : Soft or None
+    soft : SoftTissue or None
     unfitted_plate : bool
         Plastic touches the stapes and has no face: it was taken off like something soft.
     """
@@ -70,7 +76,7 @@ class BareBone:
     coat: CoatImage | None
     suspected: CoatImage | None
     voids: Voids | None
-    soft: Soft | None
+    soft: SoftTissue | None
     unfitted_plate: bool
 
     def with_budget(
@@ -89,11 +95,11 @@ class BareBone:
         """
         notices: list[Notice] = []
         if self.soft is not None:
-            covariance = by_soft(self.soft, own, self.cut, volume, moments)
+            covariance = soft_tissue_covariance(self.soft, own, self.cut, volume, moments)
             moments = with_contribution(moments, "surroundings", covariance)
             notices += soft_notices(self.soft, own, volume, moments)
         if self.voids is not None and self.voids.sd > 0.0:
-            covariance = by_filling(self.voids, self.cut, volume, moments)
+            covariance = filling_covariance(self.voids, self.cut, volume, moments)
             moments = with_contribution(moments, "voids", covariance)
             notices += void_notices(self.voids, volume, moments)
         if self.coat is not None:
@@ -159,7 +165,7 @@ def bare_bone(
     spacing = volume.spacing_mm
     air, distance, reach = ready.air, ready.distance_mm, ready.reach_mm
     contrast = bone.level - air.level
-    rim = spread(spread(ready.cut.stapes))
+    rim = grow_mask(grow_mask(ready.cut.stapes))
     cut, face, displaced = _without_plate(volume, ready, (air.level, guess.plastic, blur[0]), bone.level)
     if face is not None and abs(face.face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.face.sigma_mm, _FACE_BLUR_SD * face.face.sigma_mm, "face of the plate")
@@ -175,13 +181,13 @@ def bare_bone(
     unfitted = face is None and bool(np.any(cut.plate & (distance <= reach)))
     voids = closed_voids(cut, spacing, (air, bone.level), blur[:2])
     if voids is not None and voids.filled:
-        cut = replace(cut, grey=without_filling(cut, voids, contrast))
-    soft: Soft | None = None
+        cut = replace(cut, grey=empty_voids(cut, voids, contrast))
+    soft: SoftTissue | None = None
     if unfitted:
         soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
     else:
         known = (air, bone.level, guess.between)
-        soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
+        soft = subtract_soft_tissue(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
         # Edges in something soft are less high and looked blurred otherwise: once more without it.
         clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.level_fit import blurred, body_share, spread
+from ct_inertia.grey.level_fit import blurred, body_share, grow_mask
 from ct_inertia.grey.levels import Air, Surroundings
-from ct_inertia.grey.quantisation import Level, Store, level_of, store_of
+from ct_inertia.grey.quantisation import Level, Quantisation, level_of, quantisation_of
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import gaussian
 from stapeskit.arrays import Array
@@ -31,12 +31,12 @@ _POINTS = 4001
 
 
 @dataclass(frozen=True)
-class Stored:
+class ClippedLevels:
     """How the scan was stored, and the levels from before.
 
     Attributes
     ----------
-    store : Store
+    store : Quantisation
     air, bone : Level
     coarse : bool
         Its steps are no smaller than the noise.
@@ -44,7 +44,7 @@ class Stored:
         By how much storing moved the means of air and bone.
     """
 
-    store: Store
+    store: Quantisation
     air: Level
     bone: Level
     coarse: bool
@@ -93,7 +93,9 @@ class Stored:
         return notices
 
 
-def stored_levels(around: Surroundings, air: Air, shell: NDArray[np.bool_], sigma_mm: float) -> Stored | None:
+def clipped_levels(
+    around: Surroundings, air: Air, shell: NDArray[np.bool_], sigma_mm: float
+) -> ClippedLevels | None:
     """Return the levels from before storing; None where storing changed no mean.
 
     Parameters
@@ -112,7 +114,7 @@ def stored_levels(around: Surroundings, air: Air, shell: NDArray[np.bool_], sigm
         Nearly all voxels of air or of bone lie at an end of the range.
     """
     ones = around.grey if around.single is None else around.single
-    store = store_of(ones)
+    store = quantisation_of(ones)
     if store.step > _MOST_STEP * (store.high - store.low):
         return None
     low, inside = ones[shell].astype(float), ones[around.bone].astype(float)
@@ -143,7 +145,7 @@ def stored_levels(around: Surroundings, air: Air, shell: NDArray[np.bool_], sigm
         lower, bone = (replace(v, sd=float(np.hypot(v.sd, off))) for v in (lower, bone))
     _check(lower, bone)
     moved = float(low.mean()) - lower.level, float(high.mean()) - bone.level
-    return Stored(store, lower, bone, coarse, moved)
+    return ClippedLevels(store, lower, bone, coarse, moved)
 
 
 def _check(air: Level, bone: Level) -> None:
@@ -164,11 +166,11 @@ def _check(air: Level, bone: Level) -> None:
             )
 
 
-def as_before_storing(
+def undo_storing(
     grey: NDArray[np.float32],
     around: Surroundings,
     own: NDArray[np.bool_],
-    stored: Stored,
+    stored: ClippedLevels,
     sigma_mm: float,
 ) -> NDArray[np.float32]:
     """Return grey values [z, y, x] less what storing adds on average.
@@ -179,7 +181,7 @@ def as_before_storing(
     around : Surroundings
     own : ndarray of bool, [z, y, x]
         Voxels within reach of the stapes' blur.
-    stored : Stored
+    stored : ClippedLevels
     sigma_mm : float
 
     Notes
@@ -198,7 +200,7 @@ def as_before_storing(
         expected = np.float32(air) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
         now = grey.copy()
         now[own] -= np.interp(expected[own], true, added).astype(np.float32)
-    far = ~own & ~spread(spread(around.foreign))
+    far = ~own & ~grow_mask(grow_mask(around.foreign))
     now[far] -= np.float32(np.interp(air, true, added))
     return now
 

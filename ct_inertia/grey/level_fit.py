@@ -168,7 +168,7 @@ def body_share(
     """
     field = np.where(own, share - level, np.float32(-1.0))
     inside = field > 0.0
-    rim = spread(inside) & spread(~inside)
+    rim = grow_mask(inside) & grow_mask(~inside)
     rim[[0, -1]] = rim[:, [0, -1]] = rim[:, :, [0, -1]] = False
     result = inside.astype(np.float32)
     index = np.flatnonzero(rim)
@@ -190,7 +190,7 @@ def body_share(
     return result
 
 
-def spread(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
+def grow_mask(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
     """Return a mask grown by a voxel in all 26 directions, or in the 6 across faces only."""
     kernels = compiled()
     if kernels is not None and corners:

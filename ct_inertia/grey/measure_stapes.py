@@ -7,24 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Levels, PlateFace, Wall
+from ct_inertia.bodies import Levels, PlateFace, WindowWall
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bare_bone import Blur, bare_bone
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.cupping import cupping_notice
-from ct_inertia.grey.level_fit import BodyFit, fit_bodies, spread
+from ct_inertia.grey.level_fit import BodyFit, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air, Guess, Surroundings
-from ct_inertia.grey.neighbours import Parted, cut_through_bone, part_from_neighbours
+from ct_inertia.grey.neighbours import NeighbourSeparation, cut_through_bone, separate_from_neighbours
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
 from ct_inertia.grey.preparation import Prepared, blur_of, prepare
-from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
+from ct_inertia.grey.shading import (
+    air_slope_covariance,
+    as_shares,
+    cupping_effect,
+    slope_effect,
+    unweighted_centre,
+)
 from ct_inertia.grey.soft_coat import Coat
 from ct_inertia.grey.thin_bone import thin_bone
-from ct_inertia.grey.window_wall import share_of_bone, wall_of
+from ct_inertia.grey.window_wall import share_of_bone, window_wall
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.mask_statistics import gathered
+from ct_inertia.volume.mask_statistics import gather_voxels
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.background import Later
@@ -58,7 +64,7 @@ class Measured:
         Voxels over which was integrated.
     plate_face : PlateFace or None
     correlation, air_clipped : float
-    wall : Later of Wall or None
+    wall : Later of WindowWall or None
         Surface of other bone in the box, found in the background.
     notices : tuple of Notice
     doubt : ndarray of float32, [z, y, x], or None
@@ -76,13 +82,13 @@ class Measured:
     plate_face: PlateFace | None
     correlation: float
     air_clipped: float
-    wall: Later[Wall | None]
+    wall: Later[WindowWall | None]
     notices: tuple[Notice, ...] = ()
     doubt: NDArray[np.float32] | None = None
     coat_share: float | None = None
 
 
-def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) -> Measured:
+def measure_stapes(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) -> Measured:
     """Measure levels and blur near the stapes and integrate its grey values.
 
     Parameters
@@ -104,10 +110,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     bare = bare_bone(volume, ready, bone, blur, fitted, guess, coat)
     cut, distances = bare.cut, (bare.distance_mm, bare.away_mm)
     levels = (air.level, bone.level)
-    parted = part_from_neighbours(cut, distances, bare.reach_mm, volume.spacing_mm, levels, bare.blur[0])
+    parted = separate_from_neighbours(cut, distances, bare.reach_mm, volume.spacing_mm, levels, bare.blur[0])
     share = _share(cut, parted, air, bone, bare.blur[:2])
     moments, bone, shading = _integrated(share, bone, air, volume, cut)
-    wall = Later(wall_of, cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD)
+    wall = Later(window_wall, cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD)
     through = cut_through_bone(cut, parted, (air.level, bone.level), volume, moments)
     covariance = through.covariance + _by_tails(parted, cut, volume, moments)
     if np.any(covariance):
@@ -146,7 +152,7 @@ def _bone_and_blur(ready: Prepared, spacing_mm: Array) -> tuple[Bone, Blur, bool
     if ready.stored is not None:
         notices = (*bone.notices, *ready.stored.notices())
         bone = replace(bone, sd=ready.stored.bone_sd(bone.sd), notices=notices)
-    rim = spread(spread(ready.cut.stapes))
+    rim = grow_mask(grow_mask(ready.cut.stapes))
     blur = blur_of(ready.cut, rim, (air.level, bone.level), spacing_mm, air.noise)
     if fit is not None:
         off = 0.5 * abs(blur[0] - fit.sigma_mm)
@@ -168,21 +174,21 @@ def _integrated(
         bone = bone.moved_to(unweighted_centre(moments, bone, air.level, volume, cut))
         share = replace(share, bone=bone.level)
         moments = partial_volume_moments(share, volume.scan_from_index)
-        sloped = by_slope(share, bone, volume, moments)
+        sloped = slope_effect(share, bone, volume, moments)
         moments = with_contribution(moments, "inhomogeneity", np.outer(sloped, sloped))
     notices: list[Notice] = []
     if bone.cupping is not None:
-        step = by_cupping(share, bone.cupping, volume, cut, moments)
+        step = cupping_effect(share, bone.cupping, volume, cut, moments)
         moments = with_contribution(moments, "cupping", np.outer(step, step))
         # A slope beside the paraboloid is that of its flank.
         notices = [cupping_notice(bone.cupping, as_shares(step + sloped, moments))]
     if any(air.slope):
-        covariance = moments.contributions["levels"] + by_air(share, air, volume, moments)
+        covariance = moments.contributions["levels"] + air_slope_covariance(share, air, volume, moments)
         moments = with_contribution(moments, "levels", covariance)
     return moments, bone, notices
 
 
-def _by_tails(parted: Parted, cut: Cut, volume: Volume, moments: Moments) -> Array:
+def _by_tails(parted: NeighbourSeparation, cut: Cut, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) of what blur carries between close bodies, known to a part of itself.
 
     Each eighth of the border stands for itself.
@@ -246,10 +252,10 @@ def _bone(
     return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices, seen=0.0), fit
 
 
-def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
+def _share(cut: Cut, parted: NeighbourSeparation, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
     """Collect the stapes' grey values: measured on its side, modelled behind the border to other bone."""
     contrast = bone.level - air.level
-    index, values, noise = gathered(cut.grey, parted.own, cut.stapes, (air.noise, bone.noise))
+    index, values, noise = gather_voxels(cut.grey, parted.own, cut.stapes, (air.noise, bone.noise))
     if parted.foreign is not None and parted.behind is not None:
         values -= contrast * parted.foreign[parted.own]
         hidden = parted.behind > 1e-6
@@ -269,7 +275,7 @@ def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, fl
     )
 
 
-def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.float32]:
+def _field(cut: Cut, parted: NeighbourSeparation, levels: tuple[float, float]) -> NDArray[np.float32]:
     """Return the share of bone of the stapes in each voxel of the box, 0 beyond its own."""
     air, bone = levels
     share = share_of_bone(cut.grey, air, bone)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
+from ct_inertia.grey.level_fit import blurred, fit_bodies, grow_mask
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.segment.touching_bones import flooded
+from ct_inertia.segment.touching_bones import flood_from_markers
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import eroded, labelled
@@ -47,7 +47,7 @@ _WEAK_SHARE = calibrated("neighbours.weak_share")
 
 
 @dataclass(frozen=True)
-class Parted:
+class NeighbourSeparation:
     """How grey values near other bone are shared.
 
     Attributes
@@ -77,14 +77,14 @@ def away_from_others(
     return capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))
 
 
-def part_from_neighbours(
+def separate_from_neighbours(
     cut: Cut,
     distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
     reach_mm: float,
     spacing_mm: Array,
     levels: tuple[float, float],
     sigma_mm: float,
-) -> Parted:
+) -> NeighbourSeparation:
     """Decide which grey values belong to the stapes.
 
     Parameters
@@ -115,13 +115,13 @@ def part_from_neighbours(
     distance_mm, away = distances_mm
     reach = distance_mm <= reach_mm
     if away is None:
-        return Parted(reach)
+        return NeighbourSeparation(reach)
     own = reach & (distance_mm <= away)
     if not np.any(cut.stapes & (away < _exchanging(sigma_mm))):
-        return Parted(own)
+        return NeighbourSeparation(own)
     tight = reach & (distance_mm + away < _CLOSE_SIGMAS * sigma_mm)
     markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
-    basins = flooded(cut.grey, markers, tight | (markers > 0))
+    basins = flood_from_markers(cut.grey, markers, tight | (markers > 0))
     own = np.where(tight, basins == 1, own)
     close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
     off: NDArray[np.float32] | None = None
@@ -160,7 +160,7 @@ def _modelled(
     spacing_mm: Array,
     levels: tuple[float, float],
     sigma_mm: float,
-) -> Parted:
+) -> NeighbourSeparation:
     """Model both bodies on the two sides of a border, which is found anew where blur may have shifted it.
 
     ``border``: the stapes' side [z, y, x], and how far off it is, as a share of the most by which it
@@ -190,7 +190,7 @@ def _modelled(
         sharp = _sharpened(body, share, sigma_mm, spacing)
         free = off[box] < 1.0
         markers = np.where(free, 0, np.where(own[box], 1, 2 * (reach | cut.others)[box])).astype(np.int32)
-        basins = flooded(sharp + np.float32(_HELD) * off[box], markers, free | (markers > 0))
+        basins = flood_from_markers(sharp + np.float32(_HELD) * off[box], markers, free | (markers > 0))
         own = own.copy()
         own[box] = np.where(free, basins == 1, own[box])
         body = fitted(own[box])[1]
@@ -198,7 +198,7 @@ def _modelled(
     foreign, behind = np.zeros_like(cut.grey), np.zeros_like(cut.grey)
     foreign[box] = np.where(own[box], other * blurred(body - mine, sigma_mm, spacing), np.float32(0.0))
     behind[box] = np.where(reach[box] & ~own[box], blurred(mine, sigma_mm, spacing), np.float32(0.0))
-    return Parted(own, foreign, behind)
+    return NeighbourSeparation(own, foreign, behind)
 
 
 def _sharpened(
@@ -265,14 +265,14 @@ class ThroughBone:
 
 
 def cut_through_bone(
-    cut: Cut, parted: Parted, levels: tuple[float, float], volume: Volume, moments: Moments
+    cut: Cut, parted: NeighbourSeparation, levels: tuple[float, float], volume: Volume, moments: Moments
 ) -> ThroughBone:
     """Return where the border runs through bone, and what that leaves uncertain.
 
     Parameters
     ----------
     cut : Cut
-    parted : Parted
+    parted : NeighbourSeparation
     levels : (air, bone)
     volume : Volume
     moments : Moments
@@ -289,7 +289,7 @@ def cut_through_bone(
     middle = 0.5 * (air + full)
     bone = cut.grey > middle
     bodies = (cut.stapes | cut.others) & bone
-    edge = parted.own & bodies & spread(bodies & ~parted.own, corners=False)
+    edge = parted.own & bodies & grow_mask(bodies & ~parted.own, corners=False)
     covariance = np.zeros((10, 10))
     if not np.any(edge):
         return ThroughBone(0.0, 0.0, covariance, None, cut.at_neck)

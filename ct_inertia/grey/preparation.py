@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.clipped_levels import Stored, as_before_storing, stored_levels
+from ct_inertia.grey.clipped_levels import ClippedLevels, clipped_levels, undo_storing
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
-from ct_inertia.grey.level_fit import blurred, body_share, spread
+from ct_inertia.grey.level_fit import blurred, body_share, grow_mask
 from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 from ct_inertia.grey.psf import edge_sigma
@@ -41,7 +41,7 @@ class Prepared:
     around : Surroundings
         The same grey values with masks.
     air : Air
-    stored : Stored or None
+    stored : ClippedLevels or None
         What storing did.
     overshoot : float
         How far air at the bone was darker than air, as a share of the contrast, before that was corrected.
@@ -57,7 +57,7 @@ class Prepared:
     cut: Cut
     around: Surroundings
     air: Air
-    stored: Stored | None
+    stored: ClippedLevels | None
     overshoot: float
     sigma_mm: float
     reach_mm: float
@@ -75,16 +75,16 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     guess : Guess
     spacing_mm : ndarray, (3,)
     """
-    rim = spread(spread(cut.stapes))
+    rim = grow_mask(grow_mask(cut.stapes))
     first = _located(cut, rim, (guess.air, guess.bone), spacing_mm, guess.air)
     cut, air, sigma = first.cut, first.air, first.sigma_mm
     own = first.distance_mm <= first.reach_mm
-    stored = stored_levels(first.around, air, first.shell, sigma)
+    stored = clipped_levels(first.around, air, first.shell, sigma)
     bone = guess.bone if stored is None else stored.bone.level
     if stored is not None:
         air = stored.air_known(air)
         for _ in range(2):
-            now = as_before_storing(cut.grey, first.around, own, stored, sigma)
+            now = undo_storing(cut.grey, first.around, own, stored, sigma)
             sigma = blur_of(replace(cut, grey=now), rim, (air.level, bone), spacing_mm, air.noise)[0]
         cut = replace(cut, grey=now)
     elif air.clipped:
@@ -185,7 +185,7 @@ def _unclipped(
     first = unclipped(cut.grey, own, air)
     contrast = np.float32(bone - air.level)
     share = gaussian((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
-    known = own & ~spread(spread(around.foreign))
+    known = own & ~grow_mask(grow_mask(around.foreign))
     body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
     expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
     return np.where(known, unclipped(cut.grey, own, air, expected), first)

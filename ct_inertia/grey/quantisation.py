@@ -50,7 +50,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Store:
+class Quantisation:
     """Lowest and highest stored grey value, and the step between neighbouring ones (0: none).
 
     Where steps are wide, the highest grey value may be a step that holds all of a material: it is an end of
@@ -102,20 +102,22 @@ class Store:
         return np.asarray((1.0 - part) * below + part * above)
 
 
-def store_of(values: NDArray[Any]) -> Store:
+def quantisation_of(values: NDArray[Any]) -> Quantisation:
     """Return range and step of stored grey values."""
     known = np.unique(values.ravel()[:: max(1, values.size // _SAMPLE)]).astype(float)
     step = float(np.diff(known).min()) if 1 < known.size <= _MOST_STEPS else 0.0
-    return Store(float(values.min()), float(values.max()), step)
+    return Quantisation(float(values.min()), float(values.max()), step)
 
 
-def level_of(values: Array, store: Store, noise: float | None = None, correlation: float = 1.0) -> Level:
+def level_of(
+    values: Array, store: Quantisation, noise: float | None = None, correlation: float = 1.0
+) -> Level:
     """Fit a normal distribution to stored grey values: each is known to its step, the ends to one side.
 
     Parameters
     ----------
     values : ndarray, (n,)
-    store : Store
+    store : Quantisation
     noise : float, optional
         Its noise as another material shows it, known to 15 %.
     correlation : float
@@ -171,7 +173,7 @@ def _without_rare(values: Array) -> Array:
     return np.asarray(values[np.isin(values, levels[count > _RARE * values.size])])
 
 
-def _histogram(values: Array, store: Store, noise: float, tiny: float) -> tuple[Array, Array, Array]:
+def _histogram(values: Array, store: Quantisation, noise: float, tiny: float) -> tuple[Array, Array, Array]:
     """Return lower and upper limits and counts of bins; those at the ends of the range are open."""
     first, last = (
         (values <= store.low + tiny) & store.clips_low,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ct_inertia.bodies import Levels
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.segment.extract_stapes import Cut
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -39,7 +39,7 @@ def ring_notices(cut: Cut, levels: Levels, sigma_mm: float, spacing_mm: Array) -
     """
     near = cut.stapes | cut.others | cut.plate
     for k in range(2 * max(1, round(_TAIL * sigma_mm / float(spacing_mm.mean())))):
-        near = spread(near, corners=k % 2 == 0)
+        near = grow_mask(near, corners=k % 2 == 0)
     free = ~near
     middle = cut.grey.shape[0] // 2
     halves = []

@@ -92,7 +92,7 @@ def cropped_notice() -> Notice:
     return Notice("incus_cropped", text)
 
 
-def by_border(
+def border_covariance(
     cuts: Iterable[BorderCut], share: NDArray[np.float32], cut: Cut, volume: Volume, moments: Moments
 ) -> Array:
     """Return the covariance (10, 10) of what the border of the scan cuts off the body, or leaves on it.

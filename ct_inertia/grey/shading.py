@@ -25,7 +25,7 @@ def unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume, 
     return np.asarray((volume.index_points(centre) - cut.first) * volume.spacing_mm)
 
 
-def by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:
+def slope_effect(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:
     """Return what taking bone of sloping grey values as it is, not as uniform, adds to the moments (10,)."""
     away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
     contrast = share.bone - share.air
@@ -35,7 +35,7 @@ def by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Arra
     return np.asarray(sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3)
 
 
-def by_cupping(share: Share, cupping: Cupping, volume: Volume, cut: Cut, moments: Moments) -> Array:
+def cupping_effect(share: Share, cupping: Cupping, volume: Volume, cut: Cut, moments: Moments) -> Array:
     """Return what cupping adds to the moments (10,) of bone that is uniform."""
     away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
     contrast = share.bone - share.air
@@ -50,7 +50,7 @@ def as_shares(step: Array, moments: Moments) -> tuple[float, float, float]:
     return abs(float(step[0])) / moments.volume_mm3, float(np.linalg.norm(step[1:4])), spread
 
 
-def by_air(share: Share, air: Air, volume: Volume, moments: Moments) -> Array:
+def air_slope_covariance(share: Share, air: Air, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) from an air level that changes across the box, each axis by itself."""
     points = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm
     away = points - moments.centroid_mm

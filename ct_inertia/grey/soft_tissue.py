@@ -44,7 +44,7 @@ _TOLD = calibrated("soft.reported_share")
 
 
 @dataclass(frozen=True)
-class Soft:
+class SoftTissue:
     """Something soft around the stapes.
 
     Attributes
@@ -67,14 +67,14 @@ class Soft:
         return self.taken * np.float32(_FRAME_SD)
 
 
-def without_soft(
+def subtract_soft_tissue(
     cut: Cut,
     distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
     reach_mm: float,
     spacing_mm: Array,
     levels: tuple[Air, float, float | None],
     sigma_mm: float,
-) -> Soft | None:
+) -> SoftTissue | None:
     """Detect soft material around the stapes and subtract it from the grey values; None where there is none.
 
     Parameters
@@ -111,8 +111,8 @@ def taken_off(
     spacing_mm: Array,
     levels: tuple[Air, float],
     sigma_mm: float,
-) -> Soft:
-    """Subtract what is soft around the stapes from the grey values; see ``without_soft``.
+) -> SoftTissue:
+    """Subtract what is soft around the stapes from the grey values; see ``subtract_soft_tissue``.
 
     Notes
     -----
@@ -157,7 +157,7 @@ def taken_off(
     grey[box] -= np.float32(contrast) * taken
     collar = (medium > least) & (distance_mm[box] <= reach_mm) & (model < _CLEAR)
     level = float(np.median(medium[collar])) if np.any(collar) else 0.0
-    return Soft(grey, whole, level)
+    return SoftTissue(grey, whole, level)
 
 
 def _seen(
@@ -205,7 +205,9 @@ def _seen(
     return bool(np.count_nonzero(soft) >= _LEAST_CELLS and part > _LEAST_PART)
 
 
-def by_soft(soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments) -> Array:
+def soft_tissue_covariance(
+    soft: SoftTissue, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments
+) -> Array:
     """Return the covariance (10, 10) of the subtracted material, which has a relative standard deviation.
 
     ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
@@ -226,7 +228,7 @@ def by_soft(soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moment
     return covariance
 
 
-def soft_notices(soft: Soft, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
+def soft_notices(soft: SoftTissue, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
     """Report the medium around the stapes, whose voxels are ``own`` [z, y, x], and the share subtracted."""
     share = float(soft.taken[own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
     if share < _TOLD:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
+from ct_inertia.grey.level_fit import blurred, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.extract_stapes import Cut
@@ -121,8 +121,8 @@ class _Scene:
     def __init__(self, share: Grey, voids: Mask, spacing_mm: Array, noise: float, correlation: float) -> None:
         self.share, self.spacing_mm = share, spacing_mm
         self.noise, self.correlation = noise, correlation
-        self.compared = spread(voids)
-        self.near = spread(self.compared)
+        self.compared = grow_mask(voids)
+        self.near = grow_mask(self.compared)
 
     def model(self, level: float, sigma_mm: float) -> tuple[Grey, Grey]:
         """Return the blurred shares of bone and of the voids, walls fitted for a level of the filling."""
@@ -167,12 +167,12 @@ def _vertex(x: list[float], y: list[float]) -> tuple[float, float]:
     return float(np.clip(-0.5 * first / second, x[0] - _STEP, x[2] + _STEP)), float(second)
 
 
-def without_filling(cut: Cut, voids: Voids, contrast: float) -> Grey:
+def empty_voids(cut: Cut, voids: Voids, contrast: float) -> Grey:
     """Return grey values [z, y, x] with air in the voids."""
     return cut.grey - np.float32(contrast * voids.level) * voids.image
 
 
-def by_filling(voids: Voids, cut: Cut, volume: Volume, moments: Moments) -> Array:
+def filling_covariance(voids: Voids, cut: Cut, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) of the level of the filling, common to all voids."""
     index = np.argwhere(voids.image > 0.0)
     away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Wall
+from ct_inertia.bodies import WindowWall
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, straightened
-from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.levels import Air
-from ct_inertia.grey.neighbours import Parted, neighbour_share
+from ct_inertia.grey.neighbours import NeighbourSeparation, neighbour_share
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.contours import contoured
 from ct_inertia.volume.volume import Volume
@@ -19,15 +19,20 @@ from ct_inertia.volume.volume import Volume
 _REACH_SIGMAS = 3.0
 
 
-def wall_of(
-    cut: Cut, parted: Parted, levels: tuple[Air, Bone], sigma_mm: float, grid: Volume, tail_sd: float
-) -> Wall | None:
+def window_wall(
+    cut: Cut,
+    parted: NeighbourSeparation,
+    levels: tuple[Air, Bone],
+    sigma_mm: float,
+    grid: Volume,
+    tail_sd: float,
+) -> WindowWall | None:
     """Return the surface of other bone in the box around the stapes; None where there is none.
 
     Parameters
     ----------
     cut : Cut
-    parted : Parted
+    parted : NeighbourSeparation
         Which grey values are the stapes', and what blur carries between it and other bone.
     levels : (air, bone)
     sigma_mm : float
@@ -53,7 +58,7 @@ def wall_of(
     share[cut.plate] = 0.0
     near = cut.others
     for _ in range(int(np.ceil(_REACH_SIGMAS * sigma_mm / float(grid.spacing_mm.min())))):
-        near = spread(near)
+        near = grow_mask(near)
     share /= np.float32(contrast)
     share[~near] = 0.0
     part, transform, variance = coarse_share(share, cut.scan_from_box(grid))
@@ -62,7 +67,7 @@ def wall_of(
         return None
     points = points @ transform[:3, :3].T + transform[:3, 3]
     level_sd = 0.5 * float(np.hypot(levels[0].sd, levels[1].sd)) / (bone - air)
-    return Wall(points, faces, blur_on_grid(sigma_mm, transform, variance), level_sd, tail_sd)
+    return WindowWall(points, faces, blur_on_grid(sigma_mm, transform, variance), level_sd, tail_sd)
 
 
 def share_of_bone(grey: NDArray[np.float32], air: float, bone: float) -> NDArray[np.float32]:

@@ -21,7 +21,7 @@ from ct_inertia.labelling.label_numbers import body_numbers, without_islands
 from ct_inertia.labelling.unlabelled_plate import plate_beside
 from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.segment.extract_stapes import Cut, box_around
-from ct_inertia.segment.touching_bones import flooded
+from ct_inertia.segment.touching_bones import flood_from_markers
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.moment_matching import moment_matched
 from ct_inertia.surface.moments import Moments
@@ -205,7 +205,7 @@ def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut
 
 def _cut_by_labels(volume: Volume, labels: Volume, offset: NDArray[np.int64], middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
-    from ct_inertia.volume.coarse_view import finite
+    from ct_inertia.volume.coarse_view import replace_non_finite
 
     for axis in range(3):
         start, count = int(offset[2 - axis]), labels.array.shape[axis]
@@ -220,7 +220,7 @@ def _cut_by_labels(volume: Volume, labels: Volume, offset: NDArray[np.int64], mi
                 if k != axis
             ]
             rest.insert(axis, slice(beyond, beyond + 1))
-            further = finite(np.asarray(volume.array[tuple(rest)]), volume).squeeze(axis) > middle
+            further = replace_non_finite(np.asarray(volume.array[tuple(rest)]), volume).squeeze(axis) > middle
             if np.count_nonzero(end & further) > max(_LEAST_END, 0.5 * np.count_nonzero(end)):
                 there = _border_cut(axis, name, int(np.count_nonzero(end)), labels.spacing_mm)
                 text = (
@@ -261,13 +261,13 @@ def _grid(volume: Volume) -> str:
 
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coat | None) -> Bodies:
     """Take the bodies from the labels, and the share of bone in each voxel from its grey value."""
-    from ct_inertia.grey.measure_stapes import measure
-    from ct_inertia.volume.coarse_view import finite
+    from ct_inertia.grey.measure_stapes import measure_stapes
+    from ct_inertia.volume.coarse_view import replace_non_finite
 
     offset = _offset(volume, labels)
     stapes_low, stapes_high = _reach(labels, STAPES)
     first, box = box_around(volume, stapes_low + offset, stapes_high + offset)
-    grey = finite(volume.array[box], volume)
+    grey = replace_non_finite(volume.array[box], volume)
     local = np.zeros(grey.shape, dtype=np.int64)
     low = np.maximum(first, offset)
     high = np.minimum(first + np.array(grey.shape[::-1]), offset + labels.size)
@@ -288,7 +288,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         plate = unlabelled.mask(first, grey) & ~stapes & ~rest
     ends = _cut_by_labels(volume, labels, offset, 0.5 * (guess.air + guess.bone))
     cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
-    measured = measure(volume, cut, guess, coat)
+    measured = measure_stapes(volume, cut, guess, coat)
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
@@ -303,7 +303,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         plate_mesh = label_surface(plate_all, placed, None)
     if unlabelled is not None:
         part = tuple(slice(int(o), int(o) + n) for o, n in zip(offset[::-1], every.shape, strict=True))
-        plate_all = unlabelled.mask(offset, finite(volume.array[part], volume)) & (every == 0)
+        plate_all = unlabelled.mask(offset, replace_non_finite(volume.array[part], volume)) & (every == 0)
         plate_mesh = surface_with_planes(volume, unlabelled.sight, unlabelled.region)
     mask = every == STAPES
     labelled = _labelled(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
@@ -374,7 +374,7 @@ def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
     near = capped_distance(drawn.stapes, spacing_mm, 4.0 * step) <= 3.0 * step
     other = bone & ~drawn.stapes & (~near | drawn.others) & ~drawn.plate
     markers = (drawn.stapes & bone).astype(np.int32) + 2 * other.astype(np.int32)
-    parts = flooded(drawn.grey, markers, bone & ~drawn.plate)
+    parts = flood_from_markers(drawn.grey, markers, bone & ~drawn.plate)
     return replace(drawn, stapes=parts == 1, others=parts == 2)
 
 

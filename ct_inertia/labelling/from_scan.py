@@ -13,19 +13,19 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.grey.levels import Guess
-from ct_inertia.grey.measure_stapes import Measured, measure
+from ct_inertia.grey.measure_stapes import Measured, measure_stapes
 from ct_inertia.grey.partial_volume import with_contribution, with_voxel_size
 from ct_inertia.grey.ring_artefacts import ring_notices
-from ct_inertia.grey.scan_border import border_cuts, by_border, cropped_notice, cut_notice
+from ct_inertia.grey.scan_border import border_covariance, border_cuts, cropped_notice, cut_notice
 from ct_inertia.grey.soft_coat import Coat, bare_bone_notice
 from ct_inertia.grey.thresholded import is_thresholded, with_threshold
 from ct_inertia.labelling.label_box import label_box
-from ct_inertia.segment.coarse_segmentation import SearchOptions, Sight
-from ct_inertia.segment.extract_stapes import Cut, cut_out
-from ct_inertia.segment.find_stapes import look
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation, SearchOptions
+from ct_inertia.segment.extract_stapes import Cut, extract_stapes
+from ct_inertia.segment.find_stapes import find_stapes
 from ct_inertia.segment.plate_region import PlateRegion, find_plate
 from ct_inertia.surface.moment_matching import moment_matched
-from ct_inertia.volume.coarse_view import Glance, calmed, take_glance
+from ct_inertia.volume.coarse_view import CoarseOverview, coarse_overview, smooth_noise
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.background import Later
@@ -37,7 +37,7 @@ def find_bodies(
     volume: Volume | None,
     options: SearchOptions | None = None,
     progress: Tell = silent,
-    glance: Later[Glance] | None = None,
+    glance: Later[CoarseOverview] | None = None,
     coat: Coat | None = None,
 ) -> Bodies:
     """Find stapes, plate and other bone in a scan, and measure the stapes.
@@ -49,7 +49,7 @@ def find_bodies(
     options : SearchOptions, optional
     progress : callable
         Called with a few words at the beginning of each stage.
-    glance : Later of Glance, optional
+    glance : Later of CoarseOverview, optional
         The coarse view of the whole volume, when it is being taken already.
     coat : Coat, optional
         A soft coat on the bone; None: not stated, bare bone is assumed.
@@ -72,11 +72,11 @@ def find_bodies(
         raise CtInertiaError.of("the scan", "given", "none", "", "Give a volume or labels")
     if options.box_mm is not None:
         volume, glance = volume.cropped(options.box_mm), None
-    glance = glance or Later(take_glance, volume)
-    sight = look(volume, options, glance.taken())
+    glance = glance or Later(coarse_overview, volume)
+    sight = find_stapes(volume, options, glance.taken())
     progress("cutting the stapes out")
     finding = Later(find_plate, sight)
-    cut = cut_out(volume, sight, finding.result)
+    cut = extract_stapes(volume, sight, finding.result)
     plate = finding.result()
     if plate is not None and plate.immersing:
         plate = None
@@ -89,7 +89,7 @@ def find_bodies(
 
 def _assembled(
     volume: Volume,
-    sight: Sight,
+    sight: CoarseSegmentation,
     plate: PlateRegion | None,
     plate_mesh: Later[PlateSurface | None] | None,
     cut: Cut,
@@ -98,17 +98,19 @@ def _assembled(
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
     grid = volume if cut.working is None else cut.working.volume
-    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between), coat)
+    measured = measure_stapes(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between), coat)
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
-    share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
+    share = smooth_noise(measured.share, measured.levels.noise / measured.levels.contrast)
     mesh = Later(moment_matched, share, moments, cut.scan_from_box(grid))
     coarse = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     cuts = border_cuts(volume, cut)
     if cuts:
-        moments = with_contribution(moments, "border", by_border(cuts, measured.share, cut, grid, moments))
+        moments = with_contribution(
+            moments, "border", border_covariance(cuts, measured.share, cut, grid, moments)
+        )
         notices.append(cut_notice(cuts, held=True))
     if sight.cropped:
         notices.append(cropped_notice())
@@ -156,7 +158,7 @@ def _as_stored(cut: Cut) -> NDArray[Any]:
     return cut.grey if single is None else single
 
 
-def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
+def _evidence(sight: CoarseSegmentation, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
     def listed(values: Sequence[float] | Array) -> list[float]:
         return [float(v) for v in values]
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
 from ct_inertia.grey.measure_stapes import Measured
 from ct_inertia.native import compiled, shape_of
-from ct_inertia.segment.coarse_segmentation import Sight
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.segment.plate_region import PlateRegion
-from ct_inertia.volume.coarse_view import calmed, finite, loud
+from ct_inertia.volume.coarse_view import is_noisy, replace_non_finite, smooth_noise
 from ct_inertia.volume.grid_operations import used_box
 from ct_inertia.volume.volume import Volume
 
@@ -66,14 +66,19 @@ class _Region:
 
 
 def label_box(
-    volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, measured: Measured, level: float
+    volume: Volume,
+    sight: CoarseSegmentation,
+    plate: PlateRegion | None,
+    cut: Cut,
+    measured: Measured,
+    level: float,
 ) -> LabelledVolume:
     """Return the labels of stapes, plate and other bone on the scan's own grid.
 
     Parameters
     ----------
     volume : Volume
-    sight : Sight
+    sight : CoarseSegmentation
     plate : PlateRegion or None
     cut : Cut
     measured : Measured
@@ -122,7 +127,7 @@ def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:
     above: float | NDArray[np.float32] = -np.inf
     block = np.ones(3, dtype=np.int64) if cut.working is None else cut.working.block
     first = cut.first if cut.working is None else cut.working.first
-    quiet = not loud(measured.levels.noise / measured.levels.contrast)
+    quiet = not is_noisy(measured.levels.noise / measured.levels.contrast)
     if np.any(block > 1) and quiet:
         cells = _grown(cells) & measured.own
     box = used_box(cells) or (slice(0, 1),) * 3
@@ -138,7 +143,7 @@ def _labels(
 ) -> NDArray[np.uint8]:
     """Return the labels between two corners of the scan, [z, y, x]; later regions lie over earlier ones."""
     labels = np.zeros(tuple(int(n) for n in (high - low)[::-1]), dtype=np.uint8)
-    whole = volume.array.dtype.kind in "ui" and not loud(noise_share)
+    whole = volume.array.dtype.kind in "ui" and not is_noisy(noise_share)
     kernel = _kernel(volume.array) if whole else None
     if kernel is not None:
         for region in regions:
@@ -161,8 +166,8 @@ def _labels(
                 hit = part > _whole(above, part.dtype)
             else:
                 begin = max(0, start - _HALO)
-                part = finite(volume.array[begin : stop + _HALO, rows, columns], volume)
-                hit = calmed(part, noise_share)[start - begin : stop - begin] > above
+                part = replace_non_finite(volume.array[begin : stop + _HALO, rows, columns], volume)
+                hit = smooth_noise(part, noise_share)[start - begin : stop - begin] > above
             hit &= inside
             target = labels[start - low[2] : stop - low[2], y, x]
             np.copyto(target, np.uint8(region.number), where=hit)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.grey.levels import Guess
 from ct_inertia.segment.candidates import describe
-from ct_inertia.segment.coarse_segmentation import Sight, between_levels
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation, between_levels
 from ct_inertia.segment.plate_region import PlateRegion, find_plate
-from ct_inertia.volume.coarse_view import take_glance
+from ct_inertia.volume.coarse_view import coarse_overview
 from ct_inertia.volume.grid_operations import used_box
 from ct_inertia.volume.volume import Volume
 
@@ -21,7 +21,7 @@ class FoundPlate:
     """A plate, and the coarse view that shows it."""
 
     region: PlateRegion
-    sight: Sight
+    sight: CoarseSegmentation
 
     def mask(self, first: NDArray[np.int64], grey: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return its voxels in a part of the scan [z, y, x] that begins at an index x, y, z."""
@@ -46,7 +46,7 @@ def plate_beside(
     guess : Guess
         Levels of air and bone.
     """
-    glance = take_glance(volume)
+    glance = coarse_overview(volume)
     scan = glance.scan
     middle = 0.5 * (guess.air + guess.bone)
     light = [float(v) for v in glance.levels[1:] if guess.air < v <= middle]
@@ -66,6 +66,6 @@ def plate_beside(
         return None
     piece = describe(pieces, 1, box, scan.spacing_mm)
     between = between_levels(guess.air, plastic, guess.bone)
-    sight = Sight(scan, pieces, piece, (), guess.air, guess.bone, plastic, between)
+    sight = CoarseSegmentation(scan, pieces, piece, (), guess.air, guess.bone, plastic, between)
     region = find_plate(sight)
     return None if region is None or region.immersing else FoundPlate(region, sight)

@@ -21,7 +21,7 @@ from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import check_offsets, check_pieces, turned_notice, white_is_zero
-from ct_inertia.volume.lazy_arrays import BlockArray, turned
+from ct_inertia.volume.lazy_arrays import BlockArray, invert_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 
@@ -58,7 +58,7 @@ def read(folder: Path, options: ReadOptions) -> Volume:
     )
     array = stacked_slices(files)
     if _white_is_zero(files[0]):
-        array, notices = turned(array), [*notices, turned_notice(files[0])]
+        array, notices = invert_grey_values(array), [*notices, turned_notice(files[0])]
     volume = Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
     return volume.mirrored(options.mirror)
 

@@ -13,7 +13,7 @@ from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_directories import check_directories, check_ome_files
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
-from ct_inertia.volume.lazy_arrays import turned
+from ct_inertia.volume.lazy_arrays import invert_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.option_names import named
@@ -47,7 +47,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         place = _calibration(tif)
         notices = _notices(tif, path)
         if white_is_zero(tif.series[0].keyframe):
-            array, notices = turned(array), [*notices, turned_notice(path)]
+            array, notices = invert_grey_values(array), [*notices, turned_notice(path)]
     spacing, settled = settle_spacing(place.spacing_mm, options.spacing_mm, path.name, place.known)
     volume = Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
     return volume.mirrored(options.mirror)

@@ -46,7 +46,7 @@ def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
         )
 
 
-def doubts(piece: Piece) -> tuple[Notice, ...]:
+def ambiguity_notices(piece: Piece) -> tuple[Notice, ...]:
     """Return what speaks against a piece that was taken for the stapes."""
     notices = []
     if piece.holes != 1:

@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, count_holes, surrounded, with_holes_of
 from ct_inertia.segment.necks import Neck
 from ct_inertia.segment.split_pieces import Markers
-from ct_inertia.volume.coarse_view import CoarseScan, calmed
+from ct_inertia.volume.coarse_view import CoarseScan, smooth_noise
 from ct_inertia.volume.grid_operations import dilated
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -54,7 +54,7 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class Sight:
+class CoarseSegmentation:
     """What the coarse view shows.
 
     Attributes
@@ -101,7 +101,7 @@ class Sight:
         return self.neck is not None
 
 
-def readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:
+def level_hypotheses(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:
     """Return the possible levels (air, plastic, bone), in the order in which to try them.
 
     First the brightest material is taken for bone, then the second brightest, and so on.
@@ -137,7 +137,7 @@ def between_levels(air: float, plastic: float | None, bone: float) -> float:
     return middle if plastic is None else max(middle, plastic + _ABOVE_PLASTIC * (bone - plastic))
 
 
-def with_holes(sight: Sight, piece: Piece) -> Piece:
+def count_piece_holes(sight: CoarseSegmentation, piece: Piece) -> Piece:
     """Count a piece's holes unless that was done; thin dark walls count where that leaves one hole."""
     if piece.holes is not None:
         return piece
@@ -153,19 +153,19 @@ def with_holes(sight: Sight, piece: Piece) -> Piece:
     )
 
 
-def _thick(sight: Sight, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _thick(sight: CoarseSegmentation, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a piece with the darker voxels beside it: walls thinner than the blur are darker than bone."""
     contrast = sight.bone - sight.air
     low = sight.air + _THIN_WALL * contrast
     if sight.plastic is not None:
         low = max(low, sight.plastic + _PLASTIC_MARGIN * contrast)
-    quiet = calmed(sight.scan.grey[box], sight.scan.noise / contrast)
+    quiet = smooth_noise(sight.scan.grey[box], sight.scan.noise / contrast)
     return np.asarray(inside | (dilated(inside, 2) & (quiet > low)))
 
 
-def judged(sight: Sight, piece: Piece) -> Piece:
+def classify_piece(sight: CoarseSegmentation, piece: Piece) -> Piece:
     """Count its holes, and see whether it surrounds other bone."""
-    holed = with_holes(sight, piece)
+    holed = count_piece_holes(sight, piece)
     if not holed.arched or not sight.others or holed.surrounds > 0.0:
         return holed
     return replace(holed, surrounds=surrounded(sight.pieces, holed))

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.coarse_segmentation import Sight
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
 from ct_inertia.segment.plate_region import PlateRegion
-from ct_inertia.segment.touching_bones import flooded
-from ct_inertia.volume.coarse_view import calmed
+from ct_inertia.segment.touching_bones import flood_from_markers
+from ct_inertia.volume.coarse_view import smooth_noise
 from ct_inertia.volume.grid_operations import boxes_and_sizes, eroded, labelled
-from ct_inertia.volume.mask_statistics import looked_up
+from ct_inertia.volume.mask_statistics import look_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working_copy import PARTING_MM, WORKING_MM, Working, block_for, working_box
 from stapeskit.warnings import Notice
@@ -82,7 +82,7 @@ def box_around(
     return first, tuple(slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
 
 
-def cut_out(volume: Volume, sight: Sight, plate: Callable[[], PlateRegion | None]) -> Cut:
+def extract_stapes(volume: Volume, sight: CoarseSegmentation, plate: Callable[[], PlateRegion | None]) -> Cut:
     """Take the piece of bone that the coarse view chose, on a working grid.
 
     Connected bone that holds other pieces too is flooded from the cores of the pieces, on a finer grid
@@ -91,7 +91,7 @@ def cut_out(volume: Volume, sight: Sight, plate: Callable[[], PlateRegion | None
     Parameters
     ----------
     volume : Volume
-    sight : Sight
+    sight : CoarseSegmentation
     plate : callable
         Returns the plate's region or None; called last, so that it may still be looked for.
     """
@@ -136,14 +136,14 @@ class _View:
         return bool(np.any(self.own[self.other_cores]))
 
 
-def _box(volume: Volume, sight: Sight, most_mm: float) -> Working:
+def _box(volume: Volume, sight: CoarseSegmentation, most_mm: float) -> Working:
     step, piece = sight.scan.step, sight.stapes
     return working_box(volume, piece.low * step, piece.high * step, _MARGIN_MM, _MARGIN_VOXELS, most_mm)
 
 
-def _view(working: Working, sight: Sight) -> _View:
+def _view(working: Working, sight: CoarseSegmentation) -> _View:
     noise = sight.scan.noise if working.noise is None else working.noise
-    quiet = calmed(working.grey, noise / (sight.bone - sight.air))
+    quiet = smooth_noise(working.grey, noise / (sight.bone - sight.air))
     bone = quiet > sight.between
     labels, count = labelled(bone)
     own_cores, other_cores = _cores(sight, working)
@@ -152,11 +152,11 @@ def _view(working: Working, sight: Sight) -> _View:
     own = int(np.argmax(votes))
     kept = boxes_and_sizes(labels, count)[1] >= _DUST_VOXELS
     kept[[0, own]] = False
-    rest = looked_up(labels, kept)
+    rest = look_up(labels, kept)
     return _View(working, quiet, bone, labels == own, rest, own_cores, other_cores)
 
 
-def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:
+def _cores(sight: CoarseSegmentation, working: Working) -> tuple[Places, Places]:
     """Return blocks z, y, x that surely belong to the stapes, and to other bone."""
     if sight.markers is None:
         first, step = np.zeros(3, dtype=np.int64), sight.scan.step
@@ -187,7 +187,7 @@ def _flooded_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     markers = np.zeros(view.bone.shape, dtype=np.int32)
     markers[view.own_cores] = 1
     markers[view.other_cores] = 2
-    labels = flooded(view.quiet, np.where(view.bone, markers, 0).astype(np.int32), view.bone)
+    labels = flood_from_markers(view.quiet, np.where(view.bone, markers, 0).astype(np.int32), view.bone)
     return labels == 1, (labels != 1) & view.bone
 
 
@@ -195,4 +195,4 @@ def _without_dust(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     labels, count = labelled(mask)
     kept = boxes_and_sizes(labels, count)[1] >= _DUST_VOXELS
     kept[0] = False
-    return looked_up(labels, kept)
+    return look_up(labels, kept)

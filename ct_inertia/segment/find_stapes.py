@@ -10,14 +10,20 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.segment.ambiguity import RIVAL, USUAL, doubts, refuse_rivals
+from ct_inertia.segment.ambiguity import RIVAL, USUAL, ambiguity_notices, refuse_rivals
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
-from ct_inertia.segment.coarse_segmentation import SearchOptions, Sight, between_levels, judged, readings
-from ct_inertia.segment.local_threshold import at_own_level, takes_soft_for_bone
+from ct_inertia.segment.coarse_segmentation import (
+    CoarseSegmentation,
+    SearchOptions,
+    between_levels,
+    classify_piece,
+    level_hypotheses,
+)
+from ct_inertia.segment.local_threshold import segment_at_local_threshold, takes_soft_for_bone
 from ct_inertia.segment.necks import necks
-from ct_inertia.segment.not_found import nothing_found
-from ct_inertia.segment.split_pieces import MOST_WALL_MM3, CoarseGrid, Parting, partings
-from ct_inertia.volume.coarse_view import CoarseScan, Glance, calmed, take_glance
+from ct_inertia.segment.not_found import not_found_error
+from ct_inertia.segment.split_pieces import MOST_WALL_MM3, CoarseGrid, SplitPiece, split_piece
+from ct_inertia.volume.coarse_view import CoarseOverview, CoarseScan, coarse_overview, smooth_noise
 from ct_inertia.volume.grid_operations import dilated
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -30,14 +36,16 @@ _HALO_MM = calibrated("search.halo_mm")
 _LEAST_BEYOND = calibrated("search.least_beyond")
 
 
-def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -> Sight:
+def find_stapes(
+    volume: Volume, options: SearchOptions, glance: CoarseOverview | None = None
+) -> CoarseSegmentation:
     """Find the piece of bone that can be a stapes.
 
     Parameters
     ----------
     volume : Volume
     options : SearchOptions
-    glance : Glance, optional
+    glance : CoarseOverview, optional
         The coarse view, when it was taken before.
 
     Raises
@@ -46,20 +54,22 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         None can be one, or several can equally, or the seed lies in no bone; a wrong voxel size and
         inverted grey values are named as such.
     """
-    glance = glance or take_glance(volume)
+    glance = glance or coarse_overview(volume)
     scan, levels = glance.scan, glance.levels
-    tried: list[Sight] = []
-    doubtful: tuple[Sight, Sight] | None = None
-    without_hole: Sight | None = None
-    for air, plastic, bone in readings(levels, options.threshold):
+    tried: list[CoarseSegmentation] = []
+    doubtful: tuple[CoarseSegmentation, CoarseSegmentation] | None = None
+    without_hole: CoarseSegmentation | None = None
+    for air, plastic, bone in level_hypotheses(levels, options.threshold):
         between = options.threshold if options.threshold is not None else between_levels(air, plastic, bone)
         pieces, candidates = labelled_pieces(
-            calmed(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
+            smooth_noise(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
         )
         candidates = _whole(candidates, scan, volume)
         if not candidates:
             continue
-        sight = Sight(scan, pieces, candidates[0], tuple(candidates[1:]), air, bone, plastic, between)
+        sight = CoarseSegmentation(
+            scan, pieces, candidates[0], tuple(candidates[1:]), air, bone, plastic, between
+        )
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)
@@ -87,7 +97,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         # Bone whose density changes along it can look like two materials: the next reading takes both.
         doubtful = doubtful or (sight, chosen)
     if without_hole is not None and (
-        doubtful is None or _better(without_hole, judged(doubtful[0], doubtful[1].stapes))
+        doubtful is None or _better(without_hole, classify_piece(doubtful[0], doubtful[1].stapes))
     ):
         return without_hole
     if doubtful is not None:
@@ -101,10 +111,10 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
                 next_step="Read the coordinates off the viewer (LPS, mm)",
             )
         )
-    raise CtInertiaError(nothing_found(scan, tried, options.seed_mm is not None))
+    raise CtInertiaError(not_found_error(scan, tried, options.seed_mm is not None))
 
 
-def _better(parted: Sight, whole: Piece) -> bool:
+def _better(parted: CoarseSegmentation, whole: Piece) -> bool:
     """Say whether a part is a likelier stapes than the whole.
 
     What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
@@ -115,13 +125,15 @@ def _better(parted: Sight, whole: Piece) -> bool:
     return gain > RIVAL and (parted.cropped or not parted.at_neck) if stout else gain > 0.0
 
 
-def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sight | None:
+def _without_grown(
+    volume: Volume, chosen: CoarseSegmentation, options: SearchOptions
+) -> CoarseSegmentation | None:
     """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has."""
     scan, whole = chosen.scan, chosen.stapes
     inside = np.stack(np.nonzero(chosen.pieces == whole.label)[::-1], axis=1)
     if not any(neck.grown for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
         return None
-    for way in partings(volume, _grid(chosen), whole):
+    for way in split_piece(volume, _grid(chosen), whole):
         if way.doubtful:
             continue
         if not (way.cropped or (way.neck is not None and way.neck.grown)):
@@ -132,9 +144,9 @@ def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sig
     return None
 
 
-def _refuse_two_ends(volume: Volume, chosen: Sight, options: SearchOptions) -> None:
+def _refuse_two_ends(volume: Volume, chosen: CoarseSegmentation, options: SearchOptions) -> None:
     """Refuse a body that the border crops and that is a usual stapes before a neck, too, as with it."""
-    way = next(partings(volume, _grid(chosen), chosen.stapes), None)
+    way = next(split_piece(volume, _grid(chosen), chosen.stapes), None)
     part = _trial(volume, chosen, way, chosen.others, options) if way is not None and way.doubtful else None
     if part is None or part.stapes.at_border or not (part.stapes.arched and _usual(part.stapes)):
         return
@@ -151,13 +163,13 @@ def _refuse_two_ends(volume: Volume, chosen: Sight, options: SearchOptions) -> N
     )
 
 
-def _grid(sight: Sight) -> CoarseGrid:
+def _grid(sight: CoarseSegmentation) -> CoarseGrid:
     return CoarseGrid(sight.pieces, sight.scan.step, sight.air, sight.bone, sight.between, sight.scan.noise)
 
 
 def _trial(
-    volume: Volume, sight: Sight, way: Parting, rest: Sequence[Piece], options: SearchOptions
-) -> Sight | None:
+    volume: Volume, sight: CoarseSegmentation, way: SplitPiece, rest: Sequence[Piece], options: SearchOptions
+) -> CoarseSegmentation | None:
     """Choose the likeliest stapes among the parts of a piece and the rest; None when there is none."""
     trial = replace(
         sight,
@@ -172,7 +184,9 @@ def _trial(
     return _picked(volume, trial, options, alone=False)
 
 
-def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+def _at_own_level(
+    volume: Volume, sight: CoarseSegmentation, options: SearchOptions
+) -> CoarseSegmentation | None:
     """Take the threshold that fits the stapes' own bone, where the body is still a stapes there.
 
     None where its bone is brighter than the material taken for bone and the body is no stapes at its own
@@ -180,16 +194,18 @@ def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight
     """
     if options.threshold is not None:
         return sight
-    trial = at_own_level(sight, lambda pieces: _whole(pieces, sight.scan, volume))
+    trial = segment_at_local_threshold(sight, lambda pieces: _whole(pieces, sight.scan, volume))
     if trial is None:
         return sight
-    best = judged(trial, trial.stapes)
+    best = classify_piece(trial, trial.stapes)
     if _usual(best) and best.arched:
-        return replace(trial, stapes=best, notices=doubts(best))
+        return replace(trial, stapes=best, notices=ambiguity_notices(best))
     return None if trial.between > sight.between else sight
 
 
-def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:
+def _takes_in(
+    later: CoarseSegmentation, doubtful: tuple[CoarseSegmentation, CoarseSegmentation] | None
+) -> bool:
     """Say whether a later reading of the levels shows more of the bone that an earlier one found.
 
     A body of the usual size and shape that is whole but for the number of its holes stands, unless it is part
@@ -216,30 +232,32 @@ def _usual(piece: Piece) -> bool:
     return piece.possible and piece.oddness < USUAL and piece.surrounds < MOST_SURROUNDED
 
 
-def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = True) -> Sight | None:
+def _picked(
+    volume: Volume, sight: CoarseSegmentation, options: SearchOptions, alone: bool = True
+) -> CoarseSegmentation | None:
     if options.seed_mm is None:
         return _chosen(volume, sight, alone)
     return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
 
 
-def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+def _parted(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -> CoarseSegmentation | None:
     """Part the larger pieces where they touch, and choose the likeliest stapes among the parts.
 
     A part without a hole, such as a stapes with one crus or a broken one, must be of usual size and shape.
     """
     scan, every = sight.scan, (sight.stapes, *sight.others)
-    large = [judged(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
+    large = [classify_piece(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
     large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
     if options.seed_mm is not None and large:
         seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm))
         large = [piece for piece in large if seeded is not None and piece.label == seeded.stapes.label]
-    sights: list[Sight] = []
+    sights: list[CoarseSegmentation] = []
     for whole in large[:_MOST_WHOLES]:
         if sights and whole.surrounds >= MOST_SURROUNDED:
             break
         rest = [piece for piece in every if piece.label != whole.label]
         ways = []
-        for way in partings(volume, _grid(sight), whole):
+        for way in split_piece(volume, _grid(sight), whole):
             if way.doubtful:
                 continue
             chosen = _trial(volume, sight, way, rest, options)
@@ -261,7 +279,7 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     sights.sort(key=lambda way: -way.stapes.score)
     best = sights[0]
     if options.seed_mm is None:
-        parts = [judged(best, piece) for piece in best.others if piece.possible]
+        parts = [classify_piece(best, piece) for piece in best.others if piece.possible]
         rivals = [best.stapes, *[way.stapes for way in sights[1:]], *parts]
         refuse_rivals(rivals, _places_mm(volume, scan, rivals))
     return best
@@ -272,7 +290,7 @@ def _complete(whole: Piece) -> bool:
     return whole.arched and whole.surrounds < MOST_SURROUNDED
 
 
-def _cuts_the_stapes(way: Parting, chosen: Sight) -> bool:
+def _cuts_the_stapes(way: SplitPiece, chosen: CoarseSegmentation) -> bool:
     """Say whether a parting of a complete body has cut the stapes itself.
 
     Beside a body with the arch of a stapes that surrounds no other bone only the incus can be, and it is no
@@ -280,7 +298,7 @@ def _cuts_the_stapes(way: Parting, chosen: Sight) -> bool:
     """
     stapes = chosen.stapes
     bones = [p for p in way.parts if p.label != stapes.label and p.volume_mm3 > MOST_WALL_MM3]
-    rivals = (judged(chosen, bone).score > stapes.score - RIVAL for bone in bones if bone.possible)
+    rivals = (classify_piece(chosen, bone).score > stapes.score - RIVAL for bone in bones if bone.possible)
     return len(bones) > 1 or any(rivals)
 
 
@@ -295,13 +313,13 @@ def _whole(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]
     return kept
 
 
-def _chosen(volume: Volume, sight: Sight, alone: bool = True) -> Sight | None:
+def _chosen(volume: Volume, sight: CoarseSegmentation, alone: bool = True) -> CoarseSegmentation | None:
     """Choose among the pieces that can be a stapes; None when there is none.
 
     With ``alone`` a second one that can be it as well is refused.
     """
     every = [sight.stapes, *sight.others]
-    possible = [judged(sight, piece) for piece in every if piece.possible]
+    possible = [classify_piece(sight, piece) for piece in every if piece.possible]
     if not possible:
         return None
     possible.sort(key=lambda piece: -piece.score)
@@ -309,10 +327,10 @@ def _chosen(volume: Volume, sight: Sight, alone: bool = True) -> Sight | None:
     if alone:
         refuse_rivals(possible, _places_mm(volume, sight.scan, possible))
     others = tuple(p for p in every if p.label != best.label)
-    return replace(sight, stapes=best, others=others, notices=doubts(best))
+    return replace(sight, stapes=best, others=others, notices=ambiguity_notices(best))
 
 
-def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight | None:
+def _seeded(sight: CoarseSegmentation, seed: NDArray[np.int64]) -> CoarseSegmentation | None:
     """Take the piece at the seed, or the nearest within a few coarse voxels; None where there is none."""
     reach = 3
     low = np.maximum(seed - reach, 0)
@@ -325,8 +343,8 @@ def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight | None:
     away = np.linalg.norm(index[:, ::-1] + low - seed, axis=1)
     label = int(near[tuple(index[int(np.argmin(away))])])
     others = tuple(p for p in known.values() if p.label != label)
-    piece = judged(replace(sight, stapes=known[label], others=others), known[label])
-    return replace(sight, stapes=piece, others=others, notices=doubts(piece))
+    piece = classify_piece(replace(sight, stapes=known[label], others=others), known[label])
+    return replace(sight, stapes=piece, others=others, notices=ambiguity_notices(piece))
 
 
 def _places_mm(volume: Volume, scan: CoarseScan, pieces: list[Piece]) -> list[Array]:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ct_inertia.segment.candidates import Piece, labelled_pieces
-from ct_inertia.segment.coarse_segmentation import Sight, between_levels
-from ct_inertia.volume.coarse_view import calmed
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation, between_levels
+from ct_inertia.volume.coarse_view import smooth_noise
 from ct_inertia.volume.grid_operations import eroded
 
 # Interior voxels from which a level can be read.
@@ -21,7 +21,9 @@ _INTERIOR_PERCENTILE = 75.0
 _SAME_THRESHOLD = 0.05
 
 
-def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]) -> Sight | None:
+def segment_at_local_threshold(
+    sight: CoarseSegmentation, find_pieces: Callable[[list[Piece]], list[Piece]]
+) -> CoarseSegmentation | None:
     """Return the body that holds the chosen one at the threshold that fits its own bone.
 
     The brightest class of the histogram may be bone of another density, so the first threshold may be far
@@ -29,14 +31,14 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
 
     Parameters
     ----------
-    sight : Sight
+    sight : CoarseSegmentation
         With a body that was taken for the stapes.
     find_pieces : callable
         Corrects the border flags of labelled pieces.
 
     Returns
     -------
-    Sight or None
+    CoarseSegmentation or None
         None where the threshold hardly changes, or where no body holds the chosen one at the other.
     """
     own = sight.pieces == sight.stapes.label
@@ -47,7 +49,7 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
     between = between_levels(sight.air, plastic, bone)
     if not bone > sight.air or abs(between - sight.between) < _SAME_THRESHOLD * (bone - sight.air):
         return None
-    quiet = calmed(sight.scan.grey, sight.scan.noise / (bone - sight.air))
+    quiet = smooth_noise(sight.scan.grey, sight.scan.noise / (bone - sight.air))
     pieces, candidates = labelled_pieces(quiet > between, sight.scan.spacing_mm)
     votes = np.bincount(pieces[own], minlength=1)
     votes[0] = 0
@@ -61,7 +63,7 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
     )
 
 
-def takes_soft_for_bone(sight: Sight) -> bool:
+def takes_soft_for_bone(sight: CoarseSegmentation) -> bool:
     """Say whether the material that was taken for bone lies below the middle level of the body's own bone.
 
     No bone is half as dense as another: the body holds plastic, or fluid that fills its gaps.
@@ -70,7 +72,7 @@ def takes_soft_for_bone(sight: Sight) -> bool:
     return bone is not None and bool(sight.bone < 0.5 * (sight.air + bone))
 
 
-def _bone_of(sight: Sight) -> float | None:
+def _bone_of(sight: CoarseSegmentation) -> float | None:
     """Return the grey level of the chosen body's own bone; None where too little of it is deep."""
     deep = sight.scan.grey[eroded(sight.pieces == sight.stapes.label)]
     return float(np.percentile(deep, _INTERIOR_PERCENTILE)) if deep.size >= _LEAST_DEEP else None

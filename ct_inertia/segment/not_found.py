@@ -9,7 +9,12 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, labelled_pieces
-from ct_inertia.segment.coarse_segmentation import Sight, between_levels, readings, with_holes
+from ct_inertia.segment.coarse_segmentation import (
+    CoarseSegmentation,
+    between_levels,
+    count_piece_holes,
+    level_hypotheses,
+)
 from ct_inertia.volume.coarse_view import CoarseScan, material_levels
 from stapeskit.faults import Fault
 
@@ -17,7 +22,7 @@ from stapeskit.faults import Fault
 _SHOWN = 4
 
 
-def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> Fault:
+def not_found_error(scan: CoarseScan, tried: Sequence[CoarseSegmentation], seeded: bool) -> Fault:
     """Say why no stapes was found, naming a wrong voxel size or inverted grey values when it is that."""
     wrong_size = _by_size(tried)
     if wrong_size:
@@ -41,7 +46,7 @@ def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> Fau
     )
 
 
-def _by_size(tried: Sequence[Sight]) -> Fault | None:
+def _by_size(tried: Sequence[CoarseSegmentation]) -> Fault | None:
     """Recognise a body of the right shape and the wrong size."""
     for sight in tried:
         for piece in (sight.stapes, *sight.others)[:6]:
@@ -51,7 +56,7 @@ def _by_size(tried: Sequence[Sight]) -> Fault | None:
             shrunk = replace(
                 piece, volume_mm3=piece.volume_mm3 / scale**3, extents_mm=piece.extents_mm / scale
             )
-            if shrunk.oddness < 0.2 and with_holes(sight, piece).holes == 1:
+            if shrunk.oddness < 0.2 and count_piece_holes(sight, piece).holes == 1:
                 return Fault(
                     "the voxel spacing",
                     "right: a stapes is 3 to 4 mm high",
@@ -67,11 +72,11 @@ def _inverted(scan: CoarseScan) -> bool:
         levels = material_levels(turned)
     except CtInertiaError:
         return False
-    for air, plastic, bone in readings(levels, None):
+    for air, plastic, bone in level_hypotheses(levels, None):
         pieces, bodies = labelled_pieces(turned.grey > between_levels(air, plastic, bone), scan.spacing_mm)
         for piece in bodies:
             if piece.possible and piece.oddness < 0.3 and not np.any(piece.low == 0):
-                sight = Sight(turned, pieces, piece, (), air, bone, plastic, 0.0)
-                if with_holes(sight, piece).holes == 1:
+                sight = CoarseSegmentation(turned, pieces, piece, (), air, bone, plastic, 0.0)
+                if count_piece_holes(sight, piece).holes == 1:
                     return True
     return False

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.coarse_segmentation import Sight
-from ct_inertia.volume.coarse_view import calmed
+from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
+from ct_inertia.volume.coarse_view import smooth_noise
 from ct_inertia.volume.grid_operations import dilated, eroded, gaussian, labelled
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class PlateRegion:
     immersing: bool = False
 
 
-def find_plate(sight: Sight) -> PlateRegion | None:
+def find_plate(sight: CoarseSegmentation) -> PlateRegion | None:
     """Find the largest body of plastic grey that is no blurred rim of bone.
 
     Voxels within 0.11 mm of bone are left out first: across such a rim the grey values pass through those
@@ -66,7 +66,7 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     coarse = thinned(scan.grey, thin)
     box = _crowded(coarse > middle, 3 * rim + 4)
     grey = coarse[box]
-    bone = calmed(grey, scan.noise / (sight.bone - sight.air)) > sight.between
+    bone = smooth_noise(grey, scan.noise / (sight.bone - sight.air)) > sight.between
     near_bone = dilated(bone, rim)
     smooth = gaussian(grey, 0.7)
     free = (smooth > middle) & ~near_bone
@@ -86,7 +86,7 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin, around)
 
 
-def _immersing(plastic: NDArray[np.bool_], sight: Sight, thin: int, rim: int) -> bool:
+def _immersing(plastic: NDArray[np.bool_], sight: CoarseSegmentation, thin: int, rim: int) -> bool:
     """Say whether plastic lies around the stapes on nearly all sides where no other bone does."""
     reach, piece = rim + _COLLAR, sight.stapes
     box = tuple(

@@ -21,10 +21,10 @@ from ct_inertia.segment.candidates import (
 )
 from ct_inertia.segment.cropped_neighbours import cropped_separation
 from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
-from ct_inertia.segment.touching_bones import VALLEY, Separation, renamed, separations
-from ct_inertia.volume.coarse_view import calmed
+from ct_inertia.segment.touching_bones import VALLEY, Separation, relabel, separate_bones
+from ct_inertia.volume.coarse_view import smooth_noise
 from ct_inertia.volume.grid_operations import boxes_and_sizes, labelled
-from ct_inertia.volume.mask_statistics import every_nth, looked_up
+from ct_inertia.volume.mask_statistics import every_nth, look_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working_copy import Working, working_box
 
@@ -70,7 +70,7 @@ class Markers:
 
 
 @dataclass(frozen=True)
-class Parting:
+class SplitPiece:
     """The parts of one piece of the coarse view.
 
     Attributes
@@ -123,7 +123,7 @@ class CoarseGrid:
     noise: float
 
 
-def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parting]:
+def split_piece(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[SplitPiece]:
     """Part one piece of the coarse view, on a finer grid, in every way that narrow gaps suggest.
 
     Parameters
@@ -141,7 +141,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     working = working_box(volume, low, high, _MARGIN_MM, _MARGIN_VOXELS, finer)
     noise = coarse.noise if working.noise is None else working.noise
     contrast = coarse.bone - coarse.air
-    grey = calmed(working.grey, noise / contrast)
+    grey = smooth_noise(working.grey, noise / contrast)
     held = [(grey - np.float32(coarse.air)) / np.float32(contrast)]
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
@@ -163,11 +163,11 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         )
         new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
         new[[p.label for p, _ in kept]] = [p.label + free for p, _ in kept]
-        labels = renamed(way.labels, new)
+        labels = relabel(way.labels, new)
         pieces = _on_coarse(coarse, whole, labels, working)
         labels *= way.sure
         markers = Markers(labels, working.first, working.block)
-        yield Parting(pieces, parts, markers, way.depth_mm, way.neck, way.cropped, way.doubtful)
+        yield SplitPiece(pieces, parts, markers, way.depth_mm, way.neck, way.cropped, way.doubtful)
         del apart, way, labels, markers  # before the next way is looked for
 
 
@@ -181,7 +181,7 @@ def _of_the_whole(
     mine = np.bincount(labels[own], minlength=count + 1)
     kept = mine > np.bincount(labels[other], minlength=count + 1)
     kept[0] = False
-    return looked_up(labels, kept)
+    return look_up(labels, kept)
 
 
 def _every_way(
@@ -197,7 +197,7 @@ def _every_way(
         if cut is not None:
             yield cut
         yield from neck_separations(bone, spacing_mm)
-    yield from _refined(separations(held, bone, spacing_mm), spacing_mm)
+    yield from _refined(separate_bones(held, bone, spacing_mm), spacing_mm)
 
 
 def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
@@ -289,7 +289,7 @@ def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array
         return way
     name = np.arange(int(way.labels.max()) + 1)
     name[[p.label for p in walls]] = stapes.label
-    labels = renamed(way.labels, name)
+    labels = relabel(way.labels, name)
     low = np.min([p.low for p in (stapes, *walls)], axis=0)
     high = np.max([p.high for p in (stapes, *walls)], axis=0)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))

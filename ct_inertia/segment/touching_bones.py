@@ -36,7 +36,7 @@ _CALM_VOXELS = 0.6
 _SMOOTH_VOXELS = 0.7
 
 
-def flooded(
+def flood_from_markers(
     grey: NDArray[np.float32], markers: NDArray[np.int32], mask: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
     """Give every voxel of a mask to the marker whose flood reaches it first from the bright side.
@@ -120,7 +120,7 @@ class Separation:
     doubtful: bool = False
 
 
-def separations(
+def separate_bones(
     held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array
 ) -> Iterator[Separation]:
     """Part bone along its narrow gaps, from gaps without bridges to wide bridges.
@@ -154,7 +154,7 @@ def separations(
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
         count = int(np.count_nonzero(kept))
-        markers = renamed(markers, np.where(kept, np.cumsum(kept), 0))
+        markers = relabel(markers, np.where(kept, np.cumsum(kept), 0))
         if count < 2 or (labels is not None and _alike(labels, markers, count)):
             continue
         labels = np.zeros(bone.shape, dtype=np.int32)
@@ -166,7 +166,7 @@ def separations(
         yield Separation(wanted, labels, depth > least, pieces)
 
 
-def renamed(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np.int32]:
+def relabel(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np.int32]:
     """Return labels [z, y, x] under other names (n,), layer by layer."""
     names = names.astype(np.int32)
     out = np.empty(labels.shape, dtype=np.int32)

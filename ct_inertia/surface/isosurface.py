@@ -33,12 +33,12 @@ def iso_surface(field: NDArray[np.float32], level: float, scan_from_index: Array
     CtInertiaError
         Nothing lies above the level.
     """
-    corner, part = cropped(field, level)
+    corner, part = crop_field(field, level)
     points, faces = part_above(part, level)
-    return placed(points + corner, faces, scan_from_index)
+    return place_surface(points + corner, faces, scan_from_index)
 
 
-def cropped(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.float32]]:
+def crop_field(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.float32]]:
     """Return what lies above a level with two voxels around, and the index x, y, z of its first voxel.
 
     A border of voxels far below the level closes what the field's border cuts: caps half a voxel outside.
@@ -122,6 +122,6 @@ def _inside_box(points: Array, part: NDArray[np.int64], main: int, count: int) -
     return np.asarray(np.bincount(part, outside, minlength=count) == 0)
 
 
-def placed(points: Array, faces: NDArray[np.int64], scan_from_index: Array) -> Surface:
+def place_surface(points: Array, faces: NDArray[np.int64], scan_from_index: Array) -> Surface:
     """Return a surface in index x, y, z in scan coordinates."""
     return Surface(points @ scan_from_index[:3, :3].T + scan_from_index[:3, 3], faces)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.surface.isosurface import cropped, part_above, placed
+from ct_inertia.surface.isosurface import crop_field, part_above, place_surface
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, enclosed_moments
 from stapeskit.arrays import Array
@@ -48,7 +48,7 @@ def moment_matched(field: Grey, moments: Moments, scan_from_index: Array) -> tup
     integral of phi_j phi_k over the surface per gradient (coarea formula), counted over the voxels in a band
     about the level; Newton's method with this matrix, and with the exact moments of the triangles.
     """
-    corner, part = cropped(field, _LEAST_SHARE)
+    corner, part = crop_field(field, _LEAST_SHARE)
     rim = _Rim.about(part, *_in_index(moments, scan_from_index, corner))
     coefficients = np.zeros(10)
     coefficients[0] = rim.level
@@ -63,7 +63,7 @@ def moment_matched(field: Grey, moments: Moments, scan_from_index: Array) -> tup
             break
         coefficients = coefficients - rim.inverse @ off
         points, faces = part_above(rim.lowered(part, coefficients), 0.0)
-    return placed(surface[0] + corner, surface[1], scan_from_index), rim.level
+    return place_surface(surface[0] + corner, surface[1], scan_from_index), rim.level
 
 
 def _in_index(moments: Moments, scan_from_index: Array, corner: Array) -> tuple[float, Array, Array]:

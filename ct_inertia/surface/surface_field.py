@@ -49,7 +49,7 @@ class Mesh:
         return Mesh(self.points[used], place[faces]), used
 
 
-def refined(mesh: Mesh, edge_mm: float, most_faces: int = 2_000_000) -> Mesh:
+def refine_edges(mesh: Mesh, edge_mm: float, most_faces: int = 2_000_000) -> Mesh:
     """Bisect edges longer than ``edge_mm`` until none is left; the surface itself does not change.
 
     Notes

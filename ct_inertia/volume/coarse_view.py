@@ -68,25 +68,25 @@ def coarse_scan(volume: Volume, target_mm: float = _TARGET_MM) -> CoarseScan:
         step = step + 1
     sx, sy, sz = (int(s) for s in step)
     part, averaged = sampled(volume.array, (sz, sy, sx))
-    grey = finite(part, volume)
+    grey = replace_non_finite(part, volume)
     return CoarseScan(grey, step, spacing * step, _fine_noise(volume) if averaged else noise_of(grey))
 
 
 def _fine_noise(volume: Volume) -> float:
     """Return the noise of single voxels, from the middle of the scan: a coarser level is calmer."""
     thirds = [slice(n // 3, n // 3 + max(2, min(96, n // 3))) for n in volume.array.shape]
-    return noise_of(finite(np.asarray(volume.array[thirds[0], thirds[1], thirds[2]]), volume))
+    return noise_of(replace_non_finite(np.asarray(volume.array[thirds[0], thirds[1], thirds[2]]), volume))
 
 
 @dataclass(frozen=True)
-class Glance:
+class CoarseOverview:
     """The coarse view and the grey levels of the materials in it."""
 
     scan: CoarseScan
     levels: Array
 
 
-def take_glance(volume: Volume) -> Glance:
+def coarse_overview(volume: Volume) -> CoarseOverview:
     """Take the coarse view and find the levels; numpy alone is used, so that other imports can go on.
 
     Raises
@@ -95,10 +95,10 @@ def take_glance(volume: Volume) -> Glance:
         Voxels that are not finite where they are not allowed; only one material.
     """
     scan = coarse_scan(volume)
-    return Glance(scan, material_levels(scan))
+    return CoarseOverview(scan, material_levels(scan))
 
 
-def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
+def replace_non_finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     """Return a part of the scan as float32, with air for voxels that are not finite when that is allowed.
 
     Raises
@@ -132,14 +132,14 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     return grey
 
 
-def loud(noise_share: float) -> bool:
+def is_noisy(noise_share: float) -> bool:
     """Return whether noise, as a share of the contrast, makes holes and specks when it is thresholded."""
     return bool(noise_share >= calibrated("coarse.loud_noise"))
 
 
-def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]:
+def smooth_noise(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]:
     """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
-    if not loud(noise_share):
+    if not is_noisy(noise_share):
         return grey
     return gaussian(grey, 1.0, truncate=3.0)
 

@@ -265,7 +265,7 @@ def scaled(array: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
     return BlockArray((nz, ny, nx), np.dtype(np.float32), (1, ny, nx), plane).as_array()
 
 
-def turned(array: NDArray[Any]) -> NDArray[Any]:
+def invert_grey_values(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array with bright and dark exchanged, in its own type, plane by plane when asked for.
 
     Notes

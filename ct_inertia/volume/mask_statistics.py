@@ -116,7 +116,9 @@ def places_between(
     return place
 
 
-def gathered(grey: Grey, mask: Mask, inner: Mask, noise: tuple[float, float]) -> tuple[Array, Array, Array]:
+def gather_voxels(
+    grey: Grey, mask: Mask, inner: Mask, noise: tuple[float, float]
+) -> tuple[Array, Array, Array]:
     """Return index x, y, z (n, 3), grey value and noise (n,) of a mask: the second noise in ``inner``."""
     kernels = compiled()
     if kernels is None or not (_plain(grey, mask) and inner.flags.c_contiguous):
@@ -132,7 +134,7 @@ def gathered(grey: Grey, mask: Mask, inner: Mask, noise: tuple[float, float]) ->
     return index, value, own
 
 
-def looked_up(number: NDArray[np.int32], table: Mask) -> Mask:
+def look_up(number: NDArray[np.int32], table: Mask) -> Mask:
     """Return the flag of every number in a table (n,)."""
     kernels = compiled()
     if kernels is None or not number.flags.c_contiguous or table[0]:

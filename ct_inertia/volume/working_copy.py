@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled
-from ct_inertia.volume.coarse_view import finite, noise_of
+from ct_inertia.volume.coarse_view import noise_of, replace_non_finite
 from ct_inertia.volume.interior_histogram import in_threads
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
@@ -144,7 +144,7 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
     nx, ny, nz = (int(v) for v in count)
     bx, by, bz = (int(v) for v in block)
     if bx == by == bz == 1:
-        return finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
+        return replace_non_finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
     means = np.empty((nz, ny, nx), dtype=np.float32)
     share = np.float32(1.0 / (bx * by * bz))
     array = volume.array
@@ -167,7 +167,7 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
     def layers(start: int) -> None:
         for k in range(start, min(start + _LAYERS, nz)):
             part = volume.array[z + k * bz : z + (k + 1) * bz, y : y + ny * by, x : x + nx * bx]
-            slab = finite(part, volume)
+            slab = replace_non_finite(part, volume)
             layer = slab[0]
             for other in slab[1:]:
                 layer += other

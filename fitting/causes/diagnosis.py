@@ -19,8 +19,8 @@ import numpy as np
 
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, term_of
-from fitting.causes.model_error import off_unexplained
-from fitting.causes.refits import Refit, of_use, rarity, refit_with
+from fitting.causes.model_error import unexplained_error
+from fitting.causes.refits import Refit, rarity_penalty, refit_with, useful_chi2
 from fitting.causes.score_tests import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.ligament_fit import LigamentFit
@@ -171,7 +171,7 @@ def diagnose(
     ranked = [scored[place] for place in np.argsort(p_values, kind="stable")]
     leading = _first_of_families(ranked, names)
     likely = [place for place in leading if CAUSES[names[place]].refitted]
-    whole = any(_fall_of_whole(name, tested, place) > rarity() for place, name in enumerate(names))
+    whole = any(_fall_of_whole(name, tested, place) > rarity_penalty() for place, name in enumerate(names))
     searched = bool(alarm or whole or ligament.p_value < calibrated("causes.misfit_p"))
     if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
         likely = []
@@ -183,13 +183,13 @@ def diagnose(
     refits: list[Refit] = []
     for number, place in enumerate(shortlist):
         if number == laws_at and searched and laws is not None:
-            under_laws = laws(of_use(ligament, [*known, *refits]))
+            under_laws = laws(useful_chi2(ligament, [*known, *refits]))
         if any(names[place] == refit.name for refit in known):
             refits.append(max(known, key=lambda refit: refit.fall))
             continue
         others = [*refits, *under_laws] if number else []
         explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in others)
-        within = of_use(ligament, others) if number else np.inf
+        within = useful_chi2(ligament, others) if number else np.inf
         fitted = partial(
             refit_with,
             ligament,
@@ -208,7 +208,7 @@ def diagnose(
         refits = refits if searched else []
         laws_at = len(shortlist)
     if len(shortlist) <= laws_at and searched and laws is not None:
-        under_laws = laws(of_use(ligament, refits))
+        under_laws = laws(useful_chi2(ligament, refits))
     equations = 2 * ligament.equations.n * ligament.lines.count
     shown = sorted(leading)
     kept = Scores(
@@ -278,7 +278,7 @@ def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:
     left = ligament.p_value if named is None else named.p_value
     if left > calibrated("causes.misfit_p"):
         return diagnosis.off
-    return np.concatenate([diagnosis.off, off_unexplained(ligament)], axis=1)
+    return np.concatenate([diagnosis.off, unexplained_error(ligament)], axis=1)
 
 
 def relative_effect(change: Array, stiffness: Array, damping: Array) -> Array:

@@ -22,7 +22,7 @@ from stapeskit.arrays import Array
 _PARTS = 5
 
 
-def off_by_cause(ligament: LigamentFit, change: Array, sd_share: float, factor: Array | None) -> Array:
+def cause_error(ligament: LigamentFit, change: Array, sd_share: float, factor: Array | None) -> Array:
     """Return columns (24, k) of the error that a cause makes when it is left out.
 
     Parameters
@@ -48,7 +48,7 @@ def off_by_cause(ligament: LigamentFit, change: Array, sd_share: float, factor: 
     return np.stack(columns, axis=1)
 
 
-def off_by_law(ligament: LigamentFit, other: LigamentFit, omega: Array) -> Array:
+def law_error(ligament: LigamentFit, other: LigamentFit, omega: Array) -> Array:
     """Return columns (24, 2) of the error where the data speak for another damping law.
 
     Notes
@@ -72,7 +72,7 @@ def _entries(ligament: LigamentFit) -> Array:
     return np.concatenate([join(ligament.stiffness, ligament.damping), about_plane])
 
 
-def off_unexplained(ligament: LigamentFit) -> Array:
+def unexplained_error(ligament: LigamentFit) -> Array:
     """Return columns (24, blocks) of the error where no cause explains the misfit.
 
     Notes

@@ -10,14 +10,14 @@ import numpy as np
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, places_of
 from fitting.causes.chi2_differences import difference_sd, measured_operator
-from fitting.causes.model_error import off_by_cause
+from fitting.causes.model_error import cause_error
 from fitting.causes.score_tests import Scores
 from fitting.ligament.equations import Term
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.ligament import FEW_ROUNDS, MOST_ROUNDS, extended_fit
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.ligament.misfit import explained_below
+from fitting.ligament.misfit import explained_limit
 from stapeskit.arrays import Array
 
 # Steps of a refit, and of one beside a cause that explains the data.
@@ -71,7 +71,7 @@ class Refit:
     fixed: float = 0.0
 
 
-def of_use(ligament: LigamentFit, known: Sequence[Refit]) -> float:
+def useful_chi2(ligament: LigamentFit, known: Sequence[Refit]) -> float:
     """Return the chi2 below which another model can be named, or look like the one that is.
 
     Its fall of chi2, in units of the misfit that it leaves, has to come near that of the best one. Where none
@@ -81,11 +81,11 @@ def of_use(ligament: LigamentFit, known: Sequence[Refit]) -> float:
     slack = calibrated("causes.look_alike_chi2") + float(np.log(2 * equations.n * ligament.lines.count))
     fall = max((candidate.fall for candidate in known), default=0.0) - slack
     if fall <= 0.0:
-        return float(max(np.sqrt(chi2 * n_dof), explained_below(equations, ligament.lines.count)))
+        return float(max(np.sqrt(chi2 * n_dof), explained_limit(equations, ligament.lines.count)))
     return float(chi2 - fall if chi2 - fall < n_dof else chi2 * n_dof / (fall + n_dof))
 
 
-def rarity() -> float:
+def rarity_penalty() -> float:
     """Return what an error that is there wholly or not at all must lower chi2 by to be likely."""
     return -2.0 * float(np.log(calibrated("causes.whole_error")))
 
@@ -150,10 +150,10 @@ def refit_with(
     strange, only = (size / CAUSES[name].usual) ** 2, CAUSES[name].only
     spread = level * inverse_of(fit.at.hessian)[equations.term, equations.term][-1, -1]
     if only is not None:
-        unknowns, strange = unknowns - 1.0, (size - only) ** 2 / spread + rarity()
+        unknowns, strange = unknowns - 1.0, (size - only) ** 2 / spread + rarity_penalty()
     sd = float(np.sqrt(spread))
     factor = equations.applied(lines, fit.parameters)[1].factor
-    off = off_by_cause(ligament, change, sd / max(abs(size), 1e-300), factor)
+    off = cause_error(ligament, change, sd / max(abs(size), 1e-300), factor)
     operators = [
         measured_operator(measured, unknown, joint.parameters)
         for measured, unknown, joint in ((ligament.lines, ligament.equations, ligament.joint), best)

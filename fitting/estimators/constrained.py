@@ -21,8 +21,8 @@ import numpy as np
 from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, Method, fixed_precision
 from fitting.estimators.semidefinite import nearest
-from fitting.estimators.semidefinite_roots import active_names, inside, pull_inside
-from fitting.estimators.stability import best_stable, height, stable_start
+from fitting.estimators.semidefinite_roots import active_names, is_positive_definite, nearest_inside
+from fitting.estimators.stability import best_stable, stable_start, wall_height
 from fitting.model.model import state_matrix
 from fitting.model.parameter_vector import entry_names, pairs, split
 from fitting.model.scaled_lines import Lines, real_rows, regressor
@@ -125,7 +125,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     if np.all(free.parameters >= lower) and np.all(free.parameters <= upper):
         held = not _is_stable(free.parameters, lines.mass)
         if options.constraint == "psd":
-            held = not inside(free.parameters, lines.n)
+            held = not is_positive_definite(free.parameters, lines.n)
         if not held:
             value = free.objective / _size(lines) ** 2
             return Estimate(free.parameters, value, 1, True, certificate=0.0)
@@ -137,7 +137,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
     convex = _psd(lines, problem)
     inner = _stable_starts(lines, problem, convex.parameters)
-    begin = inner[0] if start is None else _interior_start(problem, pull_inside(start, lines.n))
+    begin = inner[0] if start is None else _interior_start(problem, nearest_inside(start, lines.n))
     parameters, steps, converged = best_stable(problem, stable_start(problem, begin), inner)
     value = problem.value(parameters)
     if convex.objective <= value and largest_real(convex.parameters, problem) < 0.0:
@@ -150,15 +150,17 @@ def _stable_starts(lines: Lines, problem: Quadratic, convex: Array) -> list[Arra
     """Return stable starts: the convex solution with K, D >= 0, and others around it, moved inside."""
     generator = np.random.default_rng(0)
     spread = [convex * generator.uniform(0.5, 1.5, len(convex)) for _ in range(_EXTRA_STARTS)]
-    starts = [_interior_start(problem, pull_inside(matrices, lines.n, 0.1)) for matrices in (convex, *spread)]
-    return [start for start in starts if np.isfinite(height(start, problem))] or [
+    starts = [
+        _interior_start(problem, nearest_inside(matrices, lines.n, 0.1)) for matrices in (convex, *spread)
+    ]
+    return [start for start in starts if np.isfinite(wall_height(start, problem))] or [
         stable_start(problem, starts[0])
     ]
 
 
 def _is_stable(parameters: Array, mass: Array) -> bool:
     """Return whether all eigenvalues lie in the left half plane."""
-    if inside(parameters, len(mass)):
+    if is_positive_definite(parameters, len(mass)):
         return True
     return bool(np.linalg.eigvals(state_matrix(mass, *split(parameters, len(mass)))).real.max() < 0.0)
 
@@ -179,9 +181,9 @@ def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
 def _psd(lines: Lines, problem: Quadratic) -> Estimate:
     """Solve the convex problem with K >= 0 and D >= 0."""
     free = pinv.weighted(lines, np.ones(lines.n)).parameters
-    if problem.within(free) and inside(free, lines.n):
+    if problem.within(free) and is_positive_definite(free, lines.n):
         return Estimate(free, problem.value(free), 1, True, certificate=0.0)
-    begin = _interior_start(problem, pull_inside(free, lines.n))
+    begin = _interior_start(problem, nearest_inside(free, lines.n))
     zero = np.where(problem.lower == 0.0, -np.inf, problem.lower)
     hessian, linear = 2.0 * problem.triangle.T @ problem.triangle, 2.0 * problem.triangle.T @ problem.right
     parameters, gap, steps = nearest(hessian, linear, begin, lines.n, _GAP, zero, problem.upper)
@@ -199,7 +201,7 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
     clipped = np.clip(begin, low + margin, high - margin)
     for share in (1.0, 0.5, 0.1, 0.0):
         trial = np.where(diagonal, clipped, np.clip(share * clipped, low + margin, high - margin))
-        if inside(trial, problem.n):
+        if is_positive_definite(trial, problem.n):
             return trial
     from fitting.errors import FittingError
 

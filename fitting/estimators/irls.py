@@ -17,7 +17,7 @@ from fitting.estimators.base import (
     transposed_times,
 )
 from fitting.estimators.likelihood_kernel import EQUAL, MEASURED, expanded
-from fitting.estimators.semidefinite_roots import inside, pull_inside, shortest_distance
+from fitting.estimators.semidefinite_roots import is_positive_definite, nearest_inside, shortest_distance
 from fitting.model.scaled_lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 from stapeskit.arrays import Array
 
@@ -41,10 +41,10 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         now = following
         converged = bool(change @ change < options.tolerance)
     value = float(np.sum((times(rows, now) - right) ** 2))
-    if not options.passive or inside(now, lines.n):
+    if not options.passive or is_positive_definite(now, lines.n):
         return Estimate(now, value, count, converged)
     hessian = gram(rows)
-    held, active = shortest_distance(now, hessian, pull_inside(now, lines.n), lines.n)
+    held, active = shortest_distance(now, hessian, nearest_inside(now, lines.n), lines.n)
     return Estimate(held, value, count, converged, active)
 
 

@@ -25,7 +25,7 @@ from fitting.estimators.base import (
     transposed_times,
 )
 from fitting.estimators.likelihood_kernel import CORRECTED, DISTANCES, Expansion, expanded
-from fitting.estimators.semidefinite_roots import active_names, inside, minimise
+from fitting.estimators.semidefinite_roots import active_names, is_positive_definite, minimise
 from fitting.model.scaled_lines import (
     Lines,
     State,
@@ -125,7 +125,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         best, merit = joint
     else:
         best = _descend(lines, options, begin, merit)
-    if options.passive and not inside(best.parameters, lines.n):
+    if options.passive and not is_positive_definite(best.parameters, lines.n):
         best = _held(lines, best, merit)
     weights = None
     if merit.robust:

@@ -37,12 +37,12 @@ def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
     return ratios[0], ratios[1]
 
 
-def inside(parameters: Array, n: int) -> bool:
+def is_positive_definite(parameters: Array, n: int) -> bool:
     """Return whether both K and D are positive definite."""
     return min(smallest_eigenvalues(parameters, n)) > 0.0
 
 
-def pull_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
+def nearest_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
     """Return the nearest K and D whose eigenvalues are at least ``margin`` of the largest magnitude."""
     pulled = []
     for part in split(parameters, n):
@@ -85,7 +85,7 @@ def minimise(expansion: Expansion, value: Objective, others: Array, n: int) -> t
     while weight > _LAST:
         pulled = _Pulled(expansion, value, usual, weight)
         now, _, count = _descend(pulled.expansion, pulled.value, now, n, _LAST, _FEW)
-        now[: len(usual)] = pull_inside(now[: len(usual)], n, _INSIDE)
+        now[: len(usual)] = nearest_inside(now[: len(usual)], n, _INSIDE)
         weight, steps = weight / _GROWTH, steps + count
     now, converged, count = _descend(expansion, value, now, n, _TOLERANCE, _MOST)
     return now, converged, steps + count
@@ -94,7 +94,7 @@ def minimise(expansion: Expansion, value: Objective, others: Array, n: int) -> t
 def minimise_near(expansion: Expansion, value: Objective, start: Array, n: int) -> tuple[Array, bool, int]:
     """Minimise as `minimise` does, from a start (n (n + 1) + k,) alone; its K and D are pulled inside."""
     entries = n * (n + 1)
-    begin = np.concatenate([pull_inside(start[:entries], n, _INSIDE), start[entries:]])
+    begin = np.concatenate([nearest_inside(start[:entries], n, _INSIDE), start[entries:]])
     if not np.isfinite(value(begin)):
         return begin, False, 0
     return _descend(expansion, value, begin, n, _TOLERANCE, _MOST)

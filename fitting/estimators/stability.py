@@ -82,7 +82,7 @@ def state_derivatives(mass: Array) -> Array:
     return derivatives
 
 
-def height(parameters: Array, problem: Objective) -> float:
+def wall_height(parameters: Array, problem: Objective) -> float:
     """Return the value of the wall; inf where a model is not stable by the margin or a bound is reached."""
     n = len(problem.mass)
     state = state_matrix(problem.mass, *split(parameters, n)) + MARGIN * np.eye(2 * n)
@@ -149,7 +149,7 @@ def stable_start(problem: Objective, begin: Array) -> Array:
     FittingError
         It is not: the bounds leave next to no damping or stiffness.
     """
-    if np.isfinite(height(begin, problem)):
+    if np.isfinite(wall_height(begin, problem)):
         return begin
     raise FittingError.of(
         "the bounds",
@@ -178,14 +178,14 @@ def best_stable(problem: Objective, begin: Array, others: Sequence[Array]) -> tu
     converged : bool
         Whether the objective had settled.
     """
-    candidates = [follow(problem, begin, _FIRST)]
+    candidates = [follow_barrier(problem, begin, _FIRST)]
     for other in others:
-        candidates += [follow(problem, other, weight) for weight in (1e-2, 1e-3)]
+        candidates += [follow_barrier(problem, other, weight) for weight in (1e-2, 1e-3)]
     parameters, _, converged = min(candidates, key=lambda path: problem.value(path[0]))
     return parameters, sum(steps for _, steps, _ in candidates), converged
 
 
-def follow(problem: Objective, start: Array, weight: float) -> tuple[Array, int, bool]:
+def follow_barrier(problem: Objective, start: Array, weight: float) -> tuple[Array, int, bool]:
     """Follow the centres of a falling weight of the barrier from a stable start.
 
     Returns
@@ -222,7 +222,7 @@ def _centre(problem: Objective, start: Array, weight: float, derivatives: Array)
         length = 1.0
         while length > _SHORTEST:
             trial = now + length * move
-            reached = problem.value(trial) / weight + height(trial, problem)
+            reached = problem.value(trial) / weight + wall_height(trial, problem)
             if reached <= before - 1e-4 * length * decrement:
                 break
             length *= 0.5

@@ -25,7 +25,7 @@ from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semide
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint, same_valley
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
-from fitting.ligament.misfit import descend, explained, explained_below, fit_any, fit_with_noise
+from fitting.ligament.misfit import descend, explained_limit, fit_any, fit_with_noise, is_explained
 from fitting.ligament.prior import Prior, coupling_prior
 from fitting.ligament.semidefinite_joint_fit import fit_held
 from fitting.model.observation import Observation
@@ -124,9 +124,9 @@ def fit_ligament(
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])
         fitted = _prepared(lines, equations, first, terms, begun[1], within)
-    if fitted is None or not (explained(fitted[2]) or (within is not None and fitted[2].chi2 < within)):
+    if fitted is None or not (is_explained(fitted[2]) or (within is not None and fitted[2].chi2 < within)):
         limit = np.inf if terms and within is not None else within  # with a term chi2 can fall
-        beside = within is not None and within < explained_below(equations, lines.count)
+        beside = within is not None and within < explained_limit(equations, lines.count)
         couplings = (prior,) if beside else (prior, np.zeros(_N * _N))
         joint = _from_valleys(lines, equations, begins, couplings, limit)
         if not terms:
@@ -155,7 +155,7 @@ def _from_valleys(
     fitted with as much noise, unless only a chi2 below ``within`` is of use.
     """
     joint: JointFit | None = None
-    limit = explained_below(equations, lines.count) if within is None else within
+    limit = explained_limit(equations, lines.count) if within is None else within
     seen: list[JointFit] = []
     for coupling in couplings:
         bare = fit_joint(
@@ -168,7 +168,7 @@ def _from_valleys(
         joint = fit_joint(lines, equations, begin, within=limit)
         if joint.converged:
             break
-    if joint is not None and (within is not None or (joint.converged and explained(joint))):
+    if joint is not None and (within is not None or (joint.converged and is_explained(joint))):
         return joint
     start = np.concatenate([begins, couplings[0]])
     return fit_with_noise(lines, equations, start, partial(descend, equations))
@@ -185,7 +185,7 @@ def _from_all_starts(
     best = extended_fit(lines, equations, fit, terms)
     for place, term in enumerate(terms):
         for value in term.starts:
-            if best is not None and explained(best[2]) and not term.nuisances:
+            if best is not None and is_explained(best[2]) and not term.nuisances:
                 return best
             begin = np.zeros(len(terms))
             begin[place] = value

@@ -28,14 +28,14 @@ Descent = Callable[[JointLines, Array, float], JointFit]
 _ROUNDS, _AGREES, _CLOSE, _GROWS = 10, 0.9, 1.5, 4.0
 
 
-def explained(fit: JointFit) -> bool:
+def is_explained(fit: JointFit) -> bool:
     """Return whether noise, shared errors and priors explain the data."""
     from scipy.special import chdtrc
 
     return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
 
 
-def explained_below(equations: Equations, lines: int) -> float:
+def explained_limit(equations: Equations, lines: int) -> float:
     """Return the chi2 below which noise, shared errors and priors explain the data."""
     from scipy.special import chdtri
 
@@ -47,8 +47,8 @@ def fit_any(lines: JointLines, equations: Equations, start: Array) -> JointFit:
 
     Parameters and errors are those of `fit_with_noise`.
     """
-    fit = fit_joint(lines, equations, start, within=explained_below(equations, lines.count))
-    if fit.converged and explained(fit):
+    fit = fit_joint(lines, equations, start, within=explained_limit(equations, lines.count))
+    if fit.converged and is_explained(fit):
         return fit
     return fit_with_noise(lines, equations, start, partial(descend, equations))
 

@@ -11,7 +11,7 @@ from fitting.estimators.semidefinite_roots import Expansion, Objective, active_n
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_fit import JointFit, expand
 from fitting.ligament.joint_lines import JointLines
-from fitting.ligament.misfit import explained, fit_with_noise
+from fitting.ligament.misfit import fit_with_noise, is_explained
 
 Array = NDArray[np.float64]
 Search = Callable[[Expansion, Objective, Array, int], tuple[Array, bool, int]]
@@ -42,7 +42,7 @@ def fit_held(
     begin = np.concatenate([near, others])
     ends = (_held(lines, equations, others, minimise), descent(lines, begin))
     fit = min(ends, key=lambda end: end.chi2)
-    if not explained(fit):
+    if not is_explained(fit):
         fit = fit_with_noise(lines, equations, begin, descent)
     return fit, active_names(fit.parameters[: equations.entries], equations.n)
 

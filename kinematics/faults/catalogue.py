@@ -24,7 +24,7 @@ from kinematics.faults.score_information import (
     SHIFTS,
     TURNS,
     Model,
-    across,
+    perpendicular_axes,
 )
 from stapeskit.frames import rotation_from_vector
 
@@ -81,7 +81,7 @@ class Kind:
 
 
 def _direction(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
-    first, second = across(directions[channels[0]])
+    first, second = perpendicular_axes(directions[channels[0]])
     turned = directions[channels] + p[0] * first + p[1] * second
     turned_beams = directions.copy()
     turned_beams[channels] = turned / np.linalg.norm(turned, axis=1, keepdims=True)

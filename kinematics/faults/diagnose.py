@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.findings import Finding, adapted, can_lose, corrected, joined
+from kinematics.faults.findings import Finding, add_finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
 from kinematics.faults.masking import masking_pairs
 from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
@@ -26,7 +26,7 @@ from kinematics.faults.uncertain_positions import Nuisance
 from kinematics.faults.variance_components import information_of, likeliest_size
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import holds_record_noise
-from kinematics.fit.rigid_fit import LineFit, refitted
+from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels, Measurement
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ def too_large(body: BodyChannels, known: bool) -> bool:
     return len(body.points) > MOST_CHANNELS and not (known and exact)
 
 
-def diagnosed(
+def diagnose(
     placed: Measurement,
     body: BodyChannels,
     fit: LineFit,
@@ -132,7 +132,7 @@ def diagnosed(
     lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
     if lines < 2 or fit.is_rounding() or too_large(body, known):
         return _nothing(fit)
-    whole = refitted(extended_beams(body, fit.beams.dof), fit) if len(fit.beams.dof) < 6 else fit
+    whole = refit(extended_beams(body, fit.beams.dof), fit) if len(fit.beams.dof) < 6 else fit
     data = initial(Source.of(whole, body, placed.freq_hz, known, placed.line_spread), body)
     if without:
         data = data.under(data.assumed.without(without))
@@ -180,7 +180,7 @@ class _Diagnose:
 
     def after(self, data: Packed, culprit: Finding, findings: list[Finding]) -> Search:
         """Search data without a finding, their noise as it shows without the culprits."""
-        left = adapted(data, culprit)
+        left = apply_finding(data, culprit)
         if culprit.kind == "noise" or (self.known and left.whiten is None):
             return self.searched(left, _NEXT)
         return self.prepared(left.under(self._as_stated(left.assumed, findings)), _NEXT)
@@ -212,13 +212,13 @@ class _Diagnose:
             if culprit.kind == "flexible" or len(findings) >= self.most:
                 body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
                 return self._many(first, search, data, findings, body)
-            findings = joined(findings, culprit)
+            findings = add_finding(findings, culprit)
             search = self.after(current, culprit, findings)
             current = search.data
             if len(findings) == 1 and findings[0].owner != "body":
                 kept = search.excess() / max(first.excess(), 1e-300)
         if findings and first.structure.significant:
-            after = self.searched(corrected(data, findings))
+            after = self.searched(correct_findings(data, findings))
             if not self._account_for_it(first, after, findings):
                 return self._many(first, search, data, findings, first.flexible())
         if len(findings) > 1:
@@ -251,7 +251,7 @@ class _Diagnose:
         for number, finding in enumerate(findings):
             others = data
             for other in [*confirmed, *findings[number + 1 :]]:
-                others = adapted(others, other)
+                others = apply_finding(others, other)
             again = self.searched(others).best()
             if again is not None and set(again.channels) & set(finding.channels):
                 confirmed.append(again if again.kind != "flexible" else finding)
@@ -305,7 +305,7 @@ class _Diagnose:
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
         for first_channel, second_channel in masking_pairs(first):
-            if not can_lose(data, [first_channel, second_channel]):
+            if not is_redundant(data, [first_channel, second_channel]):
                 continue
             last = self.searched(data.under(data.assumed.without([first_channel, second_channel])))
             if not last.clean():
@@ -319,7 +319,7 @@ class _Diagnose:
                 continue
             if [other.channels for other in pair] != [[first_channel], [second_channel]]:
                 continue
-            if self._account_for_it(first, self.searched(corrected(data, pair)), pair):
+            if self._account_for_it(first, self.searched(correct_findings(data, pair)), pair):
                 return pair, last
         return None
 
@@ -370,4 +370,4 @@ def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept:
     )
 
 
-__all__ = ["FALSE_ALARM", "Diagnosis", "Finding", "diagnosed"]
+__all__ = ["FALSE_ALARM", "Diagnosis", "Finding", "diagnose"]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import LEAST_SAMPLES, ChannelNoise, channel_noise, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.parallel_beams import lasers_of
+from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.faults.score_information import State
-from kinematics.faults.uncertain_positions import Nuisance, settled
+from kinematics.faults.uncertain_positions import Nuisance, estimate_nuisance
 
 Array = NDArray[np.float64]
 # How many times the sd of the others noise must be to be called a fault.
@@ -53,19 +53,19 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> tuple[Packed, Array]:
     if not level > 0.0:
         return data, nothing
     data = data.louder(float(np.sqrt(level)))
-    state = settled(data, nuisance)[0]
+    state = estimate_nuisance(data, nuisance)[0]
     noise = channel_noise(state)
     if noise.least < LEAST_SAMPLES or not noise.level > 0.0:
         return data, nothing
     levelled = _course(data, state)
     if levelled is not data:
-        data, state = levelled, settled(levelled, nuisance)[0]
+        data, state = levelled, estimate_nuisance(levelled, nuisance)[0]
         noise = channel_noise(state)
         if not noise.level > 0.0:
             return data, nothing
     value, precision = _variances(noise, state)
     live = np.array(data.live)
-    groups = lasers_of(data.assumed.directions, data.live)
+    groups = group_parallel_beams(data.assumed.directions, data.live)
     if len(groups) < 2 or min(map(len, groups)) < 3:
         groups = [data.live]
     one_of = np.stack([np.isin(live, own) for own in groups], axis=1).astype(float)

@@ -61,7 +61,7 @@ class Finding:
 _CORRECTED = ("laser", "lasers", "body")
 
 
-def can_lose(data: Packed, channels: list[int]) -> bool:
+def is_redundant(data: Packed, channels: list[int]) -> bool:
     """Return whether the other channels still determine the motion with some redundancy."""
     rest = [c for c in data.live if c not in set(channels)]
     basis = data.rows(data.assumed.arms_m, data.assumed.directions)[rest]
@@ -71,18 +71,18 @@ def can_lose(data: Packed, channels: list[int]) -> bool:
     return bool(values[-1] > 1e-3 * values[0])
 
 
-def adapted(data: Packed, finding: Finding) -> Packed:
+def apply_finding(data: Packed, finding: Finding) -> Packed:
     """Return the data without a finding: its channels left out, weakened, or corrected."""
     if finding.kind == "noise":
         return data.under(data.assumed.louder(finding.channels, finding.size))
     if finding.fit is None:
         return data
-    if finding.owner in _CORRECTED or not can_lose(data, finding.channels):
+    if finding.owner in _CORRECTED or not is_redundant(data, finding.channels):
         return data.under(finding.fit.fault.undone(data.assumed, finding.fit.parameters))
     return data.under(data.assumed.without(finding.channels))
 
 
-def corrected(data: Packed, findings: list[Finding]) -> Packed:
+def correct_findings(data: Packed, findings: list[Finding]) -> Packed:
     """Return the data with every finding undone by its estimate, all channels kept."""
     assumed = data.assumed
     for finding in findings:
@@ -93,7 +93,7 @@ def corrected(data: Packed, findings: list[Finding]) -> Packed:
     return data.under(assumed)
 
 
-def joined(findings: list[Finding], finding: Finding) -> list[Finding]:
+def add_finding(findings: list[Finding], finding: Finding) -> list[Finding]:
     """Return the findings with one more; noise of a channel found noisy before raises that one's."""
     for number, other in enumerate(findings):
         if finding.kind == other.kind == "noise" and finding.channels == other.channels:

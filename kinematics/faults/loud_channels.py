@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding
-from kinematics.faults.noise_size import own_noise
+from kinematics.faults.noise_size import channel_noise_energy
 from kinematics.faults.score_information import State
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ def loud_channels(search: Tested, whole: bool, scale: float = 0.0) -> list[tuple
         if value < _QUIET * search.scale or h[channel] > UNSEEN:
             continue
         if not whole:
-            value, count = own_noise(search.state, channel)
+            value, count = channel_noise_energy(search.state, channel)
         ratio, left = value / search.scale, 1.0 - float(h[channel])
         if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
             continue

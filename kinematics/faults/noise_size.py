@@ -114,7 +114,7 @@ def channel_noise(state: State) -> ChannelNoise:
     return ChannelNoise(held, number, ratios, level, max(sure, 1.0))
 
 
-def own_noise(state: State, channel: int) -> tuple[float, float]:
+def channel_noise_energy(state: State, channel: int) -> tuple[float, float]:
     """Return the mean energy of a channel as of ``ChannelNoise.ratios``, and of how many values.
 
     The motion whose multiples are projected off is that of the other channels, which does not hold the noise

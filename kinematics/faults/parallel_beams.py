@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 _SAME_BEAM = float(np.cos(np.radians(8.0)))
 
 
-def lasers_of(directions: Array, live: Sequence[int]) -> list[list[int]]:
+def group_parallel_beams(directions: Array, live: Sequence[int]) -> list[list[int]]:
     """Return the channels in use of each beam direction, of directions (channel, 3)."""
     groups: list[list[int]] = []
     left = np.array(live, dtype=np.intp)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.packed_readings import Packed, Source, packed
 from kinematics.faults.score_information import Model, State, model_of
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -129,7 +129,7 @@ class Refit:
             return np.inf
         weight, y = self.data.weight.copy(), self.data.y.copy()
         weight[:, channels], y[:, channels] = 0.0, 0.0
-        state, x = settled(replace(self.data, weight=weight, y=y), self.nuisance)
+        state, x = estimate_nuisance(replace(self.data, weight=weight, y=y), self.nuisance)
         return self.before - state.energy - self.nuisance.penalty(x)
 
     def fit(self, fault: Fault) -> FaultFit:

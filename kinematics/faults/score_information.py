@@ -46,7 +46,7 @@ def model_of(data: Packed) -> Model:
     return Model(data.assumed.arms_m, data.assumed.directions)
 
 
-def across(directions: Array) -> Array:
+def perpendicular_axes(directions: Array) -> Array:
     """Return two unit vectors (..., 2, 3) square to beams (..., 3) and to each other."""
     least = np.eye(3)[np.argmin(np.abs(directions), axis=-1)]
     first = cross(directions, least)
@@ -292,7 +292,7 @@ def _turned(data: Packed, which: Sequence[int], arms: Array, beams: Array, beam:
     """Return derivatives (p, n, m) of rows by turns of beams and shifts of points."""
     turns = dict(zip((*SHIFTS, *AXES), 2 * [beams @ turn for turn in _ABOUT], strict=True))
     if set(TURNS) & set(which):
-        square = across(beams if beam is None else np.broadcast_to(beam, beams.shape))
+        square = perpendicular_axes(beams if beam is None else np.broadcast_to(beam, beams.shape))
         turns |= zip(TURNS, square.swapaxes(0, 1), strict=True)
     rows = data.rows(arms, np.stack([turns[k] for k in which]))
     for place, k in enumerate(which):

@@ -100,7 +100,7 @@ def _usable(body: BodyChannels, place: tuple[int, ...]) -> NDArray[np.bool_]:
     return there if body.sd is None else np.asarray(there & np.isfinite(body.sd[place]))
 
 
-def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
+def screen_values(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
     """Set aside values that are exactly zero although the body moves there.
 
     A channel of zeros is believed when the other channels say that nothing moves along its beam, or when

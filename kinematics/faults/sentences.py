@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.score_information import across
+from kinematics.faults.score_information import perpendicular_axes
 from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def direction(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     beam = body.directions[channel]
     same_axes = np.allclose(body.file_from_here @ beam, body.reported_directions[channel], atol=1e-6)
     if same_axes and float(np.max(_sd(fit))) < slope:
-        right = beam + across(beam).T @ p
+        right = beam + perpendicular_axes(beam).T @ p
         right = body.file_from_here @ (right / np.linalg.norm(right))
         text += f": dir_x, dir_y, dir_z {', '.join(f'{value:.4f}' for value in right)} would be right"
     return "direction", text

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.diagnose import Diagnosis, diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
-from kinematics.fit.body_noise import with_noise
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.fit.rigid_fit import LineFit
@@ -21,7 +21,7 @@ _WHOLE = ("laser", "lasers", "body")
 _TRIED = 3
 
 
-def searched_body(
+def search_body(
     placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool
 ) -> tuple[Diagnosis, LineFit]:
     """Search one body in one run for faults, and return the fit in which they were looked for.
@@ -44,21 +44,21 @@ def searched_body(
     basis = extended_beams(body, fit.beams.dof).basis
     bound = bound_record_noise(placed, run, body, basis)
     if bound is None or not known:
-        return diagnosed(placed, body, fit, known), fit
-    usual = with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
+        return diagnose(placed, body, fit, known), fit
+    usual = fit_with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
 
     def told(without: list[int], out: list[int]) -> Diagnosis:
         """Search without some channels, in a motion that may hold nothing of others."""
         moved = bound_record_noise(placed, run, body, basis, without=without, left=out)
-        again = usual if moved is None else with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
-        return diagnosed(placed, body, again, known, out)
+        again = usual if moved is None else fit_with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
+        return diagnose(placed, body, again, known, out)
 
     findings: list[Finding] = []
     first = last = told([], [])
     most = max(2, len(set(body.points)) // 3)
     while last.findings:
         out = sorted({channel for finding in findings for channel in finding.channels})
-        named = diagnosed(placed, body, usual, known, out)
+        named = diagnose(placed, body, usual, known, out)
         found = (named.findings or last.findings)[0]
         if found.kind == "flexible" or found.owner in _WHOLE:
             found = _single(told, (named, last), out) or found

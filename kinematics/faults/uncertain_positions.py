@@ -235,7 +235,7 @@ def _side_by_side(value: ComplexArray) -> ComplexArray:
     return swapped.reshape(*swapped.shape[:-2], -1)[..., None, :, :]
 
 
-def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, Array]:
+def estimate_nuisance(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, Array]:
     """Return the fit with the most probable nuisance parameters, and these (V,)."""
     base = model_of(data)
     x = np.zeros(len(nuisance.sd))

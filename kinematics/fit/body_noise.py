@@ -28,7 +28,7 @@ _FLOOR = 1e-12
 _LEAST = 1e-100
 
 
-def with_noise(
+def fit_with_noise(
     measurement: Measurement, run: int, body: BodyChannels, beams: BeamSet, robust: str
 ) -> tuple[LineFit, bool, list[Notice]]:
     """Fit one body in one run with its noise.

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.fit.beams import WEAK, BeamSet, beam_set, observability
-from kinematics.fit.rigid_fit import LineFit, refitted
+from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels
 from stapeskit.option_names import named
 from stapeskit.spatial import DOF_NAMES, dof_indices
@@ -123,7 +123,7 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     from scipy.special import chdtrc
 
     dof = fit.beams.dof
-    full = refitted(beam_set(body.body, body.positions_mm, body.directions, wide), fit)
+    full = refit(beam_set(body.body, body.positions_mm, body.directions, wide), fit)
     good = np.isfinite(full.chi2) & np.isfinite(fit.chi2)
     if not np.any(good):
         return []

@@ -246,7 +246,7 @@ def fit_noise(beams: BeamSet, value: ComplexArray, noise: LineNoise, robust: str
     return LineFit(beams, q, covariance, chi2, n_dof, value, noise, solution, robust, loss, turns, unsettled)
 
 
-def refitted(beams: BeamSet, fit: LineFit) -> LineFit:
+def refit(beams: BeamSet, fit: LineFit) -> LineFit:
     """Fit the same data with other degrees of freedom and the same noise, by least squares."""
     return fit_noise(beams, fit.value, fit.noise)
 

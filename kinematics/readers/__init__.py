@@ -20,7 +20,7 @@ from kinematics.measurement import Measurement
 from kinematics.readers.input_options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 if TYPE_CHECKING:
     from kinematics.readers.formats import Format
@@ -60,7 +60,7 @@ def read_measurement(
     formats: list[Format] = []
     unknown: list[Fault] = []
     for path in paths:
-        with collecting(unknown), openable(path):
+        with collect_faults(unknown), openable(path):
             formats.append(format_of(path, options.mapping is not None))
     raise_all(KinematicsError, unknown)
     if [entry.name for entry in formats] == [TIDY]:
@@ -71,7 +71,7 @@ def read_measurement(
     files: list[Recordings] = []
     faults: list[Fault] = []
     for path, entry in zip(paths, formats, strict=True):
-        with collecting(faults), openable(path):
+        with collect_faults(faults), openable(path):
             if entry.name == TIDY:
                 files.append(_as_recordings(read_ldv(path, points, frame), path))
             else:
@@ -80,7 +80,7 @@ def read_measurement(
     if points is not None:
         from kinematics.tidy.points_csv import read_points
 
-        with collecting(faults):
+        with collect_faults(faults):
             listed = read_points(points)
     if options.series is not None and not faults and not any(recordings.from_series for recordings in files):
         faults.append(Fault(SERIES, "left out: no file holds time series", "them"))

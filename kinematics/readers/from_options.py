@@ -6,7 +6,7 @@ from kinematics.errors import KinematicsError
 from kinematics.options import LdvOptions, SeriesOptions
 from kinematics.readers.formats import describes_series
 from kinematics.readers.input_options import InputOptions
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.options import declared
 
 
@@ -21,9 +21,9 @@ def input_options(options: LdvOptions) -> InputOptions:
     faults: list[Fault] = []
     series: SeriesOptions | None = None
     result = InputOptions()
-    with collecting(faults):
+    with collect_faults(faults):
         series = _series(options)
-    with collecting(faults):
+    with collect_faults(faults):
         result = InputOptions(
             options.body,
             options.run,

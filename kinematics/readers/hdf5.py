@@ -55,7 +55,7 @@ from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import number_faults
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 SCHEMA = "stapeskit.ldv/1"
 # Groups in groups that are looked through for the data.
@@ -119,7 +119,7 @@ def _own(file: Any, name: str) -> Recordings:
     faults: list[Fault] = []
     freq = np.empty(0)
     value, turned = np.empty((0, 0, 0), dtype=complex), False
-    with collecting(faults):
+    with collect_faults(faults):
         freq = _frequencies(file, name)
         value, turned = _value(file, name, len(freq))
     runs, channels = value.shape[:2]
@@ -339,15 +339,15 @@ def write_hdf5(
     KinematicsError
         A shape, unit or name that `read` would refuse.
     """
-    from stapeskit.outputs import staged
-    from stapeskit.records.hdf5_file import written_h5
+    from stapeskit.outputs import stage_outputs
+    from stapeskit.records.hdf5_file import write_h5
 
     path = Path(path)
     numbers = np.asarray(value, dtype=complex)
-    with staged(path.parent) as stage:
+    with stage_outputs(path.parent) as stage:
         import h5py
 
-        with written_h5(stage / path.name) as file:
+        with write_h5(stage / path.name) as file:
             file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
             file.attrs["convention"] = "+"
             file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"

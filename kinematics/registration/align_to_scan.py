@@ -20,7 +20,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 
 
-def tie(
+def align_to_scan(
     measurement: Measurement,
     fiducials: Fiducials | None = None,
     frame: str = "footplate",

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kinematics.fit.beams import beam_set
-from kinematics.fit.body_noise import with_noise
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
@@ -23,7 +23,9 @@ _PATTERNS = 40
 _SAMPLE_LINES = 200
 
 
-def calibrated(placed: Measurement, dof: tuple[str, ...], priors: GeometryPriors, robust: str) -> Calibration:
+def calibrate_with_noise(
+    placed: Measurement, dof: tuple[str, ...], priors: GeometryPriors, robust: str
+) -> Calibration:
     """Estimate the geometry, with the noise of the fits; twice where noise is known from residuals only.
 
     Parameters
@@ -47,7 +49,7 @@ def calibrated(placed: Measurement, dof: tuple[str, ...], priors: GeometryPriors
         for number, body in enumerate(geometry.bodies):
             beams = beam_set(body.body, body.positions_mm, body.directions, free[number])
             for run in range(len(geometry.runs)):
-                weights[run, number] = with_noise(geometry, run, body, beams, robust)[0].weights
+                weights[run, number] = fit_with_noise(geometry, run, body, beams, robust)[0].weights
         return weights
 
     stated = all(body.sd is not None and not body.relative for body in placed.bodies)

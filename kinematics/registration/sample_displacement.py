@@ -68,7 +68,7 @@ def check_surfaces(
         surfaces only as a mirror image.
     """
     to_scan = mass.scan_from_footplate @ placement.transform
-    pairs = paired(measurement, bone, to_scan, surfaces)
+    pairs = pair_with_surfaces(measurement, bone, to_scan, surfaces)
     _check_bone(bone, pairs)
     _check_mirror(pairs, placement, to_scan)
     checks = tuple(_checked(cloud, surface, placement, mass, to_scan) for cloud, surface in pairs)
@@ -88,7 +88,7 @@ def clouds(measurement: Measurement, bone: Cloud | None = None) -> list[Cloud]:
     return clouds
 
 
-def paired(
+def pair_with_surfaces(
     measurement: Measurement, bone: Cloud | None, to_scan: RigidTransform, surfaces: ScanSurfaces
 ) -> list[tuple[Cloud, TriangleSurface]]:
     """Return the clouds of at least 3 points with the surface that each must lie on, where there is one."""

@@ -38,7 +38,7 @@ class Pooled:
     repeats: tuple[RunRepeats, ...] = ()
 
 
-def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
+def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     """Compare the takes of every run and pool them.
 
     Parameters
@@ -83,7 +83,7 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     return Pooled(merged, tuple(reports))
 
 
-def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
+def separate_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     """Compare the takes of every run and keep each as a separate run."""
     runs = tuple(dict.fromkeys(take.run for take in measurement.takes))
     reports = []

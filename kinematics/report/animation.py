@@ -19,7 +19,7 @@ from kinematics.report.draw_motion import (
 from kinematics.report.stapes_surface import Scenery, packed, packed_mesh
 from stapeskit.arrays import Array
 from stapeskit.page import page
-from stapeskit.page.drawings import colour, kept_lines, log_spaced, shortened
+from stapeskit.page.drawings import colour, decimate_lines, log_spaced, shorten_name
 from stapeskit.page.shading import View, views
 from stapeskit.spatial import DOF_UNITS
 
@@ -85,7 +85,7 @@ def picture_data(result: Points2Dof, now: Moment, scenery: Scenery) -> dict[str,
     own = surface_body(motion.bodies) if scenery.has_surface else None
     size = largest_over_lines(result, scenery)
     curves = q.shape[0] * q.shape[1]
-    lines = kept_lines(np.max(size, axis=(0, 1)), max(40, _MOST_NUMBERS // (12 * curves)))
+    lines = decimate_lines(np.max(size, axis=(0, 1)), max(40, _MOST_NUMBERS // (12 * curves)))
     lines = np.unique(np.append(lines, now.line))
     clouds = shown_points(result, scenery)
     everything = np.concatenate([*clouds, scenery.vertices_mm, np.zeros((1, 3))])
@@ -125,7 +125,7 @@ def _body(result: Points2Dof, number: int, outermost: Array) -> dict[str, Any]:
         if name in names
     ]
     return {
-        "name": shortened(body.body, 40),
+        "name": shorten_name(body.body, 40),
         "colour": colour(number),
         "points": np.round(places, 4).tolist(),
         "edges": _edges(places),

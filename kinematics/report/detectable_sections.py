@@ -16,7 +16,7 @@ from kinematics.report.draw_motion import full_motion
 from stapeskit.arrays import Array
 from stapeskit.option_names import named
 from stapeskit.page import page
-from stapeskit.page.drawings import shortened
+from stapeskit.page.drawings import shorten_name
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -187,4 +187,4 @@ def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[st
     blind = [body.points[c] for c in np.flatnonzero(~known)]
     at = body.points[worst] + (f"; none at {', '.join(dict.fromkeys(blind))}" if blind else "")
     typical, largest = float(np.nanmedian(values)), float(values[worst])
-    return size_of(typical, unit), size_of(largest, unit), shortened(at, 60)
+    return size_of(typical, unit), size_of(largest, unit), shorten_name(at, 60)

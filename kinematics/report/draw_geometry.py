@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.report.draw_labels import label_points, written
 from kinematics.report.stapes_surface import Scenery
 from stapeskit.arrays import Array
-from stapeskit.page.drawings import FAULT, INK, colour, plain, shortened
+from stapeskit.page.drawings import FAULT, INK, colour, plain, shorten_name
 from stapeskit.page.page import new_figure
 from stapeskit.page.shading import Shaded, View, shade, views
 
@@ -193,7 +193,7 @@ def _legend(figure: Figure, names: list[str], faults: bool, scenery: Scenery) ->
     def dot(tint: str, label: str, face: str = "") -> Line2D:
         return Line2D([], [], color=tint, marker="o", ms=5, mfc=face or tint, lw=1.2, label=label)
 
-    handles = [dot(colour(k), shortened(plain(name), 34)) for k, name in enumerate(names)]
+    handles = [dot(colour(k), shorten_name(plain(name), 34)) for k, name in enumerate(names)]
     if faults:
         handles.append(Line2D([], [], color=FAULT, lw=2.6, label="channel with a verdict"))
     if scenery.has_surface:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.page.drawings import FAULT, colour, distinct, plain
+from stapeskit.page.drawings import FAULT, colour, distinct_short_names, plain
 from stapeskit.page.shading import View
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def label_points(
     scale = (right - left) / (72.0 * 3.4)
     used = list(taken)
     for number, body in enumerate(bodies):
-        short = distinct(body.points)
+        short = distinct_short_names(body.points)
         for name in dict.fromkeys(body.points):
             if total > _MOST_LABELS and (body.body, name) not in wrong:
                 continue

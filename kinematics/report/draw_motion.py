@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.report.draw_geometry import equal_panels
 from kinematics.report.stapes_surface import Scenery, coarse
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.page.drawings import INK, colour, plain, shortened
+from stapeskit.page.drawings import INK, colour, plain, shorten_name
 from stapeskit.page.shading import View, shade, silhouette, views
 from stapeskit.spatial import DOF_NAMES
 
@@ -219,7 +219,7 @@ def _names(figure: Figure, result: Points2Dof) -> None:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=colour(k), lw=1.4, label=shortened(plain(body.body), 30))
+        Line2D([], [], color=colour(k), lw=1.4, label=shorten_name(plain(body.body), 30))
         for k, body in enumerate(result.measurement.bodies)
     ]
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.03, 1.0), frameon=False, fontsize=9)

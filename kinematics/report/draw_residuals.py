@@ -12,7 +12,16 @@ import numpy as np
 
 from kinematics.fit.rigid_fit import fit_noise
 from stapeskit.arrays import Array
-from stapeskit.page.drawings import FAULT, INK, colour, distinct, frequency_axis, log_spaced, plain, shortened
+from stapeskit.page.drawings import (
+    FAULT,
+    INK,
+    colour,
+    distinct_short_names,
+    frequency_axis,
+    log_spaced,
+    plain,
+    shorten_name,
+)
 from stapeskit.page.page import new_figure
 
 if TYPE_CHECKING:
@@ -152,7 +161,7 @@ def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualM
         box = (_LEFT / _WIDTH, top / total, wide / _WIDTH, height / total)
         view = figure.add_axes(box)
         picture = _draw_map(view, residuals, highest, result.motion.freq_hz)
-        view.set_title(shortened(plain(body.body), 60), loc="left", fontsize=10, color=colour(number))
+        view.set_title(shorten_name(plain(body.body), 60), loc="left", fontsize=10, color=colour(number))
         verdicts = _verdicts(result, run, number)
         _row_names(view, body, height, verdicts)
         side = figure.add_axes(((_LEFT + wide + 0.08) / _WIDTH, box[1], _BAR / _WIDTH, box[3]))
@@ -200,7 +209,7 @@ def _verdicts(result: Points2Dof, run: int, number: int) -> list[ChannelVerdict]
 
 def channel_labels(body: BodyChannels) -> list[str]:
     """Return a short name of every channel: its point, and which of its beams when there are several."""
-    short, seen = distinct(body.points, 12), dict.fromkeys(body.points, 0)
+    short, seen = distinct_short_names(body.points, 12), dict.fromkeys(body.points, 0)
     several = {name for name, count in Counter(body.points).items() if count > 1}
     labels = []
     for name in body.points:
@@ -306,7 +315,7 @@ def _words(verdict: ChannelVerdict) -> str:
     detail = re.sub(r" \+- \S+", "", verdict.estimate.partition("; not told apart")[0])
     words = f"{verdict.verdict}: {detail}" if detail else verdict.verdict
     lines = textwrap.wrap(words, _LETTERS)
-    return "\n".join([*lines[:1], shortened(lines[1], _LETTERS - 2)] if len(lines) > 1 else lines)
+    return "\n".join([*lines[:1], shorten_name(lines[1], _LETTERS - 2)] if len(lines) > 1 else lines)
 
 
 def _note(view: Axes, row: float, place: float, words: str) -> None:

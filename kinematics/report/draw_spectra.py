@@ -14,8 +14,8 @@ from stapeskit.page.drawings import (
     RUN_STYLES,
     amplitude_axis,
     colour,
+    decimate_lines,
     frequency_axis,
-    kept_lines,
     run_label,
     unit,
 )
@@ -69,7 +69,7 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
         for body, body_name in enumerate(motion.bodies):
             for style, run in enumerate(runs):
                 q = motion.q[run, body, :, place] * scale
-                lines = kept_lines(np.abs(q), most)
+                lines = decimate_lines(np.abs(q), most)
                 look: dict[str, Any] = {"color": colour(body), "ls": RUN_STYLES[style % len(RUN_STYLES)]}
                 curve = (motion.freq_hz[lines] / 1e3, q[lines], sd[run, body, lines, place] * scale)
                 _bands(
@@ -144,7 +144,7 @@ def chi2_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
             if not np.any(good):
                 continue
             ratio = np.where(good, motion.chi2[run, body] / np.maximum(n_dof, 1), np.nan)
-            lines = kept_lines(ratio, _most(motion, len(runs)))
+            lines = decimate_lines(ratio, _most(motion, len(runs)))
             label = run_label(name, motion.runs[run], len(motion.runs))
             view.plot(
                 freq[lines],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stapeskit.page import page
-from stapeskit.page.drawings import COLOURS, FAULT, GRID, INK, plain, shortened
+from stapeskit.page.drawings import COLOURS, FAULT, GRID, INK, plain, shorten_name
 from stapeskit.page.page import Section
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def repeats_figure(repeats: RunRepeats) -> Figure:
         view.vlines(place, middle, value, color=tints, lw=1.2)
         view.scatter(place, value, s=22, color=tints, zorder=3)
         step = max(1, len(place) // 10)
-        names = [shortened(plain(repeats.takes[k].name), 14) for k in place[::step]]
+        names = [shorten_name(plain(repeats.takes[k].name), 14) for k in place[::step]]
         view.set_xticks(place[::step], names, fontsize=7.5, rotation=20 if len(names) > 5 else 0)
         view.set_ylabel(label, fontsize=9)
         view.grid(True, axis="y", color=GRID, lw=0.6)

@@ -13,7 +13,7 @@ from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.warnings import Notice
 
 _LEAST_SINE_SHARE: float = calibrated("lock_in.least_sine_share")
@@ -67,7 +67,7 @@ def stepped_frf(
     fits: list[_Fitted] = []
     faults: list[Fault] = []
     for step, place in _named(steps, where):
-        with collecting(faults):
+        with collect_faults(faults):
             cut = int(how.settle * len(step.reference))
             check_signals(step.reference, step.responses, sample_rate_hz, place)
             signals = np.vstack([step.reference[cut:], step.responses[:, cut:]])
@@ -100,7 +100,7 @@ def stepped_amplitudes(
     fits: list[_Fitted] = []
     faults: list[Fault] = []
     for step, place in _named(steps, where):
-        with collecting(faults):
+        with collect_faults(faults):
             signals = step.responses[:, int(how.settle * step.responses.shape[1]) :]
             lead = int(np.argmax(np.std(signals, axis=1)))
             check_signals(signals[lead], signals, sample_rate_hz, place)

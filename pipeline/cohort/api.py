@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.ear_description import about_of
-from stapeskit.results import Result, extended
+from stapeskit.results import Result, extend_result
 
 if TYPE_CHECKING:
     from pipeline.results import StudyResult
@@ -132,7 +132,7 @@ def cohort(
         ears.append(replace(ear, about={**known, **(about or {}).get(folder.name, {})}))
     raise_all(PipelineError, faults)
     planned = tuple(planned_law(text) for text in laws) or PRIMARY
-    return extended(Cohort, cohort_laws(ears, mix=mix, covariates=covariates, planned=planned))
+    return extend_result(Cohort, cohort_laws(ears, mix=mix, covariates=covariates, planned=planned))
 
 
 def _place(study: str | os.PathLike[str] | StudyResult) -> tuple[Path, str, dict[str, Any]]:

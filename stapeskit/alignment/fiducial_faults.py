@@ -205,7 +205,7 @@ def fault_notices(
     return [Notice("fiducials_inconsistent", text)]
 
 
-def clearly_below(energy: float, stated: bool) -> float:
+def clear_improvement_limit(energy: float, stated: bool) -> float:
     """Return the weighted sum of squares from which on another explanation is surely better than one."""
     return energy - _ALIKE if stated else energy / _FAR_BETTER
 

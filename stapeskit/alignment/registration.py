@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stapeskit.alignment.fiducial_faults import (
     check_size,
-    clearly_below,
+    clear_improvement_limit,
     explanations,
     fault_notices,
     inconsistent,
@@ -185,7 +185,9 @@ def _checked(
             for kind in ("wrong", "mirrored")
         }
         flipped = mirrored and not coplanar
-        rivals = [least["wrong"]] * (len(a) > 4) + [clearly_below(least["mirrored"], stated)] * flipped
+        rivals = [least["wrong"]] * (len(a) > 4) + [
+            clear_improvement_limit(least["mirrored"], stated)
+        ] * flipped
         refuse_exchanged(a, b, weights, energy, stated, names, min(rivals, default=np.inf))
         if flipped:
             frames = (transform.to, transform.source)

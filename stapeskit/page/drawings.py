@@ -28,12 +28,12 @@ def colour(body: int) -> str:
     return COLOURS[body % len(COLOURS)]
 
 
-def shortened(name: str, most: int = 16) -> str:
+def shorten_name(name: str, most: int = 16) -> str:
     """Return a name of at most ``most`` letters: its beginning and its end.
 
     Examples
     --------
-    >>> shortened("head", 8), shortened("measurement point 12", 9)
+    >>> shorten_name("head", 8), shorten_name("measurement point 12", 9)
     ('head', 'meas…t 12')
     """
     if len(name) <= most:
@@ -42,17 +42,17 @@ def shortened(name: str, most: int = 16) -> str:
     return f"{name[: most - 1 - end]}…{name[len(name) - end :]}"
 
 
-def distinct(names: Sequence[str], most: int = 10) -> dict[str, str]:
+def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]:
     """Return short forms of names that remain distinct: long names lose what all of them share.
 
     Examples
     --------
-    >>> distinct(["point 1 on the plate", "point 12 on the plate"])
+    >>> distinct_short_names(["point 1 on the plate", "point 12 on the plate"])
     {'point 1 on the plate': '1', 'point 12 on the plate': '12'}
     """
     several = list(dict.fromkeys(names))
     if len(several) < 2 or max(len(name) for name in several) <= most:
-        return {name: shortened(name, most) for name in several}
+        return {name: shorten_name(name, most) for name in several}
     words = [name.replace("_", " ").split(" ") for name in several]
     fewest = min(len(parts) for parts in words)
     first = next((k for k in range(fewest) if len({parts[k] for parts in words}) > 1), 0)
@@ -60,7 +60,7 @@ def distinct(names: Sequence[str], most: int = 10) -> dict[str, str]:
     kept = [" ".join(parts[first : len(parts) - last]) for parts in words]
     if len(set(kept)) < len(kept) or not all(kept):
         kept = several
-    return {name: shortened(short, most) for name, short in zip(several, kept, strict=True)}
+    return {name: shorten_name(short, most) for name, short in zip(several, kept, strict=True)}
 
 
 def plain(name: str) -> str:
@@ -132,7 +132,7 @@ def amplitude_axis(view: Axes, most_minor: float = 0.4) -> None:
     view.yaxis.set_minor_formatter(Plain(labelOnlyBase=False, minor_thresholds=(2.0, most_minor)))
 
 
-def kept_lines(size: Array, most: int) -> Indices:
+def decimate_lines(size: Array, most: int) -> Indices:
     """Return ascending indices of at most ``most`` lines that keep every peak and every trough.
 
     Parameters
@@ -157,5 +157,5 @@ def kept_lines(size: Array, most: int) -> Indices:
 
 def run_label(body: str, run: str, runs: int) -> str:
     """Return the name of a curve."""
-    name = shortened(plain(body), 34)
-    return f"{name}, run {shortened(plain(run), 20)}" if runs > 1 else name
+    name = shorten_name(plain(body), 34)
+    return f"{name}, run {shorten_name(plain(run), 20)}" if runs > 1 else name

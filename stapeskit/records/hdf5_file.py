@@ -9,7 +9,7 @@ from typing import Any
 
 
 @contextmanager
-def written_h5(path: Path) -> Iterator[Any]:
+def write_h5(path: Path) -> Iterator[Any]:
     """Lend an HDF5 file in memory that is written to ``path`` when the block has ended.
 
     Raises

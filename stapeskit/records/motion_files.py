@@ -15,7 +15,7 @@ from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.json_toml import parse_json
 from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
-from stapeskit.records.hdf5_file import larger_than_file, written_h5
+from stapeskit.records.hdf5_file import larger_than_file, write_h5
 from stapeskit.records.hdf5_guard import read_apart
 from stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, SharedErrors
 from stapeskit.records.motion_columns import MotionColumns, columns_of
@@ -99,7 +99,7 @@ def _cell(text: str) -> str:
 def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
     import h5py
 
-    with written_h5(path) as file:
+    with write_h5(path) as file:
         file.attrs["schema"] = SCHEMA
         file.attrs["about"], file.attrs["axes"] = motion.about, motion.axes
         file.attrs["reference"], file.attrs["csv_hash"] = motion.reference, csv_hash

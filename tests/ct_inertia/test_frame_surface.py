@@ -11,7 +11,7 @@ from scipy.special import erf
 
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.frames.footplate_face import without_blur
+from ct_inertia.frames.footplate_face import correct_blur
 from ct_inertia.grey.frame_surface import frame_surface, height_noise_of
 from ct_inertia.surface.surface import enclosed_volume
 from ct_inertia.surface.surface_field import Diffusion, Mesh
@@ -46,7 +46,7 @@ def test_a_blurred_ball_shrinks_and_is_put_back(voxel, sigma):
     shrunk = blur**2 / RADIUS
     assert blur > sigma
     assert RADIUS - radius(surface.vertices_mm, surface.faces) == pytest.approx(shrunk, rel=0.05)
-    back = without_blur(Diffusion(Mesh(surface.vertices_mm, surface.faces), 0.05), blur)
+    back = correct_blur(Diffusion(Mesh(surface.vertices_mm, surface.faces), 0.05), blur)
     assert abs(RADIUS - radius(back, surface.faces)) < 0.05 * shrunk
 
 

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from ct_inertia.bodies import PlateFace
 from ct_inertia.grey.bone_level import measure_bone
-from ct_inertia.grey.level_fit import body_share, fit_bodies, spread
+from ct_inertia.grey.level_fit import body_share, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.plate_face import displaced_share
 from ct_inertia.grey.psf import edge_sigma
@@ -95,8 +95,8 @@ def test_spread_is_a_dilation():
     from scipy.ndimage import binary_dilation
 
     mask = np.random.default_rng(0).random((9, 11, 13)) > 0.98
-    assert np.array_equal(spread(mask), binary_dilation(mask, np.ones((3, 3, 3))))
-    assert np.array_equal(spread(mask, corners=False), binary_dilation(mask))
+    assert np.array_equal(grow_mask(mask), binary_dilation(mask, np.ones((3, 3, 3))))
+    assert np.array_equal(grow_mask(mask, corners=False), binary_dilation(mask))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 from ct_inertia.frames.plane_faces import PlaneFace, large_faces
-from ct_inertia.frames.plane_fit import _covered, fitted_to_grey
+from ct_inertia.frames.plane_fit import _covered, fit_to_grey_values
 from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.volume.volume import Volume
@@ -154,7 +154,7 @@ def test_a_long_low_side_that_its_surface_shows_tilted_is_fitted():
     side = next(face for face in faces if face.normal[2] > 0.99)
     turn = rotation_from_vector([0.06, 0.0, 0.0])
     tilted = replace(side, normal=turn @ side.normal, basis=turn @ side.basis)
-    (fitted,) = fitted_to_grey([tilted], [tilted], volume, SIGMA)
+    (fitted,) = fit_to_grey_values([tilted], [tilted], volume, SIGMA)
     assert fitted is not tilted
     assert np.arccos(fitted.normal[2]) < 2e-3
     assert abs(fitted.point_mm[2] - centre[2] - HALF[2]) < 1e-3

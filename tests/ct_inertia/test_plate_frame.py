@@ -10,7 +10,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_fiducials import plate_frame_from_fiducials, read_plate_fiducials
 from ct_inertia.frames.plate_frame import plate_frame, positive_sense
 from ct_inertia.surface.surface import Surface
-from ct_inertia.surface.surface_field import Mesh, refined
+from ct_inertia.surface.surface_field import Mesh, refine_edges
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import box, moved, outward
@@ -20,7 +20,7 @@ POSES = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.3, -0.8, 1.9), (5.0, -3.0, 40.0
 
 
 def fine(surface, edge=0.06):
-    mesh = refined(Mesh(surface.vertices_mm, surface.faces), edge)
+    mesh = refine_edges(Mesh(surface.vertices_mm, surface.faces), edge)
     return Surface(mesh.points, mesh.faces)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.footplate_face import without_blur
+from ct_inertia.frames.footplate_face import correct_blur
 from ct_inertia.grey.partial_volume import as_vector
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read_scan import read_volume
@@ -22,7 +22,7 @@ def unblurred_volume(bodies):
     """Volume (mm3) of the frame surface, its shrinkage by the blur added: blur^2 times the mean curvature."""
     surface = bodies.frame_surface
     mesh = Mesh(surface.vertices_mm, surface.faces)
-    points = without_blur(Diffusion(mesh, 0.05), bodies.frame_blur_mm)
+    points = correct_blur(Diffusion(mesh, 0.05), bodies.frame_blur_mm)
     return enclosed_volume(points, surface.faces)
 
 

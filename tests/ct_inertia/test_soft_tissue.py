@@ -9,7 +9,7 @@ from ct_inertia.frames.plane_faces import PlaneFace
 from ct_inertia.grey.edge_shape import edge_shape
 from ct_inertia.grey.level_fit import BodyFit
 from ct_inertia.grey.levels import Air, Surroundings
-from ct_inertia.grey.soft_tissue import without_soft
+from ct_inertia.grey.soft_tissue import subtract_soft_tissue
 from ct_inertia.grey.thin_bone import thin_bone
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.segment.extract_stapes import Cut
@@ -82,7 +82,7 @@ def tapered_wall(fluid):
     reach = 4.2 * 0.03 + 0.025
     distance = capped_distance(stapes, spacing, 2.0 * reach)
     levels = (Air(100.0, 15.0, 0.1, 1.0, 0.0), 1100.0, None)
-    soft = without_soft(cut, (distance, None), reach, spacing, levels, 0.03)
+    soft = subtract_soft_tissue(cut, (distance, None), reach, spacing, levels, 0.03)
     return 0.0 if soft is None else float(soft.taken[:, 15:45].sum() / body[20:].sum())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.bodies import Wall
+from ct_inertia.bodies import WindowWall
 from ct_inertia.frames.window_gap import window_gap
 from ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, frame_surface, straightened
 from ct_inertia.surface.contours import contoured
@@ -47,7 +47,7 @@ def measured(voxel, blur, hole, shift, noise=0.0):
     part, transform, variance = coarse_share(wall * (wall > 0.1), grid)
     points, faces = contoured(straightened(part), 0.0)
     points = points @ transform[:3, :3].T + transform[:3, 3]
-    other = Wall(points, faces, blur_on_grid(sigma, transform, variance), 0.001, 0.15)
+    other = WindowWall(points, faces, blur_on_grid(sigma, transform, variance), 0.001, 0.15)
     turn = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     inner = RADIUS - 0.5 * ROUND
     outline = np.column_stack([inner * np.cos(turn), np.full(200, -HALF), inner * np.sin(turn)])

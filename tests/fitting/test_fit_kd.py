@@ -12,7 +12,7 @@ from fitting.errors import FittingError
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_PRINTED
 from fitting.fit_kd import fit_kd
-from fitting.inplane_load import choose
+from fitting.inplane_load import choose_inplane_load
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import entry_names, entry_units, join, split
 from fitting.model.principal_axes import principal_axes
@@ -128,7 +128,7 @@ def test_in_plane_noise_does_no_harm() -> None:
         outside += int(np.sum(np.abs(deviation[np.triu_indices(3)]) > 1.96))
         assert fit.ligament is not None
         problem = replace(fit.problem, coupling=None)
-        _, choice = choose(problem, "auto")
+        _, choice = choose_inplane_load(problem, "auto")
         assert not choice.used
         assert "not significant" in choice.reason
     assert outside <= 5

@@ -171,7 +171,7 @@ def test_equations_without_a_finite_solution_are_told(monkeypatch) -> None:
     def never(*_given: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("fitting.fit_kd.choose", never)
+    monkeypatch.setattr("fitting.fit_kd.choose_inplane_load", never)
     with pytest.raises(FittingError, match="got equations without a finite solution"):
         fit_kd(paper_motion(), M)
 

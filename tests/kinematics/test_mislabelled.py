@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.mislabelled.clean_motion import chosen_lines, cleared
+from kinematics.faults.mislabelled.clean_motion import chosen_lines, fit_clean_motion
 from kinematics.faults.mislabelled.row_labels import label_findings
 from kinematics.points2dof import points2dof
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted, study
@@ -128,7 +128,7 @@ def test_channels_that_leave_no_residual_at_all_are_not_judged():
     for key, fit in result.fits.items():
         lines = chosen_lines(fit.solution.good)
         body = result.measurement.bodies[key[1]]
-        motions[key] = cleared(key, fit, body, fit.beams, fit.noise.at(lines), lines)
+        motions[key] = fit_clean_motion(key, fit, body, fit.beams, fit.noise.at(lines), lines)
     freq = result.motion.freq_hz
     assert set(label_findings(motions, ("1",), freq)) == {(0, 0), (0, 1)}
     still = {key: replace(found, level=0.0) for key, found in motions.items()}

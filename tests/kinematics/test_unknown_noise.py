@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
 from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.noise_size import own_noise
+from kinematics.faults.noise_size import channel_noise_energy
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Nuisance
@@ -64,7 +64,7 @@ def test_noise_of_a_channel_is_not_taken_for_motion():
     some = found.measurement.bodies[0]
     state = State.of(initial(Source.of(found.fits[(0, 0)], some, made.freq_hz, True), some))
     (culprit,) = made.culprits
-    energy, count = own_noise(state, culprit)
+    energy, count = channel_noise_energy(state, culprit)
     h = float(np.mean(state.leverage[:, culprit]))
     assert energy == pytest.approx(16.0 * (1.0 - h) + h, rel=5.0 / np.sqrt(count))
 

@@ -11,11 +11,11 @@ import pytest
 from stapeskit.background import Later
 from stapeskit.faults import StapeskitError
 from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
-from stapeskit.option_names import as_keyword, named, using
+from stapeskit.option_names import as_keyword, named, use_vocabulary
 
 
 def test_options_are_named_as_the_caller_names_them():
-    with using(as_keyword):
+    with use_vocabulary(as_keyword):
         later = Later(named, "plate_fiducials")
     assert later.result() == "plate_fiducials"
 

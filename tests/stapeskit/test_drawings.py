@@ -19,11 +19,11 @@ from kinematics.report.draw_residuals import channel_labels, residual_figure, re
 from kinematics.report.stapes_surface import Scenery, coarse, scenery_of
 from stapeskit.page.drawings import (
     amplitude_axis,
-    distinct,
-    kept_lines,
+    decimate_lines,
+    distinct_short_names,
     line_words,
     log_spaced,
-    shortened,
+    shorten_name,
     unit,
 )
 from stapeskit.page.page import new_figure
@@ -154,7 +154,7 @@ def test_thinned_curves_keep_every_peak_and_trough(lines, most):
     size[lines // 3] = 50.0
     size[2 * lines // 3] = 1e-9
     size[lines // 2] = np.nan
-    kept = kept_lines(size, most)
+    kept = decimate_lines(size, most)
     assert len(kept) <= most + 2
     assert np.all(np.diff(kept) > 0)
     assert kept[0] == 0
@@ -227,11 +227,11 @@ def test_the_surface_moves_with_the_stapes_or_with_the_only_body():
 
 def test_names_are_short_and_still_told_apart(result):
     long = [f"measurement point no. {k} on the footplate" for k in (1, 2, 31)]
-    assert list(distinct(long).values()) == ["1", "2", "31"]
+    assert list(distinct_short_names(long).values()) == ["1", "2", "31"]
     same = ["aaaaaaaaaaaaaaaaaaaa", "bbbbbbbbbbbbbbbbbbbb"]
-    assert len(set(distinct(same).values())) == 2
-    assert all(len(name) <= 10 for name in distinct(same).values())
-    assert shortened("short") == "short"
+    assert len(set(distinct_short_names(same).values())) == 2
+    assert all(len(name) <= 10 for name in distinct_short_names(same).values())
+    assert shorten_name("short") == "short"
     labels = channel_labels(result.measurement.bodies[0])
     assert labels[:4] == ["1, beam 1", "1, beam 2", "1, beam 3", "2, beam 1"]
 

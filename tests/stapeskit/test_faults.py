@@ -13,10 +13,10 @@ from stapeskit.faults import (
     Fault,
     Place,
     StapeskitError,
-    collecting,
-    message,
+    collect_faults,
+    format_faults,
+    format_ranges,
     raise_all,
-    ranges,
     render,
 )
 
@@ -73,7 +73,7 @@ def test_all_faults_come_in_one_error_each_once():
 
 def test_faults_are_collected_and_the_work_goes_on():
     faults = []
-    with collecting(faults):
+    with collect_faults(faults):
         raise StapeskitError(SPACING)
     assert faults == [SPACING]
 
@@ -126,11 +126,11 @@ listed = st.lists(
 @given(listed, st.integers(1, 9))
 @settings(deadline=None, max_examples=60)
 def test_no_message_is_longer_than_fits_on_a_screen_or_two(faults, times):
-    text = message(faults * times)
+    text = format_faults(faults * times)
     assert 0 < len(text) <= LONGEST or not any(str(fault) for fault in faults)
 
 
 def test_numbers_are_written_as_ranges():
-    assert ranges([3]) == "line 3"
-    assert ranges([5, 3, 4, 9], "row") == "rows 3 to 5, 9"
-    assert ranges(range(1, 200, 2), most=2) == "lines 1, 3 and 98 more places"
+    assert format_ranges([3]) == "line 3"
+    assert format_ranges([5, 3, 4, 9], "row") == "rows 3 to 5, 9"
+    assert format_ranges(range(1, 200, 2), most=2) == "lines 1, 3 and 98 more places"

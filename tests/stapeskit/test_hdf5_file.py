@@ -6,24 +6,24 @@ import h5py
 import numpy as np
 import pytest
 
-from stapeskit.records.hdf5_file import written_h5
+from stapeskit.records.hdf5_file import write_h5
 
 
 @pytest.mark.parametrize("kind", [OSError, RuntimeError, ValueError])
 def test_too_little_memory_is_no_other_error(kind, tmp_path):
-    with pytest.raises(MemoryError), written_h5(tmp_path / "a.h5"):
+    with pytest.raises(MemoryError), write_h5(tmp_path / "a.h5"):
         raise kind("Can't synchronously write data (memory allocation failed for chunk)")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_other_errors_stay_as_they_are(tmp_path):
-    with pytest.raises(ZeroDivisionError), written_h5(tmp_path / "a.h5"):
+    with pytest.raises(ZeroDivisionError), write_h5(tmp_path / "a.h5"):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_file_holds_what_was_put_in(tmp_path):
-    with written_h5(tmp_path / "a.h5") as file:
+    with write_h5(tmp_path / "a.h5") as file:
         file["a"] = np.arange(3)
     with h5py.File(tmp_path / "a.h5") as file:
         assert file["a"][()].tolist() == [0, 1, 2]

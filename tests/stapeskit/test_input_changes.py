@@ -3,7 +3,7 @@
 import pytest
 
 from stapeskit.faults import StapeskitError
-from stapeskit.input_changes import left_alone
+from stapeskit.input_changes import refuse_changes
 
 
 @pytest.mark.parametrize("change", ["12", ""])
@@ -13,7 +13,7 @@ def test_a_file_that_changes_is_refused_whatever_it_led_to(tmp_path, change, fai
     path.write_text("1")
 
     def read():
-        with left_alone([path, missing, None]):
+        with refuse_changes([path, missing, None]):
             path.write_text(change)
             if fails:
                 raise ValueError("half a table")
@@ -25,8 +25,8 @@ def test_a_file_that_changes_is_refused_whatever_it_led_to(tmp_path, change, fai
 def test_what_fails_otherwise_fails_as_it_is(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("1")
-    with pytest.raises(ValueError, match="no number"), left_alone([path]):
+    with pytest.raises(ValueError, match="no number"), refuse_changes([path]):
         raise ValueError("no number")
-    with left_alone([path]) as states:
+    with refuse_changes([path]) as states:
         pass
     assert path in states.states

@@ -6,15 +6,15 @@ import pytest
 
 import stapeskit
 from pipeline.study import words
-from stapeskit.faults import Fault, StapeskitError, worded
-from stapeskit.option_names import as_command, as_keyword, named, using, written
+from stapeskit.faults import Fault, StapeskitError, translate_option_names
+from stapeskit.option_names import as_command, as_keyword, named, use_vocabulary, written
 
 
 def test_an_option_is_named_as_on_the_command_line_unless_an_edge_says_otherwise():
     assert named("header_bytes") == "--header-bytes"
-    with using(as_keyword):
+    with use_vocabulary(as_keyword):
         assert named("header_bytes") == "header_bytes"
-        with using(as_command):
+        with use_vocabulary(as_command):
             assert named("box") == "--box"
         assert named("box") == "box"
     assert named("box") == "--box"
@@ -43,7 +43,7 @@ def test_a_study_names_its_keys_and_looks_in_the_table_of_the_stage_first(table,
 
 
 def test_errors_leave_an_edge_in_its_words():
-    with pytest.raises(StapeskitError) as caught, worded(words("scan")):
+    with pytest.raises(StapeskitError) as caught, translate_option_names(words("scan")):
         raise StapeskitError(Fault("{box}", "inside the scan", "{x}", "", f"Give {named('seed')}"))
     assert caught.value.faults == (Fault("scan.box_mm", "inside the scan", "{x}", "", "Give scan.seed_mm"),)
 

@@ -8,20 +8,20 @@ import hashlib
 import pytest
 
 from stapeskit.faults import StapeskitError
-from stapeskit.outputs import staged
+from stapeskit.outputs import stage_outputs
 from stapeskit.provenance import Hashes, content_hash, input_record, record, versions
 
 
 def test_outputs_replace_old_ones_at_once(tmp_path):
     folder = tmp_path / "a" / "b"
-    with staged(folder) as stage:
+    with stage_outputs(folder) as stage:
         (stage / "x.txt").write_text("new")
         (stage / "sub").mkdir()
         (stage / "sub" / "y.txt").write_text("deep")
         assert not folder.exists()
     assert (folder / "x.txt").read_text(encoding="utf-8") == "new"
     assert (folder / "sub" / "y.txt").read_text(encoding="utf-8") == "deep"
-    with staged(folder) as stage:
+    with stage_outputs(folder) as stage:
         (stage / "x.txt").write_text("newer")
     assert (folder / "x.txt").read_text(encoding="utf-8") == "newer"
     assert sorted(p.name for p in tmp_path.rglob(".stapeskit*")) == []
@@ -34,7 +34,7 @@ def test_failure_leaves_nothing(tmp_path, fault):
     (folder / "x.txt").write_text("old")
 
     def work():
-        with staged(folder) as stage:
+        with stage_outputs(folder) as stage:
             (stage / "x.txt").write_text("half")
             (stage / "y.txt").write_text("half")
             raise fault
@@ -46,7 +46,7 @@ def test_failure_leaves_nothing(tmp_path, fault):
 
 
 def test_failure_makes_no_folder(tmp_path):
-    with pytest.raises(RuntimeError), staged(tmp_path / "new" / "deep"):
+    with pytest.raises(RuntimeError), stage_outputs(tmp_path / "new" / "deep"):
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
 
@@ -55,7 +55,7 @@ def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "out").write_text("a file")
     with (
         pytest.raises(StapeskitError, match="must be a folder; got the file"),
-        staged(tmp_path / "out" / "deep"),
+        stage_outputs(tmp_path / "out" / "deep"),
     ):
         pass
 
@@ -73,7 +73,7 @@ def test_a_full_disk_is_told_and_leaves_the_old_files(tmp_path, fault):
     (tmp_path / "x.txt").write_text("old")
     with (
         pytest.raises(StapeskitError, match="with room for the outputs; got no space left"),
-        staged(tmp_path),
+        stage_outputs(tmp_path),
     ):
         raise fault
     assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
@@ -81,7 +81,7 @@ def test_a_full_disk_is_told_and_leaves_the_old_files(tmp_path, fault):
 
 
 def test_other_faults_of_the_system_are_no_full_disk(tmp_path):
-    with pytest.raises(PermissionError), staged(tmp_path):
+    with pytest.raises(PermissionError), stage_outputs(tmp_path):
         raise PermissionError(errno.EACCES, "denied")
 
 
@@ -91,7 +91,7 @@ def test_nothing_is_replaced_where_a_folder_stands_in_the_way_of_a_file(tmp_path
     (tmp_path / "c").write_text("a file")
 
     def work():
-        with staged(tmp_path) as stage:
+        with stage_outputs(tmp_path) as stage:
             (stage / "a.txt").write_text("new")
             (stage / "b.txt").write_text("new")
             (stage / "c").mkdir()

@@ -25,8 +25,8 @@ while True:
 """
 STAGED = """
 from pathlib import Path
-from stapeskit.outputs import staged
-with staged(Path('out')) as stage:
+from stapeskit.outputs import stage_outputs
+with stage_outputs(Path('out')) as stage:
     (stage / 'half').write_text('half')
     print('at work', flush=True)
     while True:
@@ -76,7 +76,7 @@ raise StapeskitError(Fault('it', 'sound', 'damaged'))
 PLACING = """
 import os, signal
 from pathlib import Path
-from stapeskit.outputs import staged
+from stapeskit.outputs import stage_outputs
 replace = os.replace
 def slow(source, target):
     if target.name == 'b':
@@ -84,7 +84,7 @@ def slow(source, target):
         __import__('time').sleep(0.05)
     replace(source, target)
 os.replace = slow
-with staged(Path('.')) as stage:
+with stage_outputs(Path('.')) as stage:
     for name in 'abc':
         (stage / name).write_text(name)
 """
@@ -225,7 +225,8 @@ def test_a_command_that_may_start_no_thread_still_runs(tmp_path):
 def test_a_limit_on_the_size_of_files_leaves_the_old_outputs(tmp_path):
     (tmp_path / "a").write_text("old")
     body = (
-        "from pathlib import Path\nfrom stapeskit.outputs import staged\nwith staged(Path('.')) as stage:\n"
+        "from pathlib import Path\nfrom stapeskit.outputs import stage_outputs\n"
+        "with stage_outputs(Path('.')) as stage:\n"
     )
     body += "    (stage / 'a').write_bytes(bytes(100_000))"
     ended = run(

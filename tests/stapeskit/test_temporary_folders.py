@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from stapeskit.outputs import staged
+from stapeskit.outputs import stage_outputs
 from stapeskit.provenance import content_hash
 from stapeskit.temporary_folders import _open, files_within, scratch
 
@@ -94,7 +94,7 @@ def test_outputs_remove_what_the_run_that_made_their_folder_left_beside_it(tmp_p
     (tmp_path / ".stapeskit-abcdefgh").mkdir(0o700)
     (tmp_path / "out").mkdir()
     age(tmp_path)
-    with staged(tmp_path / "out") as stage:
+    with stage_outputs(tmp_path / "out") as stage:
         (stage / "a").write_text("1")
     assert names(tmp_path) == ["out"]
 

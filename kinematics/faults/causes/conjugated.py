@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinematics.faults.causes.misfit_causes import Explanation, Suspect
-from kinematics.faults.parallel_beams import lasers_of
+from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
+from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.fit.rigid_fit import fit_noise
 
 # Share of the misfit that must go.
 _MOST = 0.5
 
 
-def conjugated(suspect: Suspect) -> Iterator[Explanation]:
+def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
     """Yield the laser whose conjugate fits the others best.
 
     Notes
@@ -24,7 +24,7 @@ def conjugated(suspect: Suspect) -> Iterator[Explanation]:
     """
     value, fit = suspect.value, suspect.plain
     sign = (-1.0) ** suspect.placed.order
-    groups = lasers_of(suspect.body.directions, list(range(len(value))))
+    groups = group_parallel_beams(suspect.body.directions, list(range(len(value))))
     if not 1 < len(groups) <= 8:
         return
     before = float(np.nansum(fit.chi2))

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
-from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
-from kinematics.faults.diagnose import Diagnosis, diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
-from kinematics.fit.body_noise import with_noise
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
-Cause = Callable[[Suspect], Iterator[Explanation]]
+Cause = Callable[[MisfittingBody], Iterator[Explanation]]
 # Bound on the probability of outliers by chance; see ``likely_outliers``.
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
@@ -27,7 +27,7 @@ _NEXT_TO_IT = 1
 CAUSES: tuple[Cause, ...] = (conjugated, mains, outliers, gains)
 
 
-def explained(
+def explain_misfit(
     placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool, diagnosis: Diagnosis
 ) -> tuple[Diagnosis, LineFit] | None:
     """Return the diagnosis by a cause other than a body that bends, and the fit without that cause.
@@ -60,15 +60,15 @@ def explained(
         return None
     # Errors of positions within their stated sd are no outliers.
     offsets = diagnosis.offsets_m if not diagnosis.findings and np.any(diagnosis.offsets_m) else None
-    suspect = Suspect(placed, run, body, fit.beams, known, offsets)
+    suspect = MisfittingBody(placed, run, body, fit.beams, known, offsets)
     if not bends and not likely_outliers(suspect.plain, diagnosis.course):
         return None
     suspect = with_far_values(suspect)
     p_value = min((finding.p_value for finding in diagnosis.findings), default=_CERTAIN)
     for cause in CAUSES if bends else (outliers,):
         for explanation in cause(suspect):
-            again, stated, _notices = with_noise(placed, run, explanation.remedied, fit.beams, "none")
-            left = diagnosed(placed, explanation.remedied, again, stated)
+            again, stated, _notices = fit_with_noise(placed, run, explanation.remedied, fit.beams, "none")
+            left = diagnose(placed, explanation.remedied, again, stated)
             if left.bends:
                 continue
             if bends and len(left.findings) > _NEXT_TO_IT:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.noise_size import channel_noise
 from kinematics.faults.packed_readings import Factor, Packed
 from kinematics.faults.score_information import IMAGINARY, REAL, State
@@ -42,7 +42,7 @@ class Scatter:
     gain: float
 
 
-def gains(suspect: Suspect) -> Iterator[Explanation]:
+def gains(suspect: MisfittingBody) -> Iterator[Explanation]:
     """Yield gains scattered over channels, and complex factors scattered over points, the likelier first."""
     data = suspect.packed(suspect.plain, False)
     nuisance = Nuisance.of(data, suspect.position_sd_m)
@@ -60,7 +60,9 @@ def gains(suspect: Suspect) -> Iterator[Explanation]:
             yield replace(_explanation(suspect, data, owners, scatter), alike=alike)
 
 
-def _explanation(suspect: Suspect, data: Packed, owners: list[list[int]], scatter: Scatter) -> Explanation:
+def _explanation(
+    suspect: MisfittingBody, data: Packed, owners: list[list[int]], scatter: Scatter
+) -> Explanation:
     value = suspect.value.copy()
     for own, error in zip(owners, scatter.error, strict=True):
         value[own] = value[own] / (1.0 + error)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from stapeskit.option_names import named
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ _LEAST = 2
 _LISTED = 8
 
 
-def mains(suspect: Suspect) -> Iterator[Explanation]:
+def mains(suspect: MisfittingBody) -> Iterator[Explanation]:
     """Yield lines near multiples of 50 or 60 Hz, when loud lines are mostly these.
 
     Notes

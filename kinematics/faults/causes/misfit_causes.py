@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.packed_readings import Packed, Source, initial
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import BeamSet
-from kinematics.fit.body_noise import with_noise
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
@@ -23,7 +23,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class Suspect:
+class MisfittingBody:
     """One body in one run with a misfit on many channels.
 
     Attributes
@@ -93,13 +93,13 @@ class Suspect:
         source = Source.of(fit, self.body, self.freq_hz, known, self.placed.line_spread)
         return initial(source, self.body)
 
-    def settled(self, some: NDArray[np.bool_]) -> Suspect:
+    def settled(self, some: NDArray[np.bool_]) -> MisfittingBody:
         """Return the suspect with the most probable positions by the values that are not ``some``."""
         data = self.packed(self.without(some), self.known)
         nuisance = Nuisance.of(data, self.position_sd_m)
         if not self.known:
             data = equalise_noise(data, nuisance)[0]
-        state = settled(data, nuisance)[0]
+        state = estimate_nuisance(data, nuisance)[0]
         inverse = 0.5 * Marginal(state, nuisance).inverse
         own = nuisance.owner.T
         covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
@@ -124,10 +124,10 @@ class Suspect:
     def without(self, some: NDArray[np.bool_]) -> LineFit:
         """Return the least-squares fit without some values (channel, freq)."""
         body = self.with_value(np.where(some, np.nan, self.value))
-        return with_noise(self.placed, self.run, body, self.whole_beams, "none")[0]
+        return fit_with_noise(self.placed, self.run, body, self.whole_beams, "none")[0]
 
     def _fit(self, robust: str) -> LineFit:
-        return with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
+        return fit_with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
 
     def with_value(self, value: ComplexArray) -> BodyChannels:
         """Return the body with other readings (channel, freq) in this run."""

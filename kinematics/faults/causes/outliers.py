@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, Suspect
+from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
@@ -40,7 +40,7 @@ _LEAST_LEFT, _RIDGE = 0.02, 1e-12
 _DROPPED, _MOSTLY = 0.95, 0.8
 
 
-def outliers(suspect: Suspect) -> Iterator[Explanation]:
+def outliers(suspect: MisfittingBody) -> Iterator[Explanation]:
     """Yield sparse outliers.
 
     Notes
@@ -112,7 +112,7 @@ def _in_runs(far: NDArray[np.bool_]) -> bool:
     return float(np.sum(far & beside)) > _WITH_NEIGHBOUR * float(np.sum(far))
 
 
-def with_far_values(suspect: Suspect) -> Suspect:
+def with_far_values(suspect: MisfittingBody) -> MisfittingBody:
     """Return a suspect with its most probable positions and the values that lie far off the motion.
 
     Positions with a stated sd and the course of noise that is not stated are found without these values, and

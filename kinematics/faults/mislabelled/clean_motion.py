@@ -31,7 +31,7 @@ _MOST, _TRIED = 8, 5
 
 
 @dataclass(frozen=True)
-class Cleared:
+class CleanMotion:
     """One body in one run.
 
     Attributes
@@ -79,9 +79,9 @@ def chosen_lines(good: NDArray[np.bool_]) -> Lines:
     return np.asarray(lines[np.unique(starts[:, None] + np.arange(-REACH, REACH + 1))])
 
 
-def cleared(
+def fit_clean_motion(
     key: tuple[int, int], fit: LineFit, body: BodyChannels, beams: BeamSet, sd: Array, lines: Lines
-) -> Cleared:
+) -> CleanMotion:
     """Leave out one point after the other as long as that explains much of what is left.
 
     Parameters
@@ -138,7 +138,7 @@ def cleared(
     covariance = np.zeros((len(lines), 6, 6))
     covariance[np.ix_(range(len(lines)), places, places)] = beams.to_dof @ inverse @ beams.to_dof.T
     level = sums.left(out) / max(sums.freedom(out), 1)
-    return Cleared(*key, body, lines, value, variance, q, covariance, tuple(suspects), level)
+    return CleanMotion(*key, body, lines, value, variance, q, covariance, tuple(suspects), level)
 
 
 class _Sums:
@@ -251,4 +251,4 @@ def _solved(gram: Array, side: ComplexArray) -> ComplexArray:
         return np.asarray(np.einsum("fab,fb->fa", inverse, side))
 
 
-__all__ = ["REACH", "Cleared", "chosen_lines", "cleared"]
+__all__ = ["REACH", "CleanMotion", "chosen_lines", "fit_clean_motion"]

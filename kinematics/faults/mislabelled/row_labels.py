@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.clean_motion import REACH, Cleared
+from kinematics.faults.mislabelled.clean_motion import REACH, CleanMotion
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,7 +32,7 @@ class _Place:
     """
 
     kind: str
-    at: Cleared
+    at: CleanMotion
     arms_m: Array
     partner: tuple[int, ...] = ()
     shift: int = 0
@@ -41,7 +41,7 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Suspect:
-    home: Cleared
+    home: CleanMotion
     channels: tuple[int, ...]
     scores: dict[int, float]
     places: list[_Place]
@@ -57,13 +57,13 @@ _Entry = tuple[_Suspect, _Place, float]
 
 
 def label_findings(
-    motions: Mapping[Key, Cleared], runs: Sequence[str], freq_hz: Array
+    motions: Mapping[Key, CleanMotion], runs: Sequence[str], freq_hz: Array
 ) -> dict[Key, list[Finding]]:
     """Name the rows of one point or channel that stand under a wrong body, point, run or frequency.
 
     Parameters
     ----------
-    motions : mapping of (run, body) to Cleared
+    motions : mapping of (run, body) to CleanMotion
     runs : sequence of str
     freq_hz : ndarray, (freq,)
 
@@ -94,7 +94,7 @@ def label_findings(
     return findings
 
 
-def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[_Entry]:
+def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, CleanMotion]) -> list[_Entry]:
     """Add the rows that were exchanged with others, where a fault of their own would explain them as well."""
     taken = {(s.home.run, s.home.number, c) for s, _, _ in chosen for c in s.channels}
     both_ways = list(chosen)
@@ -115,7 +115,9 @@ def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[
     return both_ways
 
 
-def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cleared]) -> _Suspect | None:
+def _suspect(
+    home: CleanMotion, channels: tuple[int, ...], motions: Mapping[Key, CleanMotion]
+) -> _Suspect | None:
     """Score every place that rows could belong to; None when a fault of their own explains them as well."""
     arms = home.body.positions_mm[channels[0]] * 1e-3
     own, count = _misfit(home, channels, _Place("own", home, arms))
@@ -136,7 +138,7 @@ def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cle
     return _Suspect(home, channels, scores, places, bar, own) if scores else None
 
 
-def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[_Place]:
+def _places(home: CleanMotion, arms: Array, motions: Mapping[Key, CleanMotion]) -> list[_Place]:
     if len(home.lines) == 2:
         return [_Place("lines", home, arms)]
     places = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
@@ -154,7 +156,7 @@ def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[
 
 
 def _expected(
-    home: Cleared, channels: tuple[int, ...], place: _Place
+    home: CleanMotion, channels: tuple[int, ...], place: _Place
 ) -> tuple[NDArray[np.intp], ComplexArray, Array]:
     """Return which lines compare, what rows would read at a place, and its variance."""
     lines, at = home.lines, place.at
@@ -175,7 +177,7 @@ def _expected(
     return np.flatnonzero(same), rows @ q.T, variance
 
 
-def _misfit(home: Cleared, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
+def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
     """Return the squared misfit of rows at a place over its variance, and how many values it sums."""
     lines, expected, variance = _expected(home, channels, place)
     own = list(channels)
@@ -185,7 +187,7 @@ def _misfit(home: Cleared, channels: tuple[int, ...], place: _Place) -> tuple[fl
     return float(np.sum(share)), int(np.sum(used))
 
 
-def _fault_of_its_own(home: Cleared, channels: tuple[int, ...], arms: Array) -> float:
+def _fault_of_its_own(home: CleanMotion, channels: tuple[int, ...], arms: Array) -> float:
     """Return the least misfit, with the price of its parameters, that a fault of the rows could leave."""
     place = _Place("own", home, arms)
     lines, expected, variance = _expected(home, channels, place)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.diagnose import Diagnosis, diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.clean_motion import Cleared, chosen_lines, cleared
+from kinematics.faults.mislabelled.clean_motion import CleanMotion, chosen_lines, fit_clean_motion
 from kinematics.faults.mislabelled.exchanged_lines import loud_lines
 from kinematics.faults.mislabelled.row_labels import label_findings
 from kinematics.fit.line_noise import LineNoise
@@ -21,7 +21,7 @@ from kinematics.measurement import Measurement
 Key = tuple[int, int]
 
 
-def told_across(
+def find_mislabelled(
     placed: Measurement,
     fits: Mapping[Key, LineFit],
     diagnoses: Mapping[Key, Diagnosis],
@@ -33,7 +33,7 @@ def told_across(
     """
     if not any(diagnosis.findings for diagnosis in diagnoses.values()):
         return {}
-    motions: dict[Key, Cleared] = {}
+    motions: dict[Key, CleanMotion] = {}
     findings_of: dict[Key, list[Finding]] = {}
     for key, fit in fits.items():
         if fit.is_rounding() or not np.any(fit.solution.good):
@@ -44,10 +44,10 @@ def told_across(
         if not known[key]:
             noise = LineNoise(noise.stated, noise_course(fit, placed.freq_hz))
         lines = chosen_lines(fit.solution.good)
-        motions[key] = cleared(key, fit, body, beams, noise.at(lines), lines)
+        motions[key] = fit_clean_motion(key, fit, body, beams, noise.at(lines), lines)
         for pair in loud_lines(fit):
             both = np.array(pair)
-            single = {key: cleared(key, fit, body, beams, noise.at(both), both)}
+            single = {key: fit_clean_motion(key, fit, body, beams, noise.at(both), both)}
             findings_of |= label_findings(single, placed.runs, placed.freq_hz)
             if key in findings_of:
                 break
@@ -55,7 +55,7 @@ def told_across(
     told = {}
     for key, findings in findings_of.items():
         out = [c for finding in findings for c in finding.channels]
-        rest = diagnosed(placed, placed.bodies[key[1]], fits[key], known[key], out)
+        rest = diagnose(placed, placed.bodies[key[1]], fits[key], known[key], out)
         kept = 0.0 if not rest.findings else rest.kept
         told[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
     return told

@@ -35,7 +35,7 @@ from kinematics.readers.matlab.variables import (
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
@@ -126,7 +126,7 @@ def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> lis
         run = name if len(good) > 1 else ""
         named = Layout(**{**vars(entry), "run": run})
         inside = ChainMap(space[name], dict(space))
-        with collecting(faults):
+        with collect_faults(faults):
             blocks.append(_from_layout(inside, named, f"{where}, {name}", tree))
     raise_all(KinematicsError, dict.fromkeys(faults))
     if blocks:
@@ -153,7 +153,7 @@ def _elements(
             text = f"element {number} holds no spectrum and is left out ({where})."
             blocks.append(Recordings((), (Notice("missing_point", text),), amplitude_stated=True))
         else:
-            with collecting(faults):
+            with collect_faults(faults):
                 blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
     raise_all(KinematicsError, dict.fromkeys(faults))
     return blocks
@@ -172,7 +172,7 @@ def _from_layout(
         faults: list[Fault] = []
         for k, entry in enumerate(elements, 1):
             spot = f"{where}, {layout.each}({k})"
-            with collecting(faults):
+            with collect_faults(faults):
                 blocks.append(_from_layout(ChainMap(entry, dict(space)), inside, spot, tree, str(k)))
         raise_all(KinematicsError, dict.fromkeys(faults))
         return _joined(blocks, where)
@@ -186,18 +186,18 @@ def _plain(
     faults: list[Fault] = []
     recordings: list[Recording] = []
     freq: Array | None = None
-    with collecting(faults):
+    with collect_faults(faults):
         freq = _frequencies(space, layout, where, tree)
     for signal in layout.signal:
         name = signal.value or signal.value_re
         unit, count = MotionUnit(0, 1.0), None
-        with collecting(faults):
+        with collect_faults(faults):
             unit = unit_of(space, signal, name, where, tree)
-        with collecting(faults):
+        with collect_faults(faults):
             count = count_of(space, signal, where, tree)
         if freq is None:
             continue
-        with collecting(faults):
+        with collect_faults(faults):
             values = values_of(space, signal, len(freq), where, tree)
             if layout.convention == "-":
                 values = values.conj()
@@ -206,15 +206,15 @@ def _plain(
             before = len(faults)
             names, places, directions = [""] * rows, [unknown_vector()] * rows, [[unknown_vector()] * rows]
             coherence = spread = None
-            with collecting(faults):
+            with collect_faults(faults):
                 names = names_of(space, layout, rows, where, tree, point)
-            with collecting(faults):
+            with collect_faults(faults):
                 places = positions_of(space, layout, rows, where, tree)
-            with collecting(faults):
+            with collect_faults(faults):
                 coherence = companion_of(space, signal.coherence, shape, where, tree)
-            with collecting(faults):
+            with collect_faults(faults):
                 spread = companion_of(space, signal.sd, shape, where, tree)
-            with collecting(faults):
+            with collect_faults(faults):
                 directions = [
                     directions_of(space, signal, beam, values, where, tree) for beam in range(shape[2])
                 ]
@@ -222,7 +222,7 @@ def _plain(
                 continue
             for beam in range(shape[2]):
                 for k in range(rows):
-                    with collecting(faults):
+                    with collect_faults(faults):
                         recordings.append(
                             Recording(
                                 names[k],

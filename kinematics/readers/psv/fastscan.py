@@ -21,7 +21,7 @@ from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
@@ -90,16 +90,16 @@ def _line(block: Block) -> _Line:
         step = "Export the bands of a FastScan with their header"
         faults.append(Fault("the header", "one with a line Frequency: <f> Hz", "none", block.where, step))
     else:
-        with collecting(faults):
+        with collect_faults(faults):
             freq = frequency_hz(block.fields[name], block.where)
     places = {column.lower(): place for place, column in enumerate(block.columns)}
     numbers, positions, stated = np.empty(0), np.empty((0, 3)), True
     signals_read: tuple[Signal, ...] = ()
-    with collecting(faults):
+    with collect_faults(faults):
         numbers = _indices(block, places)
-    with collecting(faults):
+    with collect_faults(faults):
         positions, stated = _positions(block, places)
-    with collecting(faults):
+    with collect_faults(faults):
         signals_read = tuple(signals(block))
     raise_all(KinematicsError, faults)
     return _Line(freq, block, tuple(f"{n:.0f}" for n in numbers), positions, signals_read, stated)

@@ -20,7 +20,7 @@ from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.value_checks import in_mm
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.warnings import Notice
 
 _POINT = ("point index", "punktindex", "punkt-index")
@@ -87,12 +87,12 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     if number is None:
         faults.append(Fault("the point index", "a number", shown(text), block.where))
     freq, signals_read = np.empty(0), []
-    with collecting(faults):
+    with collect_faults(faults):
         freq = _frequencies(block)
         signals_read = signals(block)
     position, stated = unknown_vector(), True
     if number is not None:
-        with collecting(faults):
+        with collect_faults(faults):
             position, stated = _position(text[number.end() :], block.where)
     raise_all(KinematicsError, faults)
     if number is None:

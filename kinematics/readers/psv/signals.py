@@ -14,7 +14,7 @@ from kinematics.readers.recording import scaled
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
 from stapeskit.arrays import ComplexArray
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 _PARTS = {
     "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
@@ -54,7 +54,7 @@ def signals(block: Block) -> list[Signal]:
     faults: list[Fault] = []
     unknown: dict[str, list[str]] = {}
     for axis, parts in pairs.items():
-        with collecting(faults):
+        with collect_faults(faults):
             first, value = _value_of(block, axis, parts)
             label = block.units[first]
             unit = None if is_none(label) else motion_unit(label)

@@ -15,7 +15,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 T = TypeVar("T")
 _SUFFIXES = (".txt", ".asc", ".csv", ".dat")
@@ -113,7 +113,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     faults: list[Fault] = []
     for file in files:
         for block in blocks(file, faults):
-            with collecting(faults):
+            with collect_faults(faults):
                 entries.append(read(block))
     raise_all(KinematicsError, faults)
     if not entries:
@@ -145,7 +145,7 @@ def blocks(path: Path, faults: list[Fault]) -> list[Block]:
     start, before = 0, len(faults)
     while (first := _first_row(lines, start)) is not None:
         start, named = _after_rows(lines, first), start
-        with collecting(faults):
+        with collect_faults(faults):
             tables.append(_block(lines, named, (first, start), path.name, faults))
     if not tables and len(faults) == before:
         step = "Export it again as ASCII, or take it out of the folder"

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 
 TIMES = ("time_s", "time", "t", "x")
@@ -129,7 +129,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
         # Times that are no numbers have been reported.
         if table.faults and not np.all(np.isfinite(time[part])):
             continue
-        with collecting(faults):
+        with collect_faults(faults):
             rates.append(sampling_rate(time[part], table.where(part.start)))
     if rates and max(rates) > min(rates) * (1.0 + 1e-6):
         got = f"{min(rates):g} to {max(rates):g} Hz"
@@ -138,7 +138,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
         name: tuple(table.numbers[column][part] for part in parts) for name, column in columns.items()
     }
     if not table.faults:
-        with collecting(faults):
+        with collect_faults(faults):
             check_finite(channels, path.name)
     raise_all(KinematicsError, faults)
     steps = table.numbers.get("freq_hz")
@@ -285,7 +285,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     start = 0.0
     faults: list[Fault] = []
     sampled = float("nan")
-    with collecting(faults):
+    with collect_faults(faults):
         if time:
             times = flat[time].astype(float, copy=False).reshape(-1)
             sampled, start = sampling_rate(times, f"{file}, {time}"), float(times[0])
@@ -300,9 +300,9 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
             faults.append(Fault("the file", "with a sampling rate", got, file, step))
     channels: dict[str, tuple[Array, ...]] = {}
     for name, key in matched.items():
-        with collecting(faults):
+        with collect_faults(faults):
             channels[name] = _rows(flat[key], f"{file}, {key}")
-    with collecting(faults):
+    with collect_faults(faults):
         check_finite(channels, file)
     raise_all(KinematicsError, faults)
     set_to = next((low[name] for name in ("freq_hz", "set_freq_hz") if name in low), "")

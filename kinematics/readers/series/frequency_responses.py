@@ -27,7 +27,7 @@ from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
@@ -101,7 +101,7 @@ def estimated(
     faults: list[Fault] = []
     how = ""
     for group in groups:
-        with collecting(faults):
+        with collect_faults(faults):
             frf, how = _estimate(group, series, options)
             recordings += _recordings(group, frf, reference, series, options)
             notices += list(frf.notices)

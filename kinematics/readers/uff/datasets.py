@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 
 _RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _FIRST = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*|[bB][ \t]+\d[^\r\n]*)\r?\n")
@@ -101,7 +101,7 @@ def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> It
         line += content.count(b"\n", counted, start.end()) + 1
         counted = min(start.end() + 1, len(content))
         position = counted
-        with collecting(collected):
+        with collect_faults(collected):
             dataset, position = _dataset(content, counted, (place, line), file)
             yield dataset
             continue

@@ -12,7 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff.datasets import CUT, Dataset, data_form
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 
 # Function types, number of header records and widths of record 6: SDRC universal file format, dataset 58.
 TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12
@@ -113,12 +113,12 @@ def read_function(dataset: Dataset, file: str) -> Function:
     identity, spacing = None, (0.0, 1.0)
     kind, count, even = 0, 0, False
     x, y = np.empty(0), np.empty(0, dtype=complex)
-    with collecting(faults):
+    with collect_faults(faults):
         identity = _identity(head[5], dataset.at(file, 6))
-    with collecting(faults):
+    with collect_faults(faults):
         kind, count, even = data_form(head, dataset.at(file, 7))
         if even:
-            with collecting(faults):
+            with collect_faults(faults):
                 spacing = _spacing(head[6], dataset.at(file, 7))
         x, y = _values(dataset, kind, count, even, file)
     raise_all(KinematicsError, faults)

@@ -13,7 +13,7 @@ from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff.datasets import CUT, Dataset
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.warnings import Notice
 
 Node = tuple[Array, int, int, str]
@@ -103,7 +103,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     faults: list[Fault] = []
     for dataset in datasets:
         if dataset.number == _UNITS:
-            with collecting(faults):
+            with collect_faults(faults):
                 factor = _length_factor(dataset, dataset.at(file, 2))
         elif dataset.number in (_SYSTEMS, _PRECISE_SYSTEMS):
             systems |= {system.label: system for system in _systems(dataset, file, faults)}
@@ -201,13 +201,13 @@ def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, 
     if dataset.number == _NODES:
         for row, line in lines:
             where = dataset.at(file, row)
-            with collecting(faults):
+            with collect_faults(faults):
                 label, defined, measured, _ = _wholes(line[:40], 4, "a node", where)
                 position = _vectors(line[40:], 3, f"the position of node {label}", where)[0]
                 nodes.append((label, (position, defined, measured, where)))
         return nodes
     for (row, head), (below, line) in zip(lines[::2], [*lines[1::2], (0, "")], strict=False):
-        with collecting(faults):
+        with collect_faults(faults):
             label, _, measured, _ = _wholes(head, 4, "a node", dataset.at(file, row))
             where = dataset.at(file, below or row)
             position = _vectors(line, 3, f"the position of node {label}", where)[0]
@@ -227,7 +227,7 @@ def _systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     systems: list[System] = []
     lines = _numbered(dataset, skip)
     for start in range(0, len(lines), size):
-        with collecting(faults):
+        with collect_faults(faults):
             part = [line for _, line in lines[start : start + size]]
             systems.append(read(part, dataset, file, lines[start][0]))
     return systems

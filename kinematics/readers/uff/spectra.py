@@ -20,7 +20,7 @@ from kinematics.readers.uff.geometry import Geometry, read_geometry
 from kinematics.readers.uff.motion_functions import Motion, direction_label, point_name, usable_motions
 from kinematics.readers.unit_labels import is_none
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
@@ -57,7 +57,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
     sets: list[Dataset] = []
     for dataset in datasets(plain_content(path.read_bytes()), path.name, faults):
         if dataset.number == 58:
-            with collecting(faults):
+            with collect_faults(faults):
                 functions.append(read_function(dataset, path.name))
         elif dataset.number in _GEOMETRY:
             sets.append(dataset)
@@ -67,7 +67,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
             "a universal file", "one with functions (dataset 58)", "none", path.name, step
         )
     geometry = Geometry()
-    with collecting(faults):
+    with collect_faults(faults):
         geometry = read_geometry(sets, path.name, {function.node for function in functions})
     own = series if series is not None and series.channels is None else None
     if any(response.kind == TIME for response in functions) and (
@@ -87,7 +87,7 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
     known = coherences(functions)
     coherent: dict[int, tuple[Array | None, bool]] = {}
     for motion in usable:
-        with collecting(faults):
+        with collect_faults(faults):
             coherent[motion.function.place] = known.of(motion.function, file)
     raise_all(KinematicsError, faults)
     if not usable:

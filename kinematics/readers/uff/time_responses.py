@@ -24,7 +24,7 @@ from kinematics.readers.uff.motion_functions import (
     point_name,
 )
 from kinematics.readers.unit_labels import is_none, plain
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
@@ -82,7 +82,7 @@ def read_responses(
     notices: list[Notice] = []
     how = ""
     name: str | None = None
-    with collecting(faults):
+    with collect_faults(faults):
         name = _reference(times, file, options)
     for case in dict.fromkeys(time.load_case for time in times):
         runs = len({time.load_case for time in times}) > 1
@@ -91,7 +91,7 @@ def read_responses(
         if name is None:
             continue
         for part in _parts(signals, name, file, faults):
-            with collecting(faults):
+            with collect_faults(faults):
                 records = _part(part, name, file, options)
                 recordings += records.recordings
                 notices += records.notices
@@ -261,7 +261,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     faults: list[Fault] = []
     for signal in signals:
         for response in signal.records:
-            with collecting(faults):
+            with collect_faults(faults):
                 rates.setdefault(_rate(response, file), f"dataset {response.place}")
     raise_all(KinematicsError, faults)
     if max(rates) > min(rates) * (1.0 + 1e-6):

@@ -26,7 +26,7 @@ from kinematics.readers.wide.columns import (
 from kinematics.readers.wide.mapping import mapped_beams, plain_name, read_mapping
 from kinematics.readers.wide.sheet import Sheet, header_of, read_sheet
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
@@ -72,7 +72,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     recordings = []
     stated = {document.get("amplitude", "")} if document else set()
     for beam in beams:
-        with collecting(faults):
+        with collect_faults(faults):
             recording, amplitude = _recording(sheet, beam, freq, document, path.stem)
             recordings.append(recording)
             stated.add(document.get("amplitude", "") or amplitude)

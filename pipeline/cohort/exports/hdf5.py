@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
-from stapeskit.records.hdf5_file import written_h5
+from stapeskit.records.hdf5_file import write_h5
 
 SCHEMA = "stapeskit.cohort_matrices/1"
 _NOTE = (
@@ -24,7 +24,7 @@ def write(folder: Path, cohort: CohortLaws, content: Mapping[str, Any]) -> None:
     import h5py
 
     ears = cohort.ears
-    with written_h5(folder / "cohort.h5") as file:
+    with write_h5(folder / "cohort.h5") as file:
         file.attrs["schema"], file.attrs["note"] = SCHEMA, _NOTE
         file["cohort_json"] = json.dumps(content)
         texts = h5py.string_dtype()

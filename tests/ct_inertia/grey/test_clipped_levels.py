@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.clipped_levels import as_before_storing, stored_levels
+from ct_inertia.grey.clipped_levels import clipped_levels, undo_storing
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.normal_distribution import normal_cdf
 
@@ -29,20 +29,20 @@ def edge(air):
 def test_air_at_the_lowest_value_is_put_back_by_the_mean_of_a_clipped_normal():
     around, shell, air = edge(0.0)
     assert air.level == pytest.approx(NOISE / np.sqrt(2.0 * np.pi), abs=0.1)
-    stored = stored_levels(around, air, shell, SIGMA)
+    stored = clipped_levels(around, air, shell, SIGMA)
     known = stored.air_known(air)
     assert abs(known.level) < 4.0 * known.sd
     assert abs(stored.bone.level - BONE) < 4.0 * stored.bone_sd(0.0) + 0.1
     assert stored.moved[0] == pytest.approx(NOISE / np.sqrt(2.0 * np.pi), abs=4.0 * known.sd)
-    back = as_before_storing(around.grey, around, np.ones(shell.shape, dtype=bool), stored, SIGMA)
+    back = undo_storing(around.grey, around, np.ones(shell.shape, dtype=bool), stored, SIGMA)
     assert abs(float(back[shell].mean())) < 4.0 * known.sd
     assert float(back[:10].mean()) == pytest.approx(BONE, abs=0.3)
 
 
 def test_well_stored_values_are_left_alone_and_lost_air_is_refused():
     around, shell, air = edge(60.0)
-    assert stored_levels(around, air, shell, SIGMA) is None
+    assert clipped_levels(around, air, shell, SIGMA) is None
     around, shell, air = edge(-40.0)
     with pytest.raises(CtInertiaError) as refusal:
-        stored_levels(around, air, shell, SIGMA)
+        clipped_levels(around, air, shell, SIGMA)
     assert refusal.value.faults[0].thing == "the grey value of air"

@@ -7,7 +7,7 @@ import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.grey.levels import Guess
-from ct_inertia.grey.measure_stapes import measure
+from ct_inertia.grey.measure_stapes import measure_stapes
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, volume_of
 from tests.oracles import ellipsoid_moments
 
@@ -20,7 +20,7 @@ def measured(noise=0.0, seed=1):
     share = ball(np.sqrt((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2 + (z - CENTRE[2]) ** 2), RADIUS, SIGMA)
     volume = volume_of(share, SPACING, noise, seed)
     shown = (volume.array - AIR) / (BONE - AIR)
-    return measure(volume, cut_of(shown, share > 0.5), Guess(AIR, BONE))
+    return measure_stapes(volume, cut_of(shown, share > 0.5), Guess(AIR, BONE))
 
 
 def test_a_ball_has_the_moments_of_its_closed_form():
@@ -57,4 +57,4 @@ def test_grey_values_that_sum_to_nothing_are_refused():
     volume = volume_of(share, SPACING, 50.0)
     shown = (volume.array - AIR) / (BONE - AIR)
     with pytest.raises(CtInertiaError):
-        measure(volume, cut_of(shown, stapes), Guess(AIR, BONE))
+        measure_stapes(volume, cut_of(shown, stapes), Guess(AIR, BONE))

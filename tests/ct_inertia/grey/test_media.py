@@ -7,8 +7,8 @@ import pytest
 from scipy.special import ndtr
 
 from ct_inertia.grey.levels import Air
-from ct_inertia.grey.neighbours import away_from_others, neighbour_share, part_from_neighbours
-from ct_inertia.grey.soft_tissue import by_soft, taken_off, without_soft
+from ct_inertia.grey.neighbours import away_from_others, neighbour_share, separate_from_neighbours
+from ct_inertia.grey.soft_tissue import soft_tissue_covariance, subtract_soft_tissue, taken_off
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, plate, volume_of
@@ -40,7 +40,7 @@ def test_a_medium_is_taken_off_to_within_its_stated_sd(bare, level):
     truth = ellipsoid_moments(np.full(3, 0.4))
     middle = np.full(3, 0.5 * 43 * SPACING)
     moments = Moments(truth.volume, middle, truth.second)
-    covariance = by_soft(soft, own, cut, volume_of(share, SPACING), moments)
+    covariance = soft_tissue_covariance(soft, own, cut, volume_of(share, SPACING), moments)
     left = (soft.grey - AIR) / (BONE - AIR)
     off = float((left - bare)[own].sum()) * SPACING**3
     added = float((share - bare)[own].sum()) * SPACING**3
@@ -53,7 +53,7 @@ def test_a_medium_is_taken_off_to_within_its_stated_sd(bare, level):
 def test_a_bare_body_has_nothing_soft_around_it(bare):
     cut = cut_of(bare, bare > 0.5)
     distance = capped_distance(cut.stapes, SPACINGS, 3.0 * REACH)
-    assert without_soft(cut, (distance, None), REACH, SPACINGS, (NO_NOISE, BONE, None), SIGMA) is None
+    assert subtract_soft_tissue(cut, (distance, None), REACH, SPACINGS, (NO_NOISE, BONE, None), SIGMA) is None
 
 
 def two_plates(gap_mm, other=1.0, thickness_mm=0.4):
@@ -69,7 +69,7 @@ def two_plates(gap_mm, other=1.0, thickness_mm=0.4):
 def parted(cut):
     distance = capped_distance(cut.stapes, SPACINGS, 3.0 * REACH)
     away = away_from_others(cut, distance, REACH, SPACINGS, SIGMA)
-    return part_from_neighbours(cut, (distance, away), REACH, SPACINGS, (AIR, BONE), SIGMA)
+    return separate_from_neighbours(cut, (distance, away), REACH, SPACINGS, (AIR, BONE), SIGMA)
 
 
 def test_far_bone_exchanges_nothing():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.grey.neighbours import part_from_neighbours
+from ct_inertia.grey.neighbours import separate_from_neighbours
 from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.segment.touching_bones import flooded
+from ct_inertia.segment.touching_bones import flood_from_markers
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.normal_distribution import normal_cdf
 
@@ -35,7 +35,7 @@ def area(grey, stapes, others, voxel):
     spacing, reach = np.full(3, voxel), 4.2 * SIGMA + voxel
     distance = capped_distance(cut.stapes, spacing, 2.0 * reach)
     away = capped_distance(cut.others, spacing, 1.01 * max(reach, 5.0 * SIGMA))
-    parted = part_from_neighbours(cut, (distance, away), reach, spacing, (0.0, 1.0), SIGMA)
+    parted = separate_from_neighbours(cut, (distance, away), reach, spacing, (0.0, 1.0), SIGMA)
     assert parted.foreign is not None
     assert parted.behind is not None
     share = np.where(parted.own, grey - parted.foreign, parted.behind)
@@ -49,7 +49,7 @@ def test_a_thin_plate_keeps_its_edge_beside_a_thick_wall(thick, gap, voxel):
     x, grey = scanned((thick, -LENGTH, 0.0), (-0.5, 0.6, gap, gap + WALL), voxel)
     bone = grey > 0.5
     cores = np.where(x < -0.15, 1, np.where(x > gap + 0.15, 2, 0)) * bone
-    labels = flooded(grey, cores.astype(np.int32), bone)
+    labels = flood_from_markers(grey, cores.astype(np.int32), bone)
     # A rim of 6.5 mm that is off by this is 0.4 % of a stapes; it was up to 1 % at 30 um.
     assert area(grey, labels == 1, labels == 2, voxel) == pytest.approx(thick * LENGTH, abs=1.05e-3)
 

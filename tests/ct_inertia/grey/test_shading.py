@@ -8,7 +8,7 @@ import pytest
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments
-from ct_inertia.grey.shading import as_shares, by_air, by_slope, unweighted_centre
+from ct_inertia.grey.shading import air_slope_covariance, as_shares, slope_effect, unweighted_centre
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, volume_of
 from tests.oracles import ellipsoid_moments
 
@@ -46,7 +46,7 @@ def test_the_step_of_a_slope_moves_the_centre_as_the_slope_does():
     share = share_of(volume)
     moments = partial_volume_moments(share, volume.scan_from_index)
     bone = Bone(BONE, 1.0, 1.0, "test", slope=np.array([SLOPE * (BONE - AIR), 0.0, 0.0]))
-    step = by_slope(share, bone, volume, moments)
+    step = slope_effect(share, bone, volume, moments)
     middle = 0.5 * 31 * SPACING
     assert step[0] == pytest.approx(0.0, abs=1e-6)
     assert step[1] == pytest.approx(moments.centroid_mm[0] - middle, rel=0.02)
@@ -60,10 +60,12 @@ def test_air_that_slopes_adds_the_covariance_of_that_slope():
     _, _, volume = shaded()
     share = share_of(volume)
     moments = partial_volume_moments(share, volume.scan_from_index)
-    flat = by_air(share, Air(AIR, 1.0, 1.0, 1.0, 0.0), volume, moments)
-    sloped = by_air(share, Air(AIR, 1.0, 1.0, 1.0, 0.0, slope=(20.0, 0.0, 0.0)), volume, moments)
+    flat = air_slope_covariance(share, Air(AIR, 1.0, 1.0, 1.0, 0.0), volume, moments)
+    sloped = air_slope_covariance(
+        share, Air(AIR, 1.0, 1.0, 1.0, 0.0, slope=(20.0, 0.0, 0.0)), volume, moments
+    )
     assert np.all(flat == 0.0)
     assert np.linalg.matrix_rank(sloped, tol=1e-12 * np.abs(sloped).max()) == 1
     assert sloped[1, 1] > 0.0
-    half = by_air(share, Air(AIR, 1.0, 1.0, 1.0, 0.0, slope=(10.0, 0.0, 0.0)), volume, moments)
+    half = air_slope_covariance(share, Air(AIR, 1.0, 1.0, 1.0, 0.0, slope=(10.0, 0.0, 0.0)), volume, moments)
     assert np.allclose(sloped, 4.0 * half)

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from ct_inertia.grey.levels import Air
-from ct_inertia.grey.voids import closed_voids, void_notices, without_filling
+from ct_inertia.grey.voids import closed_voids, empty_voids, void_notices
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
@@ -35,7 +35,7 @@ def test_the_level_of_a_filling_is_measured_and_subtracted(level, half):
     cut, found, _, bone = scene(level, half)
     assert found.level == pytest.approx(level, abs=2.5 * found.sd)
     assert 0.0 < found.sd < 0.1
-    left = without_filling(cut, found, 1.0)
+    left = empty_voids(cut, found, 1.0)
     assert left.sum() == pytest.approx(bone.sum(), rel=0.004)
 
 

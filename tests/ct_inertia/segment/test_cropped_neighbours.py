@@ -12,7 +12,7 @@ from benchmarks.population import row_named, score
 from ct_inertia.read_scan import read_volume
 from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.segment.cropped_neighbours import cropped_separation
-from ct_inertia.segment.find_stapes import look
+from ct_inertia.segment.find_stapes import find_stapes
 
 STEP = 0.025
 FIRST_Z = (np.array([False, False, True]), np.zeros(3, dtype=bool))
@@ -76,6 +76,6 @@ def test_a_head_that_the_border_crops_is_neither_cut_nor_refused(tmp_path):
     anatomy = shapes.draw("base", rng)
     scene = scans.Scene(voxel_um=36.0, noise=0.03, incus_mm=None, cropped_mm=-0.12)
     scans.make(anatomy, scene, rng, tmp_path / "scan.tif")
-    sight = look(read_volume(tmp_path / "scan.tif", 0.036), SearchOptions())
+    sight = find_stapes(read_volume(tmp_path / "scan.tif", 0.036), SearchOptions())
     assert sight.stapes.at_border
     assert not sight.cropped

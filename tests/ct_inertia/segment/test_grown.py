@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks import foreign_shapes as shapes
 from ct_inertia.read_scan import read_volume
 from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.find_stapes import look
+from ct_inertia.segment.find_stapes import find_stapes
 from ct_inertia.segment.necks import necks
 from sample_volumes.bodies import OPENEAR_STAPES
 from sample_volumes.phantom import Ear, scene, write_scan
@@ -60,7 +60,7 @@ def seen(tmp_path):
     def seen(grown_mm):
         ear = replace(usual, incus_gap_mm=None if grown_mm is None else -grown_mm)
         write_scan(tmp_path / "scan.tif", scene(ear))
-        return look(read_volume(tmp_path / "scan.tif", 0.033), SearchOptions())
+        return find_stapes(read_volume(tmp_path / "scan.tif", 0.033), SearchOptions())
 
     return seen
 

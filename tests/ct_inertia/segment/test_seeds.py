@@ -10,8 +10,8 @@ from benchmarks import foreign_shapes as shapes
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_volume
 from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.find_stapes import look
-from ct_inertia.volume.coarse_view import take_glance
+from ct_inertia.segment.find_stapes import find_stapes
+from ct_inertia.volume.coarse_view import coarse_overview
 
 
 def own_voxels(sight):
@@ -26,12 +26,12 @@ def test_a_seed_is_never_worse_than_none(seed, tmp_path):
     scene = scans.Scene(voxel_um=36.0, noise=0.03, **around)
     scans.make(anatomy, scene, rng, tmp_path / "scan.tif")
     volume = read_volume(tmp_path / "scan.tif", 0.036)
-    glance = take_glance(volume)
-    free = look(volume, SearchOptions(), glance)
+    glance = coarse_overview(volume)
+    free = find_stapes(volume, SearchOptions(), glance)
     places = np.argwhere(own_voxels(free))
     for place in rng.choice(places, 6, replace=False):
         point = volume.scan_points(place[::-1] * free.scan.step + free.scan.step // 2)
-        found = look(volume, SearchOptions(seed_mm=point), glance)
+        found = find_stapes(volume, SearchOptions(seed_mm=point), glance)
         both = np.count_nonzero(own_voxels(found) & own_voxels(free))
         assert both > 0.98 * np.count_nonzero(own_voxels(found) | own_voxels(free))
         assert [n.code for n in found.notices] == [n.code for n in free.notices]
@@ -42,5 +42,5 @@ def test_a_seed_in_air_is_refused(tmp_path):
     scans.make(shapes.draw("base", rng), scans.Scene(voxel_um=40.0), rng, tmp_path / "scan.tif")
     volume = read_volume(tmp_path / "scan.tif", 0.04)
     with pytest.raises(CtInertiaError) as refused:
-        look(volume, SearchOptions(seed_mm=np.array([0.1, 0.1, 0.1])))
+        find_stapes(volume, SearchOptions(seed_mm=np.array([0.1, 0.1, 0.1])))
     assert "seed" in refused.value.faults[0].thing

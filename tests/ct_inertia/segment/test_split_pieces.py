@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.segment.candidates import labelled_pieces
-from ct_inertia.segment.split_pieces import CoarseGrid, neck_separations, partings
+from ct_inertia.segment.split_pieces import CoarseGrid, neck_separations, split_piece
 from tests.ct_inertia.balls import AIR, BONE, places, volume_of
 from tests.ct_inertia.segment.test_touching_bones import blocks
 
@@ -21,7 +21,7 @@ def two_blocks():
     coarse = volume.array[1::2, 1::2, 1::2] > 0.5 * (AIR + BONE)
     labels, pieces = labelled_pieces(coarse, 2.0 * volume.spacing_mm)
     grid = CoarseGrid(labels, STEP, AIR, BONE, 0.5 * (AIR + BONE), 100.0)
-    return x, share, next(partings(volume, grid, max(pieces, key=lambda piece: piece.volume_mm3)))
+    return x, share, next(split_piece(volume, grid, max(pieces, key=lambda piece: piece.volume_mm3)))
 
 
 def test_two_parts_take_the_place_of_the_whole(two_blocks):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.segment.touching_bones import flooded, narrow_gaps, renamed, separations
+from ct_inertia.segment.touching_bones import flood_from_markers, narrow_gaps, relabel, separate_bones
 from tests.ct_inertia.balls import places, plate
 
 SPACING, SIGMA = 0.03, 0.036
@@ -22,7 +22,7 @@ def blocks(gap_mm, bridge_mm=0.0):
 
 
 def parts(share):
-    return list(separations([share.astype(np.float32)], share > 0.5, SPACINGS))
+    return list(separate_bones([share.astype(np.float32)], share > 0.5, SPACINGS))
 
 
 def test_the_gap_of_two_blocks_is_what_lies_between_them():
@@ -55,7 +55,7 @@ def test_floods_meet_on_the_darkest_line():
     x, share = blocks(0.12)
     markers = np.where(x < -0.4, 1, np.where(x > 0.4, 2, 0)).astype(np.int32) * (share > 0.9)
     mask = share > 0.02
-    flood = flooded(share.astype(np.float32), markers.astype(np.int32), mask)
+    flood = flood_from_markers(share.astype(np.float32), markers.astype(np.int32), mask)
     inner = mask & (share > 0.05)
     assert np.all(flood[inner & (x < -SPACING)] == 1)
     assert np.all(flood[inner & (x > SPACING)] == 2)
@@ -64,4 +64,4 @@ def test_floods_meet_on_the_darkest_line():
 
 def test_labels_are_renamed_by_a_table():
     labels = np.array([[[0, 1], [2, 2]]], dtype=np.int32)
-    assert renamed(labels, np.array([0, 7, 3])).tolist() == [[[0, 7], [3, 3]]]
+    assert relabel(labels, np.array([0, 7, 3])).tolist() == [[[0, 7], [3, 3]]]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments
 from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.surface.contours import contoured
@@ -31,8 +31,8 @@ from ct_inertia.volume.interior_histogram import interior
 from ct_inertia.volume.mask_statistics import (
     deviation,
     every_nth,
-    gathered,
-    looked_up,
+    gather_voxels,
+    look_up,
     lowest,
     places_between,
     sums,
@@ -89,13 +89,13 @@ def test_masks(monkeypatch, shape, share):
             boxes, sizes = boxes_and_sizes(labels, count)
             found += [labels, count, [[(s.start, s.stop) for s in box] for box in boxes], sizes]
             table = rng_table(count)
-            found.append(looked_up(labels, table))
+            found.append(look_up(labels, table))
         out = np.zeros((40, 40, 80), dtype=np.int32)[: shape[0], : shape[1], : shape[2]]
         labelled(mask, out=out)
         box = used_box(mask)
         found += [out, [] if box is None else [(s.start, s.stop) for s in box]]
         found += [grow(mask, rounds) for grow in (dilated, eroded) for rounds in (1, 3)]
-        found += [dilated(mask & inner, 4, inner), spread(mask), spread(mask, corners=False)]
+        found += [dilated(mask & inner, 4, inner), grow_mask(mask), grow_mask(mask, corners=False)]
         found += [majority(np.pad(mask, 2)), every_nth(mask, 1), every_nth(mask, 7)]
         return found
 
@@ -123,7 +123,7 @@ def test_grey_values(monkeypatch, shape):
     places = rng.uniform(-1.0, 1.2, (500, 3)) * np.array(shape)
     widths = (0.7, 1.0, 2.5, np.array([0.0, 0.4, 1.3]))
     exactly(monkeypatch, lambda: [gaussian(grey, sigma, 3.0) for sigma in widths])
-    exactly(monkeypatch, lambda: gathered(grey, mask, inner, (1.5, 2.5)))
+    exactly(monkeypatch, lambda: gather_voxels(grey, mask, inner, (1.5, 2.5)))
     exactly(monkeypatch, lambda: [places_between(grey, mask, 8000.0, 9500.0, np.array([1, 1, 1]))])
     closely(monkeypatch, lambda: [interpolated(grey, places)])
     closely(monkeypatch, lambda: [deviation(grey, mask, 9000.0), sums(grey, mask).mean])

@@ -15,7 +15,7 @@ from fitting.causes.diagnosis import setting_of, with_refits
 from fitting.causes.refits import Refit
 from fitting.errors import FittingError
 from fitting.fit_kd import fit_kd
-from fitting.fluid_mass import speaks_for_fluid
+from fitting.fluid_mass import decide_on_fluid
 from fitting.kd_fit import KDFit
 from fitting.ligament.equations import operator_of
 from fitting.model.parameter_vector import join
@@ -200,7 +200,7 @@ def test_a_mass_of_fluid_is_left_out_where_a_law_explains_the_data_as_well(clean
         ("unknown", with_refits(alone, [law]), False),
         ("closed", with_refits(alone, [law]), True),
     ):
-        refit, reason, _ = speaks_for_fluid(diagnosis, KDOptions(cochlea=cochlea))
+        refit, reason, _ = decide_on_fluid(diagnosis, KDOptions(cochlea=cochlea))
         assert (refit is fluid) == taken
         assert ("nearly as well" in reason) != taken
 

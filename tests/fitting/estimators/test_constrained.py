@@ -8,8 +8,8 @@ import pytest
 from fitting.errors import FittingError
 from fitting.estimators import constrained, pinv
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import pull_inside, smallest_eigenvalues
-from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
+from fitting.estimators.semidefinite_roots import nearest_inside, smallest_eigenvalues
+from fitting.estimators.stability import MARGIN, state_derivatives, wall, wall_height
 from fitting.model.model import modes
 from fitting.model.parameter_vector import split
 from fitting.model.scaled_lines import (
@@ -24,7 +24,7 @@ def test_constrained_finds_one_optimum_from_every_start() -> None:
     rng = np.random.default_rng(1)
     best = constrained.estimate(lines, OPTIONS)
     for _ in range(6):
-        start = pull_inside(2.0 * rng.standard_normal(12), 3, 0.2)
+        start = nearest_inside(2.0 * rng.standard_normal(12), 3, 0.2)
         found = constrained.estimate(lines, OPTIONS, start)
         assert found.objective == pytest.approx(best.objective, rel=1e-9)
         assert np.allclose(found.parameters, best.parameters, atol=1e-7)
@@ -42,7 +42,7 @@ def test_constrained_finds_one_optimum_with_stability_active() -> None:
         assert constrained.largest_real(best.parameters, problem) == pytest.approx(-1e-6, abs=1e-6)
         rng = np.random.default_rng(seed)
         for _ in range(6):
-            start = pull_inside(2.0 * rng.standard_normal(12), 3, 0.2)
+            start = nearest_inside(2.0 * rng.standard_normal(12), 3, 0.2)
             found = constrained.estimate(lines, OPTIONS, start)
             assert found.objective == pytest.approx(best.objective, rel=1e-7)
             assert np.allclose(found.parameters, best.parameters, atol=1e-4)
@@ -78,7 +78,7 @@ def test_constrained_is_stable_even_where_the_truth_is_not(noise, seed, dof) -> 
     assert best.objective < convex.objective
     rng = np.random.default_rng(3)
     for _ in range(1 if n == 3 else 4):
-        start = pull_inside(2.0 * rng.standard_normal(n * (n + 1)), n, 0.2)
+        start = nearest_inside(2.0 * rng.standard_normal(n * (n + 1)), n, 0.2)
         found = constrained.estimate(lines, OPTIONS, start)
         assert found.objective == pytest.approx(best.objective, rel=1e-3)
         assert modes(lines.mass, *split(found.parameters, n)).max_real_1_s <= -MARGIN
@@ -97,11 +97,11 @@ def test_constrained_is_stable_within_bounds_too() -> None:
 
 def test_wall_of_stability_has_the_slopes_it_says() -> None:
     problem = constrained.reduce(printed_damping_lines(0.05, 0), OPTIONS)
-    at = pull_inside(np.random.default_rng(5).standard_normal(12), 3, 0.2)
+    at = nearest_inside(np.random.default_rng(5).standard_normal(12), 3, 0.2)
     at = np.maximum(at, np.where(np.isfinite(problem.lower), 0.05, -np.inf))
     derivatives = state_derivatives(problem.mass)
     now = wall(at, problem, derivatives)
-    assert now.value == pytest.approx(height(at, problem))
+    assert now.value == pytest.approx(wall_height(at, problem))
     for place in range(12):
         step = np.zeros(12)
         step[place] = 1e-5

@@ -8,7 +8,7 @@ import pytest
 from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, estimator, ml, pinv
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import inside, pull_inside
+from fitting.estimators.semidefinite_roots import is_positive_definite, nearest_inside
 from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.model import modes, passive
 from fitting.model.observation import observe
@@ -238,7 +238,7 @@ def test_held_ml_is_the_best_passive_model_around() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
         near = found.parameters + 0.02 * rng.standard_normal(12)
-        near = pull_inside(near, 3, 1e-9)
+        near = nearest_inside(near, 3, 1e-9)
         assert np.sum(ml.whiten(near, lines).distance) > found.objective - 1e-4
 
 
@@ -269,4 +269,4 @@ def test_two_directions_identify_six_degrees_of_freedom() -> None:
     lines, units = lines_of(six_dof_motion(0.02, None, "yxz"), mass, DOF_NAMES)
     found = ml.estimate(lines, OPTIONS)
     assert np.allclose(found.parameters, join(stiffness, damping) / units, atol=1e-8)
-    assert inside(found.parameters, 6)
+    assert is_positive_definite(found.parameters, 6)

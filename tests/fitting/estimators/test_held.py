@@ -8,7 +8,12 @@ from scipy import optimize
 
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import inside, minimise, minimise_near, smallest_eigenvalues
+from fitting.estimators.semidefinite_roots import (
+    is_positive_definite,
+    minimise,
+    minimise_near,
+    smallest_eigenvalues,
+)
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import basis, join, pairs, split
@@ -96,7 +101,7 @@ def test_no_other_start_finds_a_better_fit_of_hysteretic_ears() -> None:
         for _ in range(3):
             start = np.where(DIAGONAL, np.exp(rng.standard_normal(12)), 0.0)
             free = ml.estimate(lines, FREE, start)
-            others += [free.objective] if inside(free.parameters, 3) else []
+            others += [free.objective] if is_positive_definite(free.parameters, 3) else []
         if fit.active:
             held += 1
             others += [lowest_by_bfgs(lines, rng) for _ in range(3)]

@@ -13,7 +13,7 @@ from benchmarks.ring_ears import PISTON, EarSettings, ear
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.joint_fit import fit_joint
-from fitting.ligament.misfit import descend, explained_below, fit_any, fit_with_noise
+from fitting.ligament.misfit import descend, explained_limit, fit_any, fit_with_noise
 from fitting.options import KDOptions
 
 PISTON_STIFFNESS = PISTON[0], PISTON[0]
@@ -57,7 +57,7 @@ def test_a_fit_that_cannot_come_below_a_limit_is_given_up_and_one_that_can_is_no
     start = best.parameters.copy()
     start[: equations.entries] *= 1.5
     free = fit_joint(lines, equations, start)
-    same = fit_joint(lines, equations, start, within=explained_below(equations, lines.count))
+    same = fit_joint(lines, equations, start, within=explained_limit(equations, lines.count))
     assert same.converged
     assert same.parameters == pytest.approx(free.parameters, rel=1e-12)
     given_up = fit_joint(lines, equations, start, within=0.5 * best.chi2)

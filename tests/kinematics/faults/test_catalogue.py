@@ -12,7 +12,7 @@ from kinematics.faults.packed_readings import Source, initial, packed
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import score_tests
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES
@@ -89,7 +89,7 @@ def test_scores_of_clean_data_are_chi_squared_next_to_nuisance_parameters():
         made = scene(740 + seed, lines=60, position_sd_mm=0.02)
         data = data_of(made)
         nuisance = Nuisance.of(data, np.full(27, 2e-5))
-        state, _x = settled(data, nuisance)
+        state, _x = estimate_nuisance(data, nuisance)
         places = {"channel": [[c] for c in range(27)], "point": [CHANNELS["point"]]}
         for one in score_tests(state, Marginal(state, nuisance), places):
             found.setdefault(one.kind, []).extend(one.statistic / one.freedom)
@@ -101,7 +101,7 @@ def test_steps_next_to_positions_lead_to_the_least_objective():
     made = scene(770, "gain")
     data = data_of(made)
     nuisance = Nuisance.of(data, np.full(27, 2e-5))
-    state, x = settled(data, nuisance)
+    state, x = estimate_nuisance(data, nuisance)
     before = state.energy + nuisance.penalty(x)
     refit = Refit(data, nuisance, x, before, data)
     fault = Fault("gain", "channel", made.culprits)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.faults.parallel_beams import lasers_of
+from kinematics.faults.parallel_beams import group_parallel_beams
 
 
 def towards(heads_mm, points_mm):
@@ -15,11 +15,11 @@ def towards(heads_mm, points_mm):
 def test_channels_are_grouped_by_the_heads_that_they_point_to():
     heads = np.array([[60.0, 200.0, 0.0], [-40.0, 200.0, 50.0], [0.0, 180.0, -70.0]])
     points = np.random.default_rng(1).uniform(-5.0, 5.0, (6, 3))
-    groups = lasers_of(towards(heads, points), range(18))
+    groups = group_parallel_beams(towards(heads, points), range(18))
     assert groups == [list(range(head, 18, 3)) for head in range(3)]
-    assert lasers_of(towards(heads, points), [1, 4, 6]) == [[1, 4], [6]]
+    assert group_parallel_beams(towards(heads, points), [1, 4, 6]) == [[1, 4], [6]]
 
 
 def test_opposite_beams_are_two_lasers():
     beam = np.array([0.0, 0.6, 0.8])
-    assert lasers_of(np.stack([beam, -beam, beam]), range(3)) == [[0, 2], [1]]
+    assert group_parallel_beams(np.stack([beam, -beam, beam]), range(3)) == [[0, 2], [1]]

@@ -11,7 +11,7 @@ from kinematics.faults.catalogue import Fault
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.search import Search
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, settled
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
 from tests.kinematics.simulated import scene
 
@@ -33,7 +33,7 @@ def refit_of(spoiled, factor, noisy=True):
     data = data_of(made)
     nuisance = Nuisance.of(data, np.full(27, SD_M))
     flat = data.merged(State.of(data).z)
-    x = settled(flat, nuisance)[1]
+    x = estimate_nuisance(flat, nuisance)[1]
     state = State.of(data, nuisance.applied(State.of(data).model, x))
     return Refit(data, nuisance, x, state.energy + nuisance.penalty(x), flat)
 

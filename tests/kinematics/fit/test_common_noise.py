@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.diagnose import diagnosed
-from kinematics.fit.body_noise import with_noise
+from kinematics.faults.diagnose import diagnose
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.fit_options import Options
 from kinematics.measurement import RecordNoise, from_arrays
@@ -123,7 +123,7 @@ def searched_usually(measured):
     basis = np.linalg.qr(point_rows(one.positions_mm * 1e-3, one.directions))[0]
     fit = points2dof(measured).fits[0, 0]
     bounded = bound_record_noise(measured, 0, one, basis)[0]
-    return diagnosed(measured, one, with_noise(measured, 0, bounded, fit.beams, "none")[0], True).findings
+    return diagnose(measured, one, fit_with_noise(measured, 0, bounded, fit.beams, "none")[0], True).findings
 
 
 def test_noise_of_records_is_no_fault_where_motion_is_little_but_noise():

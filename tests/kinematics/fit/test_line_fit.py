@@ -12,7 +12,7 @@ from kinematics.fit import symmetric_batches
 from kinematics.fit.beams import beam_set
 from kinematics.fit.body_noise import largest_rate
 from kinematics.fit.line_noise import LineNoise
-from kinematics.fit.rigid_fit import fit_lines, refitted
+from kinematics.fit.rigid_fit import fit_lines, refit
 from kinematics.fit.robust_fit import TOLERANCE, robust_weight
 from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
@@ -224,7 +224,7 @@ def test_the_same_noise_serves_another_subset():
     beams = beam_set("s", made.positions_mm, made.directions, DOF_NAMES)
     few = beam_set("s", made.positions_mm, made.directions, ("y", "alpha", "gamma"))
     fit = fit_lines(few, made.value, made.sd)
-    assert np.array_equal(refitted(beams, fit).q, fit_lines(beams, made.value, made.sd).q)
+    assert np.array_equal(refit(beams, fit).q, fit_lines(beams, made.value, made.sd).q)
     assert fit.complete
     assert fit.common is not None
 

@@ -10,7 +10,7 @@ import trimesh
 
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
-from kinematics.registration.align_to_scan import tie
+from kinematics.registration.align_to_scan import align_to_scan
 from kinematics.registration.fiducials import Fiducials
 from kinematics.registration.icp_refine import Cloud
 from kinematics.registration.placement import place, place_on_surface
@@ -174,7 +174,9 @@ def test_plate_points_tie_the_vibrometer(scan):
     seen = VIBROMETER.inverse().points(places) + 0.01 * rng.normal(size=places.shape)
     plate = Cloud(tuple(str(k) for k in range(60)), seen, np.full(60, 0.01))
     wanted = SCAN_FROM_FOOTPLATE.inverse() @ VIBROMETER
-    placements = [tie(measurement, given, "footplate", mass, surfaces, plate) for given in (None, marks)]
+    placements = [
+        align_to_scan(measurement, given, "footplate", mass, surfaces, plate) for given in (None, marks)
+    ]
     for placement in placements:
         assert np.allclose(placement.transform.points(seen), wanted.points(seen), atol=0.02)
         assert {name.split(".")[0] for name in placement.names} == {"registration", "footplate_frame"}
@@ -186,7 +188,9 @@ def test_plate_points_tie_the_vibrometer(scan):
     with pytest.raises(
         StapeskitError, match=r"--plate-points must be given with a mass.json that has a plate"
     ):
-        tie(measurement, None, "footplate", mass, ScanSurfaces.beside(scan[0] / "x" / "mass.json"), plate)
+        align_to_scan(
+            measurement, None, "footplate", mass, ScanSurfaces.beside(scan[0] / "x" / "mass.json"), plate
+        )
 
 
 def test_a_surface_registration_moves_the_motion_as_its_derivatives_say(scan):

@@ -16,7 +16,7 @@ from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.points2dof import points2dof
 from kinematics.repeats.comparison import code_of
 from kinematics.repeats.noise_degrees_of_freedom import inverse_moments, stated_freedom
-from kinematics.repeats.pooling import pooled
+from kinematics.repeats.pooling import pool_repeats
 from kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.simulated import HEADER, readings, scene
 
@@ -55,13 +55,13 @@ def repeats(count, level=np.nan, run="1"):
 
 
 def findings(measurement):
-    return [code_of(test) for report in pooled(measurement).repeats for test in report.found]
+    return [code_of(test) for report in pool_repeats(measurement).repeats for test in report.found]
 
 
 def test_false_alarms_are_as_rare_as_stated():
     alarms, low, count = 0, 0, 0
     for seed in range(150):
-        report = pooled(measured(seed, repeats(5), lines=40, sd=bool(seed % 2))[0]).repeats[0]
+        report = pool_repeats(measured(seed, repeats(5), lines=40, sd=bool(seed % 2))[0]).repeats[0]
         alarms += bool(report.found)
         values = [test.p_value for test in report.tests if test.name != "shape_scatter"]
         low, count = low + sum(p < 0.05 for p in values), count + len(values)
@@ -81,13 +81,13 @@ def test_false_alarms_are_as_rare_as_stated():
 @pytest.mark.parametrize("sd", [True, False])
 def test_one_fault_is_one_finding(code, options, sd):
     measurement, _ = measured(3, repeats(5), sd=sd, **options)
-    report = pooled(measurement).repeats[0]
+    report = pool_repeats(measurement).repeats[0]
     assert [code_of(test) for test in report.found] == [code]
     assert report.verdict == code
     assert report.found[0].p_value < 0.01
     if code == "repeat_outlier":
         assert report.takes[report.found[0].take].repeat == "3"
-    assert pooled(measurement).measurement.notices[0].code == code
+    assert pool_repeats(measurement).measurement.notices[0].code == code
 
 
 def levels(count=2, values=(1.0, 2.0, 4.0)):
@@ -104,17 +104,17 @@ def test_response_that_depends_on_level():
     assert findings(soft) == ["level_nonlinear"]
     compressed, _ = measured(5, takes, gain * level**-0.2)
     assert findings(compressed) == ["level_gain"]
-    said = pooled(compressed).measurement.notices[0].text
+    said = pool_repeats(compressed).measurement.notices[0].text
     assert re.search(r"amplitude grows as level to the power 0\.(79|80)", said)
 
 
 def test_a_moving_resonance_is_measured():
     moved = 1.0 + np.array([0.0, -0.004, -0.008, -0.012, -0.016])
-    report = pooled(measured(3, repeats(5), resonance=moved, snr=300.0)[0]).repeats[0]
+    report = pool_repeats(measured(3, repeats(5), resonance=moved, snr=300.0)[0]).repeats[0]
     assert np.allclose(report.shift - report.shift[0], np.log(moved), atol=8e-4)
     assert report.shift_share > 0.5
     assert re.search(r"as if resonances moved by -1\.[67] %", report.summary)
-    still = pooled(measured(3, repeats(5), snr=300.0)[0]).repeats[0]
+    still = pool_repeats(measured(3, repeats(5), snr=300.0)[0]).repeats[0]
     assert np.max(np.abs(still.shift)) < 3e-4
     assert "moved" not in still.summary
 
@@ -123,7 +123,7 @@ def test_levels_are_pooled_at_the_highest():
     takes = levels()
     level = np.array([take.level for take in takes])
     measurement, truth = measured(6, takes, level * 1.0, snr=1e4)
-    made = pooled(measurement).measurement
+    made = pool_repeats(measurement).measurement
     assert np.allclose(made.bodies[0].displacement[0], 4e-9 * truth[0], rtol=2e-3, atol=1e-12)
 
 
@@ -132,7 +132,7 @@ def test_pooled_values_are_as_uncertain_as_they_say():
         squares = []
         for seed in range(30):
             measurement, truth = measured(seed, repeats(4), sd=sd)
-            made = pooled(measurement).measurement
+            made = pool_repeats(measurement).measurement
             value = np.concatenate([body.displacement[0] for body in made.bodies])
             spread = np.concatenate([body.sd[0] for body in made.bodies])
             true = np.concatenate(truth)
@@ -153,7 +153,7 @@ def test_repeats_that_differ_at_all_lines_alike_are_as_uncertain_as_they_say():
             shape = body.displacement.shape[:2]
             factor = 1.0 + 0.05 * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
             changed.append(replace(body, displacement=body.displacement * factor[:, :, None]))
-        made = pooled(replace(measurement, bodies=tuple(changed))).measurement
+        made = pool_repeats(replace(measurement, bodies=tuple(changed))).measurement
         value = 1e9 * np.concatenate([body.displacement[0] for body in made.bodies])
         sd = 1e9 * np.concatenate([body.sd[0] for body in made.bodies])
         true = np.concatenate(truth)
@@ -171,7 +171,7 @@ def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypat
     made = []
     for values in (100, 10**9):
         monkeypatch.setattr(repeat_shapes, "_VALUES", values)
-        made.append(pooled(measurement))
+        made.append(pool_repeats(measurement))
     for one, two in zip(made[0].measurement.bodies, made[1].measurement.bodies, strict=True):
         np.testing.assert_allclose(one.displacement, two.displacement, rtol=1e-9)
         np.testing.assert_allclose(one.sd, two.sd, rtol=1e-9)
@@ -185,7 +185,7 @@ def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypat
     held = sum(body.displacement.nbytes for body in measurement.bodies)
     tracemalloc.reset_peak()
     before = tracemalloc.get_traced_memory()[0]
-    pooled(measurement)
+    pool_repeats(measurement)
     peak = tracemalloc.get_traced_memory()[1] - before
     tracemalloc.stop()
     assert peak < 1.5 * held
@@ -194,14 +194,14 @@ def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypat
 def test_sd_of_the_pooled_falls_with_the_number_of_repeats():
     one, _ = measured(2, repeats(2), gain=np.ones(2))
     many, _ = measured(2, repeats(8), gain=np.ones(8))
-    ratio = pooled(one).measurement.bodies[0].sd / pooled(many).measurement.bodies[0].sd
+    ratio = pool_repeats(one).measurement.bodies[0].sd / pool_repeats(many).measurement.bodies[0].sd
     assert np.allclose(ratio, 2.0, rtol=0.02)
 
 
 def test_an_excitation_of_random_phase_does_not_cancel():
     turned = np.exp(2j * np.pi * np.array([0.0, 0.3, 0.7, 0.5]))
     measurement, truth = measured(2, repeats(4), gain=turned)
-    made = pooled(measurement).measurement
+    made = pool_repeats(measurement).measurement
     assert np.median(np.abs(made.bodies[1].displacement)) == pytest.approx(1e-9, rel=0.01)
     assert np.allclose(made.bodies[0].displacement[0] / made.bodies[1].displacement[0, 0], truth[0], atol=0.2)
 
@@ -210,7 +210,7 @@ def test_bodies_measured_in_some_repeats_only():
     measurement, truth = measured(4, repeats(4), snr=1e4)
     measurement.bodies[1].displacement[2:] = np.nan
     measurement.bodies[0].displacement[1, 4, 10:20] = np.nan
-    made = pooled(measurement).measurement
+    made = pool_repeats(measurement).measurement
     for body, true in zip(made.bodies, truth, strict=True):
         assert np.all(np.isfinite(body.sd))
         size = body.displacement[0] / true
@@ -222,7 +222,7 @@ def test_bodies_measured_in_some_repeats_only():
 def test_runs_keep_their_own_repeats():
     takes = [*repeats(3), Take("2", "1")]
     measurement, _ = measured(4, takes)
-    made = pooled(measurement)
+    made = pool_repeats(measurement)
     assert made.measurement.runs == ("1", "2")
     assert [report.run for report in made.repeats] == ["1"]
     last = measurement.bodies[0].displacement[3]
@@ -234,14 +234,14 @@ def test_a_repeat_that_holds_nothing_is_left_out():
         measurement, _ = measured(4, repeats(4))
         for body in measurement.bodies:
             body.displacement[2] = nothing
-        made = pooled(measurement)
+        made = pool_repeats(measurement)
         assert [take.repeat for take in made.repeats[0].takes] == ["1", "2", "4"]
         assert [notice.code for notice in made.measurement.notices] == ["repeat_empty"]
 
 
 def test_too_little_to_compare_is_said():
     measurement, _ = measured(4, repeats(2), sd=False)
-    report = pooled(measurement).repeats[0]
+    report = pool_repeats(measurement).repeats[0]
     assert report.verdict == "repeats_untested"
     assert "too few lines, channels or repeats" in report.summary
 
@@ -329,7 +329,7 @@ def test_takes_kept_separate_are_compared_all_the_same(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("gain", "percent", "degrees"), [(1.06, 6.0, 0.0), (-1.0, 0.0, 180.0)])
 def test_one_of_three_repeats_that_stands_apart_is_named(gain, percent, degrees):
     measurement, _ = measured(6, repeats(3), gain=np.array([1.0, 1.0003, gain], dtype=complex))
-    (notice,) = pooled(measurement).measurement.notices
+    (notice,) = pool_repeats(measurement).measurement.notices
     assert notice.code == "repeat_outlier"
     found = re.search(r"repeat 3 differs by (\S+) % in amplitude and (\S+) degrees", notice.text)
     assert found is not None
@@ -346,7 +346,7 @@ def test_sd_of_three_averages_are_no_scatter_of_the_repeats():
         rough = [
             replace(body, sd=body.sd * np.sqrt(rng.chisquare(4, body.sd.shape) / 4)) for body in made.bodies
         ]
-        result = pooled(replace(made, bodies=tuple(rough)))
+        result = pool_repeats(replace(made, bodies=tuple(rough)))
         alarms += bool(result.repeats[0].found)
         assert abs(result.repeats[0].sd_factor - 1.0) < 0.15
         body = result.measurement.bodies[1]
@@ -385,7 +385,7 @@ def test_channels_that_differ_between_repeats_have_the_noise_that_shows():
             for body in made.bodies
             for change in [rng.normal(size=(*body.displacement.shape[:2], 2)) @ [1.0, 1j]]
         ]
-        result = pooled(replace(made, bodies=tuple(bodies))).measurement
+        result = pool_repeats(replace(made, bodies=tuple(bodies))).measurement
         value = np.concatenate([body.displacement[0] for body in result.bodies])
         sd = np.concatenate([body.sd[0] for body in result.bodies])
         true = np.concatenate(truth)

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.cohort.api import Cohort
 from pipeline.cohort.cohort_laws import cohort_laws
-from stapeskit.results import extended
+from stapeskit.results import extend_result
 from tests.pipeline.cohort.simulated_ears import ear
 
 
@@ -17,4 +17,4 @@ def ears():
 
 @pytest.fixture(scope="session")
 def studied(ears):
-    return extended(Cohort, cohort_laws(ears))
+    return extend_result(Cohort, cohort_laws(ears))
