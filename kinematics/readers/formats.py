@@ -28,7 +28,7 @@ TIDY, WIDE = "tidy", "wide"
 _SERIES_READER = "kinematics.readers.series.frequency_responses"
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP = b"PK\x03\x04"
-_SOUND = (b"RIFF", b"RIFX")
+_SOUND = (b"RIFF", b"RIFX", b"RF64")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -126,7 +126,7 @@ FORMATS = (
         lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
         options=("mapping",),
         series="channels",
-        reads="v5 and v7.3, as File Access scripts save them; other layouts by `--mapping`",
+        reads="v4 to v7.3, as File Access scripts save them; other layouts by `--mapping`",
     ),
     Format(
         "hdf5",

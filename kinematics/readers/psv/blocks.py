@@ -74,7 +74,7 @@ def _field(line: str) -> tuple[str, str] | None:
     name = before.strip()
     if not colon or len(name) not in _NAME or "\t" in name:
         return None
-    return name.lower(), value.strip()
+    return name.lower(), value.strip(" \t\r;")
 
 
 def fields_of(text: str) -> dict[str, str]:
