@@ -16,7 +16,7 @@ from pathlib import Path
 from kinematics.errors import KinematicsError
 from kinematics.readers import vendor
 from kinematics.readers.input_options import InputOptions
-from kinematics.readers.psv.blocks import decoded
+from kinematics.readers.psv.blocks import EXPORT_ENDINGS, decoded, export_files
 from kinematics.readers.psv.fastscan import looks_like_fastscan
 from kinematics.readers.psv.per_point import looks_like_points
 from kinematics.readers.recording import Recordings
@@ -237,7 +237,7 @@ def _head_of(path: Path) -> Head:
 def _format_of_folder(path: Path) -> Format:
     """Return the format of the first text export in a folder; hidden files do not count."""
     formats = [entry for entry in FORMATS if entry.in_folders]
-    files = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+    files = export_files(path, endings=(*EXPORT_ENDINGS, *vendor.SUFFIXES))
     others: list[Format] = []
     for file in files:
         head = _head_of(file)
@@ -250,7 +250,7 @@ def _format_of_folder(path: Path) -> Format:
         return others[0]
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
-    got = f"{len(files)} files of other formats" if files else "an empty folder"
+    got = f"{len(files)} text files of other kinds" if files else "none"
     raise KinematicsError.of("a vibrometer folder", expected, got, path.name, step)
 
 

@@ -1,11 +1,14 @@
 """Files that are unusual and right: made after the descriptions of their formats, read as they are meant."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from kinematics.measure_motion import MotionInputs
+from kinematics.readers import InputOptions, read_measurement
 from kinematics.readers.containers.matlab_file import read_mat
 from kinematics.readers.formats import read_recordings
 from kinematics.readers.series.files import read_series
@@ -120,3 +123,18 @@ def test_a_recording_longer_than_4_gb_may_be(tmp_path):
     series = read_series(tmp_path / "a.wav", ["1"])
     assert series.sample_rate_hz == 8000.0
     np.testing.assert_array_equal(series.channels["1"][0], samples / 32768.0)
+
+
+def test_the_working_folder_is_a_folder_like_others(tmp_path, monkeypatch):
+    monkeypatch.chdir(per_point(tmp_path, ENGLISH))
+    here = MotionInputs((Path(),)).by_role["ldv"]
+    options = InputOptions(body=(f"stapes={tmp_path.name}",), length_unit="m")
+    assert [body.body for body in read_measurement([here], options=options).bodies] == ["stapes"]
+
+
+def test_a_folder_of_too_many_files_is_not_searched(tmp_path, monkeypatch):
+    monkeypatch.setattr("kinematics.readers.psv.blocks._MOST_FILES", 5)
+    for number in range(6):
+        (tmp_path / f"{number}.jpg").touch()
+    with pytest.raises(StapeskitError, match="more than 5"):
+        read_recordings(tmp_path)
