@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stapeskit.process import plain
 from stapeskit.run_log import note
+from stapeskit.terminal import plain
 from stapeskit.warnings import Notice
 
 

@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+from stapeskit.terminal import plain
+
 TYPE_CHECKING = False  # typing itself would take longer than the rest
 if TYPE_CHECKING:
     from types import FrameType
@@ -25,11 +27,6 @@ if TYPE_CHECKING:
 PATIENCE_S = 0.7
 """How long an interrupted command may take to leave by itself."""
 
-# Characters of file names and contents that a terminal would obey: controls, and those that turn the order of
-# writing (Unicode, bidirectional formatting).
-_ORDERS = dict.fromkeys(
-    (*range(9), *range(11, 32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A)), "?"
-)
 _STARVED = "not enough memory; crop the scan with --box or close other programs."
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -258,11 +255,6 @@ def _drop_output() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
-
-
-def plain(text: str) -> str:
-    """Return a text for a terminal, with ``?`` for every character that it would obey instead of showing."""
-    return text.translate(_ORDERS)
 
 
 def _tell(text: str) -> None:
