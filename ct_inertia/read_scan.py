@@ -60,6 +60,7 @@ def read_volume(
         three-dimensional grey-value volume, is constant, or holds voxels that are not finite.
     """
     path = existing_file(Path(path))
+    path = path if path.name else path.resolve()  # messages name the folder "." too
     given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=float).ravel().tolist()
     if mirror is not None:
         check_axis(mirror)

@@ -26,7 +26,7 @@ def files_by_role(
     """Return every file that is read, by its role, mapping files found next to a vibrometer file included."""
     from kinematics.readers import inputs_of
 
-    sidecars = (path.with_name(path.name + ".toml") for path in files)
+    sidecars = (path.parent / f"{path.name}.toml" for path in files)
     companions = {path.name: path for path in sidecars if path.is_file()}
     return {**inputs_of(files, points), **named, **companions}
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stapeskit.run_log import note
+from stapeskit.terminal import plain
 from stapeskit.warnings import Notice
 
 
@@ -34,7 +35,7 @@ def show(options: Any, outcome: Outcome) -> None:
     lines = [outcome.title, *(f"  {label:<{width}}  {text}" for label, text in outcome.rows)]
     if outcome.files:
         lines.append("  written: " + ", ".join(str(path) for path in outcome.files))
-    table = "\n".join(lines) + "\n"
+    notices, table = plain(notices), plain("\n".join(lines) + "\n")
     note(notices + table)
     if not options.quiet:
         sys.stderr.write(notices)

@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+from stapeskit.terminal import plain
+
 TYPE_CHECKING = False  # typing itself would take longer than the rest
 if TYPE_CHECKING:
     from types import FrameType
@@ -257,6 +259,7 @@ def _drop_output() -> None:
 
 def _tell(text: str) -> None:
     """Write to standard error, and to the log of the run, where that is possible."""
+    text = plain(text)
     with suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(text)
         sys.stderr.flush()

@@ -17,7 +17,7 @@ from stapeskit.warnings import Notice
 # Of labels without names and without options: as this package writes them.
 STAPES_NUMBER, PLATE_NUMBER = 1, 2
 # Names that programs give by themselves say nothing.
-_AUTOMATIC = re.compile(r"(segment|label|region|object|mask|class|material)?[\s_-]*\d*", re.IGNORECASE)
+_AUTOMATIC = re.compile(r"(segment|label|region|object|mask|class|material|inside)?[\s_-]*\d*", re.IGNORECASE)
 # Islands up to this share of the stapes are slips of the brush; beyond, a body may have been drawn in parts.
 _MOST_ISLANDS = 0.05
 

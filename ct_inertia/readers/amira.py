@@ -1,8 +1,12 @@
-"""Avizo and Amira lattices (.am) of binary grey values, memory-mapped."""
+"""Avizo and Amira lattices (.am) of grey values or labels, memory-mapped where they are not packed.
+
+Packings as in Fiji's reader: https://github.com/fiji/VIB-lib (AmiraMeshDecoder).
+"""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +17,10 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 
+_PACKINGS = {None: "raw", "HxByteRLE": "HxByteRLE", "HxZip": "zlib"}
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
+# A bracket and the name before it, of a bounded length: a damaged header may be one long word.
+_BRACKET = re.compile(r'("[^"]{0,200}"|[\w.-]{1,200})?\s{0,20}([{}])')
 # Most bytes of the text header: headers have some kilobytes, and a damaged file may have no end of it.
 _HEADER_BYTES = 1 << 20
 
@@ -24,7 +31,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     Raises
     ------
     CtInertiaError
-        Not such a file, text, packed, another lattice, or no spacing.
+        Not such a file, packed in another way, another lattice, or no spacing.
 
     Notes
     -----
@@ -36,16 +43,12 @@ def read(path: Path, options: ReadOptions) -> Volume:
     first = start.split(b"\n", 1)[0].decode("latin-1")
     if "AmiraMesh" not in first and "Avizo" not in first:
         raise header_fault(path, "Amira lattice", "a file that does not begin as one")
-    if "BINARY" not in first.upper() and "RAW" not in first.upper():
-        raise CtInertiaError.of(
-            "the lattice", "binary", "text (ASCII)", path.name, "Save it as AmiraMesh binary"
-        )
     end = re.search(rb"^@1[ \t]*\r?\n", start, re.M)
     if end is None:
         raise header_fault(path, "Amira lattice", "a header without data @1")
-    text = start[: end.start()].decode("latin-1")
+    text = _decoded(start[: end.start()])
     size = _sizes(text, path)
-    field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1(\(\w+)?", text)
+    field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
     if field is None or field[1] not in _TYPES or field[2] not in (None, "[1]"):
         raise CtInertiaError.of(
             "the lattice",
@@ -54,10 +57,14 @@ def read(path: Path, options: ReadOptions) -> Volume:
             path.name,
             "Export one channel",
         )
-    if field[3]:
+    packing = _PACKINGS.get(field[3])
+    if packing is None:
+        known = ", ".join(name for name in _PACKINGS if name)
         raise CtInertiaError.of(
-            "the lattice", "not packed", field[3][1:], path.name, "Save it as AmiraMesh binary"
+            "the lattice", f"not packed, or by {known}", field[3], path.name, "Save it as AmiraMesh binary"
         )
+    if "ASCII" in first.upper():
+        packing = "text"
     order = "<" if "LITTLE" in first.upper() else ">"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
     unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
@@ -73,8 +80,30 @@ def read(path: Path, options: ReadOptions) -> Volume:
             spacing, origin = steps * factor, ends[:, 0] * factor
         elif factor is None:
             known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
-    grid = Grid(size, np.dtype(order + _TYPES[field[1]]), ((path, end.end()),), spacing, origin, known=known)
-    return grid_volume(grid, path, options)
+    dtype = np.dtype(order + _TYPES[field[1]])
+    grid = Grid(size, dtype, ((path, end.end()),), spacing, origin, packing=packing, known=known)
+    return replace(grid_volume(grid, path, options), segment_names=_materials(text))
+
+
+def _decoded(header: bytes) -> str:
+    try:
+        return header.decode("utf-8")
+    except UnicodeDecodeError:
+        return header.decode("latin-1")
+
+
+def _materials(text: str) -> dict[int, str]:
+    """Return the names of labels: the number of a label is the place of its material, from 0."""
+    begin = re.search(r"\bMaterials\s*\{", text)
+    names: list[str] = []
+    depth = 1
+    for mark in re.finditer(_BRACKET, text[begin.end() :] if begin else ""):
+        if mark[2] == "{" and depth == 1:
+            names.append((mark[1] or "").strip('"'))
+        depth += 1 if mark[2] == "{" else -1
+        if depth == 0:
+            break
+    return dict(enumerate(names))
 
 
 def _sizes(text: str, path: Path) -> tuple[int, int, int]:

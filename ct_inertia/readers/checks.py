@@ -15,9 +15,10 @@ from stapeskit.memory import available_memory
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
-# Bytes that a byte of a packed file can become at most, by the formats: deflate 1032, LZ4 255, PackBits 64.
+# Bytes that a byte of a packed file can become at most, by the formats: deflate 1032, LZ4 255, PackBits 64;
+# a number written as text has a digit and a blank and becomes 8 bytes at most.
 # The others (zstd, bzip2, lzma, JPEG ...) have no such limit: a zstd block of 11 bytes is 128 KiB of zeros.
-_MOST_PACKED = {"raw": 1.0, "deflate": 1100.0, "lz4": 260.0, "packbits": 65.0}
+_MOST_PACKED = {"raw": 1.0, "deflate": 1100.0, "lz4": 260.0, "packbits": 65.0, "text": 4.5, "hex": 0.5}
 # File systems store names of at most 255 bytes.
 _LONGEST_NAME = 255
 _MM = {
@@ -107,7 +108,8 @@ def check_size(
     name : str
         File name for messages.
     packing : str
-        ``raw``, ``deflate`` (zlib, gzip, PNG), ``lz4``, ``packbits``, or another one without a limit.
+        ``raw``, ``deflate`` (zlib, gzip, PNG), ``lz4``, ``packbits``, ``text``, ``hex``, or another one
+        without a limit.
     held : bool
         The voxels are unpacked as a whole, not piece by piece.
 

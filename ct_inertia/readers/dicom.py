@@ -144,10 +144,16 @@ def _read_file(path: Path, options: ReadOptions) -> Volume:
         image = sitk.ReadImage(str(path))
     except RuntimeError as fault:
         raise not_readable(path, "DICOM file", fault) from fault
-    spacing, notices = settle_spacing(head.spacing, options.spacing_mm, path.name)
-    return Volume(
-        sitk.GetArrayFromImage(image), spacing, head.origin, head.direction, True, path, notices=notices
-    )
+    array = sitk.GetArrayFromImage(image)
+    steps, origin = np.array(image.GetSpacing()), np.array(image.GetOrigin())
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    if np.linalg.det(direction) < 0.0:
+        # Frames from the far end to the near one: they are turned round, and stay where they are.
+        array = array[::-1]
+        origin = origin + direction[:, 2] * steps[2] * (len(array) - 1)
+        direction = direction * [1.0, 1.0, -1.0]
+    spacing, notices = settle_spacing(steps, options.spacing_mm, path.name)
+    return Volume(array, spacing, origin, direction, True, path, notices=notices)
 
 
 def _slice(name: str) -> _Slice:

@@ -136,7 +136,7 @@ FORMATS = (
     Format(
         "NRRD",
         "nrrd",
-        "also segmentations (seg.nrrd): origin, direction and units, attached or detached",
+        "also segmentations (seg.nrrd) and text: origin, direction and units, attached or detached",
         (".nrrd", ".nhdr"),
         headers=(".nhdr",),
         placed=True,
@@ -144,7 +144,7 @@ FORMATS = (
     Format(
         "MHA, MHD",
         "metaimage",
-        "origin, direction and units, attached or detached",
+        "also text: origin, direction and units, attached or detached",
         (".mha", ".mhd"),
         headers=(".mhd",),
         placed=True,
@@ -152,7 +152,7 @@ FORMATS = (
     Format(
         "NIfTI",
         "nifti",
-        "NIfTI-1 and -2: origin, direction and units, attached or detached",
+        "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
         (".nii", ".nii.gz", ".hdr"),
         headers=(".hdr",),
         placed=True,
@@ -170,12 +170,17 @@ FORMATS = (
         (".aim",),
     ),
     Format("VGStudio", "vgi", "a .vgi with its .vol files: spacing", (".vgi",), headers=(".vgi",)),
-    Format("Amira", "amira", "also Avizo: spacing and origin", (".am",)),
+    Format(
+        "Amira",
+        "amira",
+        "also Avizo: spacing and origin; binary, text, packed (HxByteRLE, HxZip), names of label materials",
+        (".am",),
+    ),
     RAW,
     Format(
         "OME-Zarr",
         "ome_zarr",
-        "0.4 and 0.5: scale and translation; a coarser level for the first look",
+        "0.1 to 0.5: scale and translation (from 0.4 on); a coarser level for the first look",
         sniffs=("folder",),
     ),
     Format(

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,14 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, header_fault, no_data_file, not_readable, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.memory_mapping import mapped
+from ct_inertia.readers.streams import DECODERS
 from ct_inertia.volume.lazy_arrays import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-# Unpacked at once: bounds the memory beside the volume itself.
-_STREAM_BYTES = 16 << 20
+# Kinds of limits in readers.checks by the packing.
+_LIMITS = {"gzip": "deflate", "zlib": "deflate", "HxByteRLE": "packbits"}
 # Bytes of an unpacked stream before its voxels; headers have some thousands.
 _MOST_SKIPPED = 1 << 30
 
@@ -44,7 +45,7 @@ class Grid:
     origin_mm : ndarray, (3,)
     direction : ndarray, (3, 3)
     packing : str
-        ``raw``, ``gzip``, ``bzip2`` or ``zlib``.
+        ``raw``, or how the stream of voxels is unpacked: one of `streams.DECODERS`.
     anatomical : bool
         The header ties the axes to the patient.
     slope, intercept : float
@@ -127,11 +128,6 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
     file, offset = grid.files[0]
     if grid.packing == "raw":
         return mapped(file, grid.dtype, offset, shape, path.name)
-    if grid.skip > _MOST_SKIPPED:
-        raise header_fault(path, "header", f"voxels at byte {grid.skip}")
-    limit = "bzip2" if grid.packing == "bzip2" else "deflate"
-    stored = file.stat().st_size - max(offset, 0)
-    check_size(shape, grid.dtype, stored, path.name, packing=limit, held=True)
     return _unpacked(file, offset, grid, shape, path)
 
 
@@ -153,76 +149,48 @@ def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
     count = len(grid.files)
     depth = grid.slab or nz // max(count, 1)
     rest = nz - (count - 1) * depth
-    if not 0 < rest <= depth or (rest != depth and not grid.slab) or grid.packing != "raw" or grid.layers > 1:
+    if not 0 < rest <= depth or (rest != depth and not grid.slab) or grid.layers > 1:
         raise CtInertiaError.of(
             "the list of data files",
-            f"uncompressed files of equal numbers of the {nz} slices",
+            f"files of equal numbers of the {nz} slices",
             f"{count} files",
             path.name,
             "Export the volume as one file",
         )
-    for number, (file, offset) in enumerate(grid.files):
-        here = depth if number < count - 1 else rest
-        check_size((here, ny, nx), grid.dtype, file.stat().st_size - max(offset, 0), file.name)
+    shapes = [(depth, ny, nx)] * (count - 1) + [(rest, ny, nx)]
+    if grid.packing == "raw":
+        for shape, (file, offset) in zip(shapes, grid.files, strict=True):
+            check_size(shape, grid.dtype, file.stat().st_size - max(offset, 0), file.name)
 
     def slab(z: int, _y: int, _x: int) -> NDArray[Any]:
         file, offset = grid.files[z]
-        return mapped(file, grid.dtype, offset, (depth if z < count - 1 else rest, ny, nx), file.name)
+        if grid.packing == "raw":
+            return mapped(file, grid.dtype, offset, shapes[z], file.name)
+        return _unpacked(file, offset, grid, shapes[z], path)
 
     return BlockArray((nz, ny, nx), grid.dtype, (depth, ny, nx), slab).as_array()
 
 
 def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: Path) -> NDArray[Any]:
+    if grid.skip > _MOST_SKIPPED:
+        raise header_fault(path, "header", f"voxels at byte {grid.skip}")
+    stored = file.stat().st_size - max(offset, 0)
+    check_size(
+        shape, grid.dtype, stored, file.name, packing=_LIMITS.get(grid.packing, grid.packing), held=True
+    )
     array = np.empty(tuple(shape), dtype=grid.dtype)
-    room = memoryview(cast(Any, array.reshape(-1).view(np.uint8)))
     try:
         with file.open("rb") as stream:
             stream.seek(max(offset, 0))
-            filled = _filled(stream, grid.packing, grid.skip, room)
-    except (OSError, EOFError, zlib.error) as fault:
+            filled = DECODERS[grid.packing](stream, grid.skip, array.reshape(-1))
+    except (OSError, EOFError, ValueError, zlib.error) as fault:
         raise not_readable(path, f"{grid.packing} file", fault) from fault
-    if filled < len(room):
+    if filled < array.nbytes:
         raise CtInertiaError.of(
-            "the compressed volume",
-            f"complete ({len(room)} bytes of voxels)",
+            "the packed volume",
+            f"complete ({array.nbytes} bytes of voxels)",
             f"{filled} bytes",
             path.name,
             "Copy or export it again",
         )
     return array
-
-
-def _filled(stream: BinaryIO, packing: str, skip: int, room: memoryview) -> int:
-    """Unpack a stream into a buffer and return the number of bytes that came."""
-    if packing == "zlib":
-        return _inflated(stream, room)
-    import bz2
-    import gzip
-
-    source: Any = bz2.BZ2File(stream) if packing == "bzip2" else gzip.GzipFile(fileobj=stream)
-    while skip > 0 and (passed := len(source.read(min(skip, _STREAM_BYTES)))):
-        skip -= passed
-    filled = 0
-    while filled < len(room):
-        count = source.readinto(room[filled : filled + _STREAM_BYTES])
-        if not count:
-            break
-        filled += count
-    if filled == len(room):
-        source.read(1 << 16)  # to the end, where the checksum is
-    return filled
-
-
-def _inflated(stream: BinaryIO, room: memoryview) -> int:
-    unpack = zlib.decompressobj(47)
-    filled = 0
-    while filled < len(room) and not unpack.eof:
-        data = unpack.unconsumed_tail or stream.read(_STREAM_BYTES >> 2)
-        if not data:
-            break
-        piece = unpack.decompress(data, min(len(room) - filled, _STREAM_BYTES))
-        room[filled : filled + len(piece)] = piece
-        filled += len(piece)
-    if filled == len(room) and not unpack.eof:
-        unpack.decompress(unpack.unconsumed_tail + stream.read(1 << 16), 1 << 16)
-    return filled

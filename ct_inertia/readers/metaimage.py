@@ -120,10 +120,6 @@ def _grid(
             path.name,
             next_step="Export it as grey values",
         )
-    if fields.get("BinaryData", "True").lower() == "false":
-        raise CtInertiaError.of(
-            "BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data"
-        )
     order = ">" if _true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     unit = mm_per_unit(fields.get("DistanceUnits", "mm")) or 1.0
     steps = np.abs(_values(fields, ("ElementSpacing", "ElementSize"), path)) * unit
@@ -136,7 +132,9 @@ def _grid(
         direction = np.array(matrix).reshape(3, 3).T
         direction = direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12)
     orientation = fields.get("AnatomicalOrientation", "?")
-    packed = _true(fields, "CompressedData")
+    packing = "zlib" if _true(fields, "CompressedData") else "raw"
+    if fields.get("BinaryData", "True").lower() == "false":
+        packing = "text"
     return Grid(
         (size[0], size[1], size[2]),
         np.dtype(order + _TYPES[kind]),
@@ -144,7 +142,7 @@ def _grid(
         spacing,
         offset,
         direction,
-        "zlib" if packed else "raw",
+        packing,
         "?" not in orientation,
     )
 

@@ -1,4 +1,4 @@
-"""NIfTI-1 and NIfTI-2 volumes (.nii, .nii.gz, .hdr with .img), memory-mapped where they are not packed.
+"""NIfTI-1, NIfTI-2 and Analyze 7.5 volumes (.nii, .nii.gz, .hdr with .img), memory-mapped where not packed.
 
 The format: https://nifti.nimh.nih.gov/pub/dist/src/niftilib/nifti1.h
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,7 @@ class _Header:
     rows: Array
     order: str
     alone: bool
+    bytes: int = 352
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -102,6 +103,8 @@ def _header(path: Path) -> _Header:
         length = struct.unpack_from(order + "i", head)[0] if len(head) >= 4 else 0
         if length == 348 and len(head) >= 348 and head[344:347] in (b"n+1", b"ni1"):
             return _first(head, order)
+        if length == 348 and len(head) == 348 and path.suffix.lower() == ".hdr":
+            return _analyze(head, order)
         if length == 540 and len(head) >= 540 and head[4:7] in (b"n+2", b"ni2"):
             return _second(head, order)
     raise header_fault(path, "NIfTI volume", "a file that does not begin as one")
@@ -129,6 +132,13 @@ def _first(head: bytes, order: str) -> _Header:
     )
 
 
+def _analyze(head: bytes, order: str) -> _Header:
+    """Read the header of Analyze 7.5, of which NIfTI kept sizes, type and steps; it has no place."""
+    return replace(
+        _first(head, order), offset=0, slope=1.0, intercept=0.0, units=0, qform=0, sform=0, alone=False
+    )
+
+
 def _whole(value: float) -> int:
     """Return an offset that is stored as a float; an impossible one as beyond every file."""
     return int(value) if abs(value) < 1e15 else 1 << 60
@@ -153,6 +163,7 @@ def _second(head: bytes, order: str) -> _Header:
         np.array(get("12d", 400), dtype=float).reshape(3, 4),
         order,
         head[4:7] == b"n+2",
+        544,
     )
 
 
@@ -185,6 +196,11 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
     packed = path.suffix.lower() == ".gz"
     data = path if header.alone else path.with_suffix(".img")
     start = max(0, header.offset)
+    if header.alone and start < header.bytes:
+        # 0 stands for the least there is: the header and four bytes that say whether extensions follow.
+        if start:
+            raise header_fault(path, "NIfTI volume", f"voxels at byte {start}, within its header")
+        start = header.bytes
     return Grid(
         (size[0], size[1], size[2]),
         np.dtype(header.order + _TYPES[header.datatype]),

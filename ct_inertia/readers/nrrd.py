@@ -35,7 +35,15 @@ _TYPES = {
     "float": "f4",
     "double": "f8",
 }
-_PACKINGS = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2": "bzip2"}
+_PACKINGS = {
+    "raw": "raw",
+    **dict.fromkeys(("gzip", "gz"), "gzip"),
+    **dict.fromkeys(("bzip2", "bz2"), "bzip2"),
+    **dict.fromkeys(("ascii", "text", "txt"), "text"),
+    "hex": "hex",
+}
+# Bytes are skipped in what is unpacked, not in the file (NRRD, section 5, byte skip).
+_SKIPPED_UNPACKED = ("gzip", "bzip2")
 _SPATIAL = ("domain", "space", "???", "none")
 
 
@@ -155,7 +163,7 @@ def _grid(
     if packing is None:
         raise CtInertiaError.of(
             "the encoding",
-            "raw, gzip or bzip2",
+            f"one of {', '.join(_PACKINGS)}",
             fields.get("encoding", "none"),
             path.name,
             next_step="Export it as raw or gzip",
@@ -178,7 +186,7 @@ def _grid(
         packing,
         anatomical,
         layers=extra,
-        skip=0 if packing == "raw" else max(0, _integer(fields, path, "byte skip", "byteskip")),
+        skip=max(0, _integer(fields, path, "byte skip", "byteskip")) if packing in _SKIPPED_UNPACKED else 0,
         notices=notices,
     )
 
@@ -255,7 +263,7 @@ def _files(
     path: Path, fields: dict[str, str], start: int, packing: str, follow: bool
 ) -> list[tuple[Path, int]]:
     """Return the data files, each with the offset of its first voxel (or of its packed stream)."""
-    skip = _integer(fields, path, "byte skip", "byteskip") if packing == "raw" else 0
+    skip = 0 if packing in _SKIPPED_UNPACKED else _integer(fields, path, "byte skip", "byteskip")
     lines = _integer(fields, path, "line skip", "lineskip")
     named = fields.get("data file")
     if not named:

@@ -1,4 +1,4 @@
-"""OME-Zarr images of versions 0.4 and 0.5, chunk by chunk when they are asked for.
+"""OME-Zarr images of versions 0.1 to 0.5, chunk by chunk when they are asked for.
 
 The format: https://ngff.openmicroscopy.org
 """
@@ -87,11 +87,12 @@ def _image(folder: Path) -> tuple[tuple[Path, Meta] | None, list[Notice]]:
     scales = attributes.get("multiscales")
     if scales:
         try:
-            if {"axes", "datasets"} <= set(scales[0]) and scales[0]["datasets"]:
-                return (folder, scales[0]), notices
-        except (TypeError, KeyError):
+            if scales[0].get("datasets"):
+                # Versions 0.1 and 0.2 have no axes: theirs are always these.
+                return (folder, {"axes": list("tczyx"), **scales[0]}), notices
+        except (TypeError, LookupError, AttributeError):
             pass
-        raise header_fault(folder, "OME-Zarr image", "multiscales without axes and datasets")
+        raise header_fault(folder, "OME-Zarr image", "multiscales without datasets")
     if (folder / ".zarray").is_file() or metadata(folder / "zarr.json").get("node_type") == "array":
         return None, notices
     raise header_fault(folder, "OME-Zarr image", "a group without multiscales")

@@ -20,7 +20,13 @@ from ct_inertia.readers.memory_mapping import read_at
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening
-from ct_inertia.readers.tiff_pages import check_offsets, check_pieces, turned_notice, white_is_zero
+from ct_inertia.readers.tiff_pages import (
+    check_offsets,
+    check_palette,
+    check_pieces,
+    turned_notice,
+    white_is_zero,
+)
 from ct_inertia.volume.lazy_arrays import BlockArray, invert_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
@@ -85,10 +91,9 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
         for p in folder.iterdir()
         if p.is_file() and p.suffix.lower() in SLICE_SUFFIXES and not _PREVIEW.search(p.stem)
     ]
-    for path in images:
-        match = re.match(r"^(.*?)(\d+)(\D*)$", path.stem)
-        if match:
-            series[(match[1] + "#" + match[3], path.suffix.lower())].append((int(match[2]), path))
+    for (number, name), path in zip(_numbered([path.stem for path in images]), images, strict=True):
+        if number is not None:
+            series[name, path.suffix.lower()].append((number, path))
     if not series or max(len(v) for v in series.values()) < 2:
         raise CtInertiaError.of(
             "the folder",
@@ -97,7 +102,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
             folder.name,
             "Give the folder that holds the slices themselves",
         )
-    ranked = sorted(series, key=lambda name: -len(series[name]))
+    ranked = sorted(series, key=lambda name: (-len(series[name]), name))
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
         raise CtInertiaError.of(
@@ -125,6 +130,30 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
         notices.append(Notice("files_ignored", text))
     notices += _gaps(numbers, folder.name)
     return [path for _, path in chosen], notices
+
+
+def _numbered(stems: Sequence[str]) -> list[tuple[int | None, str]]:
+    """Return of each name the number that counts slices, and the name with ``#`` in its place.
+
+    Notes
+    -----
+    Of the names that differ in numbers only, it is the last number that differs: ``ear_0042_8bit`` counts
+    by its first one. A name without a number has none.
+    """
+    parts = [re.split(r"(\d+)", stem) for stem in stems]
+    alike = defaultdict(list)
+    for words in parts:
+        alike[tuple(words[::2])].append(words[1::2])
+    found: list[tuple[int | None, str]] = []
+    for words, stem in zip(parts, stems, strict=True):
+        columns = list(zip(*alike[tuple(words[::2])], strict=True))
+        if not columns:
+            found.append((None, stem))
+            continue
+        differing = [k for k, column in enumerate(columns) if len(set(column)) > 1]
+        at = 2 * (differing[-1] if differing else len(columns) - 1) + 1
+        found.append((int(words[at]), "".join([*words[:at], "#", *words[at + 1 :]])))
+    return found
 
 
 def _gaps(numbers: list[int], name: str) -> list[Notice]:
@@ -195,6 +224,7 @@ def _tiff_look(path: Path) -> _Look | None:
     check_directories(path)
     with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
         page: Any = tif.pages[0]
+        check_palette(page, path)
         check_pieces(page, path)
         check_offsets(page, path, path.stat().st_size)
         if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
@@ -249,8 +279,9 @@ def _slice(path: Path) -> NDArray[Any]:
     image = np.asarray(image)
     if image.dtype.kind == "b":
         image = image.astype(np.uint8)
-    if image.ndim == 3 and image.shape[-1] in (3, 4) and image.dtype == np.uint8:
-        if np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 0], image[..., 2]):
+    if image.ndim == 3 and image.shape[-1] in (2, 3, 4):
+        # Two values are grey and opacity.
+        if image.shape[-1] == 2 or np.all(image[..., 1:3] == image[..., :1]):
             return np.ascontiguousarray(image[..., 0])
         raise CtInertiaError.of(
             f"slice {path.name}", "grey values", "a colour (RGB) image", next_step="Export grey values"

@@ -12,7 +12,7 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_directories import check_directories, check_ome_files
 from ct_inertia.readers.tiff_log import listening
-from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
+from ct_inertia.readers.tiff_pages import first_stack, stack_array, turned_notice, white_is_zero
 from ct_inertia.volume.lazy_arrays import invert_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
@@ -43,26 +43,26 @@ def read(path: Path, options: ReadOptions) -> Volume:
     check_directories(path)
     with listening(path, "TIFF"), tifffile.TiffFile(path) as tif:
         check_ome_files(path, tif.ome_metadata if tif.is_ome else None, options.follow)
-        array = stack_array(tif, path)
-        place = _calibration(tif)
+        series = first_stack(tif)
+        array = stack_array(series, tif, path)
+        place = _calibration(tif, series.keyframe)
         notices = _notices(tif, path)
-        if white_is_zero(tif.series[0].keyframe):
+        if white_is_zero(series.keyframe):
             array, notices = invert_grey_values(array), [*notices, turned_notice(path)]
     spacing, settled = settle_spacing(place.spacing_mm, options.spacing_mm, path.name, place.known)
     volume = Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
     return volume.mirrored(options.mirror)
 
 
-def _calibration(tif: tifffile.TiffFile) -> Calibration:
+def _calibration(tif: tifffile.TiffFile, page: Any) -> Calibration:
     """Return spacing and origin x, y, z in mm, or the part of them that the file has."""
     if tif.is_ome and tif.ome_metadata:
         calibration = ome_calibration(tif.ome_metadata)
         if calibration is not None:
             return calibration
-    plane = _resolution(tif)
+    plane = _resolution(page)
     if tif.is_imagej and tif.imagej_metadata is not None:
         return _imagej(tif.imagej_metadata, plane)
-    page: Any = tif.pages[0]
     unit = {2: 25.4, 3: 10.0}.get(int(getattr(page.tags.get("ResolutionUnit"), "value", 0) or 0))
     if plane is None or unit is None:
         return Calibration(None, known="the TIFF has no resolution with a unit")
@@ -74,9 +74,8 @@ def _calibration(tif: tifffile.TiffFile) -> Calibration:
     )
 
 
-def _resolution(tif: tifffile.TiffFile) -> Array | None:
+def _resolution(page: Any) -> Array | None:
     """Return units per pixel along x and y."""
-    page: Any = tif.pages[0]
     pair = []
     for name in ("XResolution", "YResolution"):
         tag = page.tags.get(name)

@@ -24,15 +24,20 @@ _ROWS = 64
 WHITE_IS_ZERO = "white_is_zero"
 
 
-def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
-    """Return the first stack of a TIFF file [z, y, x] in its own type.
+def first_stack(tif: tifffile.TiffFile) -> Any:
+    """Return the first series of three dimensions, which a thumbnail may precede; else the first one."""
+    stacks = (series for series in tif.series if sum(n > 1 for n in series.shape) > 2)
+    return next(stacks, tif.series[0])
+
+
+def stack_array(series: Any, tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
+    """Return a stack of a TIFF file [z, y, x] in its own type.
 
     Raises
     ------
     CtInertiaError
         Truncated, two-dimensional, coloured, or several channels or times.
     """
-    series = tif.series[0]
     page: Any = series.keyframe
     _check_kind(series, page, path)
     kept = tuple(n for n in series.shape if n > 1)
@@ -168,7 +173,8 @@ def _evenly_stepped(
 
 
 def _check_kind(series: Any, page: Any, path: Path) -> None:
-    if page.photometric is not None and page.photometric.name in ("RGB", "PALETTE", "YCBCR", "CMYK"):
+    check_palette(page, path)
+    if page.photometric is not None and page.photometric.name in ("RGB", "YCBCR", "CMYK"):
         raise CtInertiaError.of(
             "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
         )
@@ -194,6 +200,27 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
             f"an image of shape {' x '.join(map(str, reversed(kept)))}",
             path.name,
             "Give the whole stack, or the folder of slices",
+        )
+
+
+def check_palette(page: Any, path: Path) -> None:
+    """Refuse a page of colours by number, unless larger numbers stand for brighter ones, as in lookup tables.
+
+    Raises
+    ------
+    CtInertiaError
+        The brightness of the colours does not grow with their number.
+    """
+    if page.photometric is None or page.photometric.name != "PALETTE":
+        return
+    colours = np.asarray(page.colormap, dtype=float).reshape(3, -1)
+    if np.any(np.diff(colours.sum(axis=0)) < 0.0):
+        raise CtInertiaError.of(
+            "the volume",
+            "grey values",
+            "numbers of colours whose brightness does not grow with them",
+            path.name,
+            "Export it as grey values",
         )
 
 

@@ -55,7 +55,9 @@ def read_measurement(
     from kinematics.readers.formats import TIDY, format_of
     from kinematics.tidy.ldv_csv import read_ldv
 
-    paths, options = [Path(path) for path in paths], options or InputOptions()
+    # the folder "." has no name, by which messages, runs and bodies call a file
+    paths = [path if path.name else path.resolve() for path in map(Path, paths)]
+    options = options or InputOptions()
     _check_names(paths)
     formats: list[Format] = []
     unknown: list[Fault] = []

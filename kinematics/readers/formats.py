@@ -18,7 +18,7 @@ from kinematics.readers import proprietary_formats
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.psv.fastscan import looks_like_fastscan
 from kinematics.readers.psv.per_point import looks_like_points
-from kinematics.readers.psv.text_blocks import decoded
+from kinematics.readers.psv.text_blocks import EXPORT_ENDINGS, decoded, export_files
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff.datasets import looks_like_uff, plain_content
@@ -28,7 +28,7 @@ TIDY, WIDE = "tidy", "wide"
 _SERIES_READER = "kinematics.readers.series.frequency_responses"
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP = b"PK\x03\x04"
-_SOUND = (b"RIFF", b"RIFX")
+_SOUND = (b"RIFF", b"RIFX", b"RF64")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -129,7 +129,7 @@ FORMATS = (
         lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
         options=("mapping",),
         series="channels",
-        reads="v5 and v7.3, as File Access scripts save them; other layouts by `--mapping`",
+        reads="v4 to v7.3, as File Access scripts save them; other layouts by `--mapping`",
     ),
     Format(
         "hdf5",
@@ -240,7 +240,7 @@ def _head_of(path: Path) -> Head:
 def _format_of_folder(path: Path) -> Format:
     """Return the format of the first text export in a folder; hidden files do not count."""
     formats = [entry for entry in FORMATS if entry.in_folders]
-    files = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+    files = export_files(path, endings=(*EXPORT_ENDINGS, *proprietary_formats.SUFFIXES))
     others: list[Format] = []
     for file in files:
         head = _head_of(file)
@@ -253,7 +253,7 @@ def _format_of_folder(path: Path) -> Format:
         return others[0]
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
-    got = f"{len(files)} files of other formats" if files else "an empty folder"
+    got = f"{len(files)} text files of other kinds" if files else "none"
     raise KinematicsError.of("a vibrometer folder", expected, got, path.name, step)
 
 

@@ -20,6 +20,8 @@ STANDARD_GRAVITY = 9.80665
 MOTIONS = ("m, mm, um, nm", "m/s, mm/s, um/s", "m/s2, mm/s2, g")
 _RATES = {"": 0, "s": 1, "s2": 2, "sec": 1, "sec2": 2}
 _DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
+# As in m s-1 and m*s^-2.
+_PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")
 _NONE = ("", "none", "-", "1", "unknown")
 
 
@@ -48,11 +50,12 @@ def is_none(label: str) -> bool:
 
 
 def plain(label: str) -> str:
-    """Write a label without brackets, spaces and the many ways to write micro, powers and times."""
+    """Write a label without brackets, spaces and the many ways to write micro, powers and per second."""
     text = label.strip().strip("[]").replace(" ", "")
-    for old, new in (("µ", "u"), ("μ", "u"), ("²", "2"), ("^", ""), ("**", ""), ("·", "*")):
+    marks = (("µ", "u"), ("μ", "u"), ("²", "2"), ("¹", "1"), ("⁻", "-"), ("^", ""), ("**", ""), ("·", "*"))
+    for old, new in marks:
         text = text.replace(old, new)
-    return text
+    return _PER_SECOND.sub(lambda match: "/s2" if match[1] == "2" else "/s", text)
 
 
 def motion_unit(label: str) -> MotionUnit | None:

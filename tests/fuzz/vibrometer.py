@@ -308,6 +308,16 @@ def _wav(rng: random.Random, kind: str, made: Sound) -> Case:
     return _case(rng, kind, "chunks", made, bytes(raw))
 
 
+def _mat4(rng: random.Random, kind: str, made: Sound) -> Case:
+    """Change numbers at the head of a matrix of version 4."""
+    raw = bytearray(made.files[made.target])
+    heads = [0, *(place - 20 for place in (raw.find(b"y\0"), raw.find(b"unit\0")) if place >= 20)]
+    for _ in range(rng.randint(1, 2)):
+        value = rng.choice((*INTEGERS, 1000, 50, 1, 2)) % (1 << 32)
+        struct.pack_into("<I", raw, rng.choice(heads) + 4 * rng.randrange(5), value)
+    return _case(rng, kind, "head", made, bytes(raw))
+
+
 def _empty(rng: random.Random, kind: str, made: Sound) -> Case:
     """Give a file without content, or with the first bytes of another format."""
     other = sound()[rng.choice(list(_DAMAGES))]
@@ -328,6 +338,7 @@ _DAMAGES: dict[str, tuple[Damage, ...]] = {
     "axes.txt": _TEXT,
     "v5.mat": (*(_mat5,) * 9, *(_bytes,) * 3, _mat5_bomb),
     "packed.mat": (*(_mat5,) * 9, *(_bytes,) * 3, _mat5_bomb),
+    "v4.mat": (_mat4, _mat4, *(_bytes,) * 2),
     "v73.mat": (_hdf5, _hdf5, _hdf5, _bytes),
     "own.h5": (_hdf5, _hdf5, _hdf5, _bytes),
     "series.csv": (_table, _table, _beside, _beside, _numbers, _lines),

@@ -76,6 +76,11 @@ def sound() -> dict[str, Sound]:
         "axes.txt": _placed("ldv.txt", point(1, FREQ, np.stack([_VALUE[0]] * 3, 1), component="3D")),
         "v5.mat": _single("ldv.mat", _mat5(False)),
         "packed.mat": _single("ldv.mat", _mat5(True)),
+        "v4.mat": Sound(
+            {"ldv.mat": _mat4()},
+            ("ldv.mat", "--body", "stapes=ldv.mat", "--beam", "z", "--dof", "z"),
+            "ldv.mat",
+        ),
         "v73.mat": _single("ldv.mat", _written(lambda path: write_v73(path, _variables()))),
         "own.h5": Sound({"ldv.h5": _written(_own_h5)}, ("ldv.h5",), "ldv.h5"),
         "series.csv": _series("ldv.csv", _series_csv()),
@@ -158,6 +163,12 @@ def _variables() -> dict[str, Any]:
 def _mat5(packed: bool) -> bytes:
     stream = io.BytesIO()
     savemat(stream, {**_variables(), "names": np.array([["a", "b"]], dtype=object)}, do_compression=packed)
+    return stream.getvalue()
+
+
+def _mat4() -> bytes:
+    stream = io.BytesIO()
+    savemat(stream, {"x": FREQ[None], "y": _VALUE, "unit": "m/s", "xyz": _PLACES}, format="4")
     return stream.getvalue()
 
 

@@ -71,3 +71,18 @@ def test_work_that_printed_itself_needs_no_table(capsys, monkeypatch):
 def test_show_keeps_quiet(capsys):
     show(argparse.Namespace(quiet=True, json=False), Outcome("t", []))
     assert capsys.readouterr().out == ""
+
+
+HOSTILE = "ear\x1b]0;owned\x07\x9b2J\r\u202egpj.\n"
+SHOWN = "ear?]0;owned??2J??gpj.\n"
+
+
+def test_no_text_of_a_file_gives_orders_to_the_terminal(capsys, monkeypatch):
+    _, said = leave(capsys, raiser(StapeskitError(HOSTILE)), monkeypatch)
+    assert said.err == f"{SHOWN}\n"
+    outcome = Outcome("tool", [("name", HOSTILE)], [Notice("touches_border", HOSTILE)], [Path(HOSTILE)])
+    show(argparse.Namespace(quiet=False, json=False), outcome)
+    said = capsys.readouterr()
+    assert said.err == f"warning [touches_border] {SHOWN}\n"
+    assert said.out.count(SHOWN) == 2
+    assert not set(said.out) & set("\x1b\x07\x9b\r\u202e")

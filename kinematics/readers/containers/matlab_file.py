@@ -1,4 +1,4 @@
-"""MATLAB files, version 5 to 7.3, as plain values: arrays, texts, lists for cells, dictionaries for structs.
+"""MATLAB files, version 4 to 7.3, as plain values: arrays, texts, lists for cells, dictionaries for structs.
 
 Version 7.3 is HDF5 and read by h5py. A cell array and a struct array become
 lists, whatever their shape, in MATLAB's order.
@@ -13,6 +13,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5, matlab_tree, read_hdf5
+from kinematics.readers.containers.mat4 import is_mat4, read_mat4
 from kinematics.readers.containers.mat5 import read_mat5
 
 Tree = dict[str, Any]
@@ -48,10 +49,12 @@ def read_mat(path: Path) -> Tree:
     if head.startswith(b"MATLAB 7.3"):
         step = "It is truncated: copy or export it again"
         raise KinematicsError.of(path.name, "a MATLAB 7.3 file", "no HDF5 behind its header", "", step)
+    if is_mat4(head):
+        return read_mat4(path)
     if len(head) < _HEADER or not head.startswith(b"MATLAB 5.0"):
         step = "Save it in MATLAB by save -v7 or save -v7.3"
         raise KinematicsError.of(
-            path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step
+            path.name, "a MATLAB file of version 4 to 7.3", "other bytes at its start", "", step
         )
     return read_mat5(path)
 

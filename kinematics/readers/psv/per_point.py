@@ -24,10 +24,11 @@ from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.warnings import Notice
 
 _POINT = ("point index", "punktindex", "punkt-index")
+_COMPONENT = ("component", "komponente", "composante")
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _TIME = ("time", "zeit", "temps")
 _PLACE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
-_COMPONENT = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
+_AXIS = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
 _IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
 
 
@@ -156,7 +157,8 @@ def _position(text: str, where: Place | str) -> tuple[Array, bool]:
 
 def _axis(block: Block) -> str:
     """Return the axis that component or signal names, empty when none does."""
-    match = _COMPONENT.match(block.fields.get("component", ""))
+    stated = next((block.fields[name] for name in _COMPONENT if name in block.fields), "")
+    match = _AXIS.match(stated)
     match = match or _IN_SIGNAL.search(block.fields.get("signal", ""))
     return "" if match is None else match[1].replace("+", "") + match[2].lower()
 

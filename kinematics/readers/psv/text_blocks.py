@@ -7,6 +7,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,12 +19,14 @@ from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 T = TypeVar("T")
-_SUFFIXES = (".txt", ".asc", ".csv", ".dat")
+EXPORT_ENDINGS = (".txt", ".asc", ".csv", ".dat")
 # Characters of the name in a line ``Name: value``.
 _NAME = range(2, 41)
 _UNIT = re.compile(r"\[([^\]]*)\]")
 # Text exports are read whole; 1 GB of text holds 10^7 readings.
 _MAX_FILE = 1 << 30
+# Files of a folder: a point and axis each of 30 000 points. A home folder has more.
+_MOST_FILES = 100_000
 # No table has more columns than these, and no number more characters: what is longer is no measurement, and
 # splitting it takes twenty times the file's size in memory.
 _MOST_CELLS, _LONGEST_NUMBER = 10_000, 400
@@ -74,7 +77,7 @@ def _field(line: str) -> tuple[str, str] | None:
     name = before.strip()
     if not colon or len(name) not in _NAME or "\t" in name:
         return None
-    return name.lower(), value.strip()
+    return name.lower(), value.strip(" \t\r;")
 
 
 def fields_of(text: str) -> dict[str, str]:
@@ -105,10 +108,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     KinematicsError
         Every fault of every file together, or there is no text export.
     """
-    files = [path]
-    if path.is_dir():
-        candidates = path.rglob("*") if deep else path.iterdir()
-        files = sorted(candidate for candidate in candidates if _is_export(candidate))
+    files = export_files(path, deep) if path.is_dir() else [path]
     entries: list[T] = []
     faults: list[Fault] = []
     for file in files:
@@ -122,9 +122,24 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     return entries
 
 
-def _is_export(path: Path) -> bool:
-    """Return whether a file of a folder may be an export: by its ending, and not hidden."""
-    return path.is_file() and path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
+def export_files(folder: Path, deep: bool = True, endings: tuple[str, ...] = EXPORT_ENDINGS) -> list[Path]:
+    """Return the files of a folder, perhaps with its folders, that may be exports: not hidden, by ending.
+
+    Raises
+    ------
+    KinematicsError
+        It holds more files than a measurement has.
+    """
+    found = list(islice(folder.rglob("*") if deep else folder.iterdir(), _MOST_FILES + 1))
+    if len(found) > _MOST_FILES:
+        step = "Give the folder of the exported text files"
+        got, name = f"more than {_MOST_FILES}", folder.name
+        raise KinematicsError.of("the folder", "one with the files of a measurement", got, name, step)
+    return sorted(
+        path
+        for path in found
+        if path.suffix.lower() in endings and not path.name.startswith(".") and path.is_file()
+    )
 
 
 def blocks(path: Path, faults: list[Fault]) -> list[Block]:

@@ -78,7 +78,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
         raise KinematicsError.of("the time series", "an existing file", path, "", "Check its name")
     with path.open("rb") as stream:
         head = stream.read(16)
-    if head.startswith((b"RIFF", b"RIFX")):
+    if head.startswith((b"RIFF", b"RIFX", b"RF64")):
         return _wav(path, names)
     if head.startswith(b"PK\x03\x04"):
         return _of_tree(_npz(path), path.name, names)

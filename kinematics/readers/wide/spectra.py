@@ -5,6 +5,7 @@ The names give part, axis and point; where they do not, a mapping does (kinemati
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,9 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     if document:
         beams, unused = mapped_beams(document["signal"], sheet.names, sheet.file), []
     freq = _frequencies(sheet, document)
+    if np.all(np.diff(freq) < 0.0):  # measured from high to low
+        sheet, freq = replace(sheet, numbers=sheet.numbers[::-1]), freq[::-1]
+    _check_ascending(freq, sheet)
     faults: list[Fault] = []
     recordings = []
     stated = {document.get("amplitude", "")} if document else set()
@@ -98,17 +102,17 @@ def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
         raise KinematicsError.of(
             "the unit of the frequencies", "Hz, kHz or MHz", shown(unit), sheet.place(columns[0])
         )
-    freq = sheet.numbers[:, columns[0]] * HERTZ[unit.lower()]
+    return np.asarray(sheet.numbers[:, columns[0]] * HERTZ[unit.lower()])
+
+
+def _check_ascending(freq: Array, sheet: Sheet) -> None:
     with np.errstate(invalid="ignore"):
         bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
     if np.any(bad):
         row = int(np.flatnonzero(bad)[0])
         step = "Sort the rows, one a frequency"
         got = f"{freq[row]:g} Hz in row {row + 1}"
-        raise KinematicsError.of(
-            "the frequencies", "ascending and not negative", got, sheet.place(columns[0]), step
-        )
-    return np.asarray(freq)
+        raise KinematicsError.of("the frequencies", "ascending and not negative", got, sheet.place(), step)
 
 
 def _recording(

@@ -5,9 +5,11 @@ Each writes an array [z, y, x] with voxels of `SPACING` and returns the path to 
 
 from __future__ import annotations
 
+import itertools
 import json
 import locale
 import struct
+import zlib
 
 import numpy as np
 import SimpleITK as sitk
@@ -104,10 +106,20 @@ def nrrd(path, array, big=False, **fields):
         "spacings": " ".join(f"{s:g}" for s in SPACING),
     } | fields
     text = "NRRD0004\n# made for a test\n" + "".join(f"{k}: {v}\n" for k, v in told.items() if v is not None)
-    path.write_bytes(
-        text.encode() + b"\n" + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
-    )
+    voxels = array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
+    if told["encoding"] in ("ascii", "txt"):
+        voxels = in_words(array)
+    if told["encoding"] == "hex":
+        digits = voxels.hex()
+        voxels = "\n".join(digits[k : k + 35] for k in range(0, len(digits), 35)).encode()
+    path.write_bytes(text.encode() + b"\n" + voxels)
     return path
+
+
+def in_words(array):
+    """The numbers of an array as text, a row a line."""
+    rows = array.reshape(-1, array.shape[-1]).tolist()
+    return "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
 
 
 def meta(path, array, big=False, data=None, **fields):
@@ -124,7 +136,18 @@ def meta(path, array, big=False, data=None, **fields):
     } | fields
     text = "".join(f"{k} = {v}\n" for k, v in told.items() if v is not None)
     voxels = array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
+    if told["BinaryData"] == "False":
+        voxels = in_words(array)
     path.write_bytes(f"{text}ElementDataFile = {data or 'LOCAL'}\n".encode() + (b"" if data else voxels))
+    return path
+
+
+def analyze(path, array, big=False):
+    """A header of Analyze 7.5: that of NIfTI without its magic, its voxels beside it."""
+    nifti(path, array, big)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:344] + bytes(4))
+    path.with_suffix(".img").write_bytes(whole[352:])
     return path
 
 
@@ -303,20 +326,47 @@ def vgi(path, array, parts=1, unit="mm", skip=0):
     return path
 
 
-def amira(path, array, big=False, unit="mm"):
+def amira(path, array, big=False, unit="mm", form="BINARY", materials=()):
     kinds = {"u1": "byte", "i2": "short", "u2": "ushort", "i4": "int", "f4": "float", "f8": "double"}
-    far = (np.array(array.shape[::-1]) - 1) * SPACING * {"um": 1e3}.get(unit, 1.0)
+    far = (np.array(array.shape[::-1]) - 1) * SPACING * {"um": 1e3, "µm": 1e3}.get(unit, 1.0)
     box = " ".join(f"0 {v:g}" for v in far)
     coordinates = f'    Units {{\n        Coordinates "{unit}"\n    }}\n' if unit else ""
+    if materials:
+        listed = "".join(
+            f"        {name} {{\n            Id {k}\n        }}\n" for k, name in enumerate(materials)
+        )
+        coordinates += f"    Materials {{\n{listed}    }}\n"
+    voxels = array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
+    packed = {"ASCII": in_words(array), "HxZip": zlib.compress(voxels), "HxByteRLE": byte_runs(voxels)}
+    data = packed.get(form, voxels)
+    packing = f"({form},{len(data)})" if form.startswith("Hx") else ""
+    first = "ASCII" if form == "ASCII" else "BINARY" if big else "BINARY-LITTLE-ENDIAN"
     text = (
-        f"# Avizo BINARY{'' if big else '-LITTLE-ENDIAN'} 2.1\n\n\n"
+        f"# Avizo {first} 2.1\n\n\n"
         f"define Lattice {' '.join(map(str, array.shape[::-1]))}\n\nParameters {{\n{coordinates}"
         f'    Content "5x6x7 {kinds[array.dtype.str[1:]]}, uniform coordinates",\n'
         f'    BoundingBox {box},\n    CoordType "uniform"\n}}\n\n'
-        f"Lattice {{ {kinds[array.dtype.str[1:]]} Data }} @1\n\n# Data section follows\n@1\n"
+        f"Lattice {{ {kinds[array.dtype.str[1:]]} Data }} @1{packing}\n\n# Data section follows\n@1\n"
     )
-    path.write_bytes(text.encode() + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
+    path.write_bytes(text.encode() + data)
     return path
+
+
+def byte_runs(data):
+    """Bytes as Amira packs them: a count and the byte it repeats, or 128 + a count and so many bytes."""
+    groups = [(byte, len(list(run))) for byte, run in itertools.groupby(data)]
+    packed, plain = bytearray(), bytearray()
+    for byte, count in groups:
+        if count == 1 and len(plain) < 127:
+            plain.append(byte)
+            continue
+        if plain:
+            packed += bytes([128 + len(plain)]) + plain
+            plain.clear()
+        while count:
+            packed += bytes([min(count, 127), byte])
+            count -= min(count, 127)
+    return bytes(packed + (bytes([128 + len(plain)]) + plain if plain else b""))
 
 
 def raw(path, array, big=False, header=0):

@@ -76,7 +76,8 @@ def test_workbooks_are_no_scans_of_a_vibrometer(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "got"), [((), "an empty folder"), (("a.txt", "b.jpg"), "2 files of other formats")]
+    ("files", "got"),
+    [((), "none"), (("b.jpg",), "none"), (("a.txt", "b.jpg"), "1 text files of other kinds")],
 )
 def test_a_folder_without_exports_is_refused_by_what_it_holds(tmp_path, files, got):
     for name in files:

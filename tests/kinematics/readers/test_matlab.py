@@ -298,7 +298,7 @@ def test_other_files_of_this_ending(tmp_path):
     with pytest.raises(StapeskitError, match="no HDF5 behind its header"):
         read(path)
     path.write_bytes(b"\0" * 200)
-    with pytest.raises(StapeskitError, match=r"a MATLAB file of version 5 to 7\.3"):
+    with pytest.raises(StapeskitError, match=r"a MATLAB file of version 4 to 7\.3"):
         read(path)
 
 

@@ -94,7 +94,7 @@ def test_a_mapping_names_the_columns_of_every_point(tmp_path):
         ("f,x Mag [dB],x Phase\n100,2,30\n", "", "the unit of x Mag"),
         ("f,x Mag,x Phase\n100,2,30\n", "", "the unit of x Mag"),
         ("f,x Mag [m],x Phase [grad]\n100,2,30\n", "", "the unit of the phase"),
-        ("f,x Mag [m],x Phase\n200,2,30\n100,2,30\n", "", "the frequencies"),
+        ("f,x Mag [m],x Phase\n200,2,30\n100,2,30\n150,2,30\n", "", "the frequencies"),
         ("f,x Mag [m],x Phase\n100,2,30\n200,2\n", "", "a row"),
         ("f,x Mag [m],x Phase\n100,2,30\n200,2,abc\n", "", "a cell"),
         (GOOD, '[[signal]]\nmagnitude = "xMag"\nphase = "x Phase"', "the column xMag"),
