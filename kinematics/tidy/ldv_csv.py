@@ -94,7 +94,7 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
     value = value.reshape(shape) / rate
     sd, relative, counts = _noise(table, columns, at, value, np.abs(rate))
-    notices = _absent(rows, table, at, shape)
+    notices = [*_absent(rows, table, at, shape), *_in_text_order(rows, table)]
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
         notices.append(Notice("sd_missing", f"{count} values have no {columns.sd} and were not used."))
@@ -164,6 +164,33 @@ def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) ->
     )
     end = " The last row stands within a sweep: was the file cut off?" if cut else ""
     return [Notice("rows_missing", text + end)]
+
+
+def _in_text_order(rows: Rows, table: Table) -> list[Notice]:
+    """Report bodies whose rows are in the order of text ("1000, 200") where another's are in that of numbers.
+
+    A column that was sorted alone looks so, and rows that were sorted whole.
+    """
+    sweep = rows.take * len(rows.body) + rows.channel
+    falls = (np.diff(rows.line) < 0) & (np.diff(sweep) == 0)
+    mixed = np.unique(rows.body[rows.channel[1:][falls]])
+    if len(mixed) in (0, len(np.unique(rows.body))):
+        return []
+    body = rows.body[rows.channel]
+    words = np.array([f"{value:.12g}" for value in rows.freq_hz])
+    names, notices = table.texts["body"].names, []
+    for number in mixed:
+        first = sweep[np.argmax(body == number)]
+        lines = words[rows.line[sweep == first]]
+        if np.array_equal(lines, np.sort(lines)):
+            text = (
+                f"the rows of {names[number]} in {table.file} are in the order of text "
+                f"({', '.join(lines[:3])}, ...), those of other bodies in that of numbers. If freq_hz was "
+                "sorted without the other columns, the values belong to other frequencies; rows that were "
+                "sorted whole are read correctly."
+            )
+            notices.append(Notice("text_order", text))
+    return notices
 
 
 def _complex(table: Table, columns: Columns) -> NDArray[np.complex128]:

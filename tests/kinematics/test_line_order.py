@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.mislabelled.line_order import rate_ratio, sorted_bodies, text_orders
+from kinematics.faults.mislabelled.line_order import Sorted, rate_ratio, sorted_bodies, text_orders
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from tests.kinematics.ligament import study
@@ -78,3 +78,20 @@ def test_500_clean_motions_are_not_called_sorted():
         noise, scale = np.exp(rng.uniform(np.log([0.002, 0.02]), np.log([0.05, 30.0])))
         motion = moved(2000 + seed, ("y",), float(rng.choice([0.0, 0.1, 0.3])), scale, noise, freq)
         assert not sorted_bodies(motion, 1)
+
+
+@pytest.mark.parametrize("bodies", [(0,), (1,), (0, 1)])
+def test_one_ligament_shows_few_lines_in_the_order_of_text(bodies):
+    """Twenty lines over four octaves: no course is smooth enough to tell."""
+    freq = np.round(np.geomspace(310.0, 6000.0, 20), 1)
+    order, what = next(text_orders(freq))
+    back = np.argsort(order)
+    for seed in range(6):
+        motion = moved(3100 + seed, ("y", "x"), freq=freq)
+        assert sorted_bodies(motion, 1) == []
+        wrong = motion
+        for body in bodies:
+            for run in range(2):
+                wrong = Sorted(run, body, back, what).undone(wrong, 1)
+        found = sorted_bodies(wrong, 1)
+        assert {(one.body, one.what) for one in found} == {(body, what) for body in bodies}

@@ -206,6 +206,21 @@ def test_ten_lines_show_one_body_in_rms(body):
     assert {code for codes in named for code in codes} == {"unit_slip"}
 
 
+@pytest.mark.parametrize("factor", [2.0, 0.4, 10.0])
+def test_another_range_of_one_body_in_one_run_is_named_or_nothing_is(factor):
+    named = 0
+    for seed in range(8):
+        motion = moved(300 + seed, ("y", "x", "z"), freq=np.geomspace(400.0, 5000.0, 30))
+        q, body = motion.q.copy(), seed % 2
+        q[1, body] *= factor
+        found = told(replace(motion, q=q))
+        expected = factor if body == 0 else 1.0 / factor
+        assert [code for code, _ in found] in ([], ["unit_slip"])
+        assert all(f"with base {expected:.4g} times as large in run 2 alone" in text for _, text in found)
+        named += bool(found)
+    assert named >= 6
+
+
 def test_too_few_lines_are_not_judged():
     assert ligament_test(moved(15, freq=np.linspace(400.0, 900.0, 8)), "stapes", "base") is None
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ ComplexArray = NDArray[np.complex128]
 _MODEL = 0.02
 # Misfits, 1 of right labels: others are tried above _BAD, and taken below _GOOD and _BETTER of the given.
 _BETTER, _GOOD, _BAD = 0.2, 2.0, 5.0
-# The same for amplitudes of one body in rms: a factor that is known leaves less to chance.
+# The same for amplitudes of one body in rms or another range: factors that are known leave less to chance.
 _LESS, _SLIP = 0.4, 2.0
+# Ratios of the ranges of vibrometers, in steps of 1, 2, 5; and of rms and peak values.
+_RANGES = tuple(x for r in (2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0) for x in (r, 1.0 / r))
 # Real values of a component beyond its unknowns in A, B and C. With 11 a wrong label is taken in 0.2 % of
 # 1200 motions that no ligament makes and in none of 800 right ones, with 7 in 0.5 %, with 3 in 2.7 %.
 _SPARE = 11
@@ -41,15 +43,15 @@ class Label:
     ----------
     kind : str
         ``right``, ``conjugate`` (one body), ``sign`` (one body), ``bodies`` (exchanged), ``amplitude`` (one
-        body in rms, the other in peak values), ``runs`` (of one body exchanged) or ``frequency`` (of one body
-        shifted).
+        body in rms, the other in peak values), ``range`` (of one body in one run of several), ``runs`` (of
+        one body exchanged) or ``frequency`` (of one body shifted).
     order : tuple of int
-        For ``runs``: which run of the base belongs to each run of the structure.
+        For ``runs``: which run of the base belongs to each run of the structure. For ``range``: the run.
     shift : int
         For ``frequency``: at which line later the rows of the base belong.
     factor : float
-        For ``amplitude`` and ``conjugate``: by what the rows of the base are to be multiplied. Conjugates of
-        velocities are those of displacements with the opposite sign.
+        For ``amplitude``, ``range`` and ``conjugate``: by what the rows of the base are to be multiplied.
+        Conjugates of velocities are those of displacements with the opposite sign.
     """
 
     kind: str
@@ -96,6 +98,46 @@ def ligament_test(motion: RigidMotion, structure: str, base: str) -> Ligament | 
     as well, with the opposite damping. Misfits count in units of the noise and of 2 % of the motion. Another
     label is taken when it explains the data to twice that, and leaves a fifth of what the given ones leave.
     """
+    data = _pair(motion, structure, base)
+    if data is None:
+        return None
+    misfit = {label: data.misfit(label) for label in _whole()}
+    given = misfit[Label("right")]
+    if given > _BAD:
+        misfit |= {label: data.misfit(label) for label in _labels(*data.structure.shape[:2])}
+    best = _best(misfit)
+    if (
+        given > _SLIP and best.kind == "right"
+    ):  # of many factors one fits by chance what another label explains
+        misfit |= {label: data.misfit(label) for label in _ranges(len(data.structure))}
+        best = _best(misfit)
+    return Ligament(best, misfit)
+
+
+def _best(misfit: dict[Label, float]) -> Label:
+    """Return the label that explains what those given do not, or ``right``."""
+    right = Label("right")
+    best = min(misfit, key=lambda label: misfit[label])
+    if best.kind in ("amplitude", "range"):
+        taken = misfit[right] > _SLIP and misfit[best] < min(_GOOD, _LESS * misfit[right])
+    else:
+        taken = joins_better(misfit[right], misfit[best])
+    return best if taken else right
+
+
+def ligament_misfit(motion: RigidMotion, structure: str, base: str) -> float | None:
+    """Return the misfit of one ligament to two bodies as they are labelled; None as of `ligament_test`."""
+    data = _pair(motion, structure, base)
+    return None if data is None else data.misfit(Label("right"))
+
+
+def joins_better(given: float, other: float) -> bool:
+    """Return whether a ligament that explains little of the data as given explains them in another way."""
+    return given > _BAD and other < min(_GOOD, _BETTER * given)
+
+
+def _pair(motion: RigidMotion, structure: str, base: str) -> _Pair | None:
+    """Return the motion of two bodies where both were measured; None with too few lines."""
     if structure not in motion.bodies or base not in motion.bodies:
         return None
     one, two = motion.bodies.index(structure), motion.bodies.index(base)
@@ -109,18 +151,9 @@ def ligament_test(motion: RigidMotion, structure: str, base: str) -> Ligament | 
     if 2 * runs * len(lines) < 3 * size + _SPARE:
         return None
     sd = standard_deviation(motion)[:, [one, two]][:, :, lines]
-    data = _Pair(motion.q[:, one][:, lines], motion.q[:, two][:, lines], sd, motion.freq_hz[lines])
     if not np.all(np.isfinite(sd)):
         return None
-    misfit = {label: data.misfit(label) for label in _whole()}
-    right = misfit[Label("right")]
-    if right > _BAD:
-        misfit |= {label: data.misfit(label) for label in _labels(runs, len(lines))}
-    best = min(misfit, key=lambda label: misfit[label])
-    bad, better = (_SLIP, _LESS) if best.kind == "amplitude" else (_BAD, _BETTER)
-    if not (right > bad and misfit[best] < min(_GOOD, better * right)):
-        best = Label("right")
-    return Ligament(best, misfit)
+    return _Pair(motion.q[:, one][:, lines], motion.q[:, two][:, lines], sd, motion.freq_hz[lines])
 
 
 def _whole() -> list[Label]:
@@ -137,6 +170,11 @@ def _labels(runs: int, lines: int) -> Iterator[Label]:
     for shift in range(-_REACH, _REACH + 1):
         if shift and lines > 8 * _REACH:
             yield Label("frequency", shift=shift)
+
+
+def _ranges(runs: int) -> Iterator[Label]:
+    for run, factor in product(range(runs if runs > 1 else 0), _RANGES):
+        yield Label("range", (run,), factor=factor)
 
 
 @dataclass(frozen=True)
@@ -156,6 +194,10 @@ class _Pair:
             b = -b
         elif label.kind == "amplitude":
             b, spread = b * label.factor, spread * np.array([1.0, label.factor])[:, None, None]
+        elif label.kind == "range":
+            b, spread = b.copy(), spread.copy()
+            b[label.order[0]] *= label.factor
+            spread[label.order[0], 1] *= label.factor
         elif label.kind == "bodies":
             s, b, spread = b, s, spread[:, ::-1]
         elif label.kind == "runs":

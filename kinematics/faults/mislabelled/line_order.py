@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import CORRECTED, Correction
 from kinematics.faults.findings import Finding
+from kinematics.faults.mislabelled.exchanged_bodies import joins_better, ligament_misfit
 from kinematics.measurement import Measurement
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
@@ -55,14 +56,15 @@ class Sorted:
     run, body : int
     lines : ndarray, (freq,), int
         From which line the readings of each line are to be taken.
-    what : str
-        What was sorted.
+    what, because : str
+        What was sorted, and what shows it.
     """
 
     run: int
     body: int
     lines: Order
     what: str
+    because: str = "the motion jumps from line to line and is smooth in the other order"
 
     def notice(self, motion: RigidMotion) -> Notice:
         """Return the warning, by the names of the files."""
@@ -71,8 +73,7 @@ class Sorted:
         return Notice(
             "label_swap",
             f"{self.what} of {motion.bodies[self.body]}{where} look sorted as text ({words}, ...) and not as "
-            "numbers: the motion jumps from line to line and is smooth in the other order. Sort both columns "
-            "together.",
+            f"numbers: {self.because}. Sort both columns together.",
         )
 
     def correction(self, placed: Measurement) -> Correction:
@@ -103,7 +104,9 @@ class Sorted:
         return replace(motion, q=q, covariance=covariance)
 
 
-def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
+def sorted_bodies(
+    motion: RigidMotion, derivatives: int, structure: str = "stapes", base: str = "base"
+) -> list[Sorted]:
     """Return the bodies whose lines stand in the order of text.
 
     Parameters
@@ -111,6 +114,8 @@ def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
     motion : RigidMotion
     derivatives : int
         Time derivatives in what was measured.
+    structure, base : str
+        Bodies that one ligament joins.
     """
     found = []
     sd, orders = standard_deviation(motion), list(text_orders(motion.freq_hz))
@@ -118,6 +123,34 @@ def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
         told = _text_order(motion, sd, orders, (run, body), derivatives)
         if told is not None:
             found.append(Sorted(run, body, *told))
+    if not found and orders and {structure, base} <= set(motion.bodies):
+        return _by_ligament(motion, orders, derivatives, (structure, base))
+    return found
+
+
+def _by_ligament(
+    motion: RigidMotion, orders: list[tuple[Order, str]], derivatives: int, pair: tuple[str, str]
+) -> list[Sorted]:
+    """Return the bodies, all runs alike, that one ligament joins in the order of text and not as given.
+
+    That takes no smooth course: lines may be few or far apart.
+    """
+    given = ligament_misfit(motion, *pair)
+    if given is None:
+        return []
+    one, two = (motion.bodies.index(name) for name in pair)
+    best, found = given, list[Sorted]()
+    because = "no ligament joins the two bodies with the lines as they stand, and one does in the other order"
+    for (lines, what), bodies in product(orders, ((one,), (two,), (one, two))):
+        tried = [
+            Sorted(run, body, lines, what, because) for run, body in product(range(len(motion.runs)), bodies)
+        ]
+        right = motion
+        for one_sorted in tried:
+            right = one_sorted.undone(right, derivatives)
+        misfit = ligament_misfit(right, *pair)
+        if misfit is not None and misfit < best and joins_better(given, misfit):
+            best, found = misfit, tried
     return found
 
 

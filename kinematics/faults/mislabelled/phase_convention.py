@@ -170,6 +170,14 @@ def _relabelled(
             f"{left}, but one would with {base} {label.factor:.4g} times as large: {rms} looks given in rms "
             f"and {peak} in peak values. Name the columns of {rms} amp_rms or give all in peak values.",
         )
+    if label.kind == "range":
+        run = motion.runs[label.order[0]]
+        return Notice(
+            "unit_slip",
+            f"{left}, but one would with {base} {label.factor:.4g} times as large in run {run} alone: one of "
+            "the two bodies looks measured in another range or unit there. Check the ranges of the "
+            f"vibrometer, and correct the values of that body in run {run}.",
+        )
     if label.kind == "conjugate":
         test = phase_test(_conjugated(motion, base, label.factor), mass, structure, base)
         which = structure if test is not None and test.deviations < 0.0 else base

@@ -428,3 +428,16 @@ def test_columns_of_one_name_are_found_among_many(tmp_path):
     with pytest.raises(StapeskitError, match="im_m_s, re_m_s twice"):
         read_ldv(path)
     assert time.process_time() - begun < 5.0
+
+
+@pytest.mark.parametrize("other", ["90 200 1000", "1000 200 90"])
+def test_rows_of_one_body_in_the_order_of_text_are_reported(tmp_path, other):
+    rows = [f"a,1,0,0,0,y,{freq},1,2" for freq in ("1000", "200", "90")]
+    rows += [f"b,1,0,0,0,y,{freq},1,2" for freq in other.split()]
+    read = read_ldv(table(tmp_path, rows=rows))
+    texts = [notice.text for notice in read.notices if notice.code == "text_order"]
+    assert len(texts) == (other == "90 200 1000")
+    assert all(
+        "the rows of a in ldv.csv are in the order of text (1000, 200, 90, ...)" in text for text in texts
+    )
+    assert read.freq_hz.tolist() == [90.0, 200.0, 1000.0]
