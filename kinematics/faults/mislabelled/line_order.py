@@ -48,7 +48,7 @@ def rate_ratio(order: Order, freq_hz: Array, derivatives: int) -> Array:
 
 @dataclass(frozen=True)
 class Sorted:
-    """A body whose lines stand in the order of text.
+    """A body whose lines are sorted as text.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Sorted:
 
 
 def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
-    """Return the bodies whose lines stand in the order of text.
+    """Return the bodies whose lines are sorted as text.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ def sorted_bodies(motion: RigidMotion, derivatives: int) -> list[Sorted]:
     found = []
     sd, orders = standard_deviation(motion), list(text_orders(motion.freq_hz))
     for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
-        told = _text_order(motion, sd, orders, (run, body), derivatives)
-        if told is not None:
-            found.append(Sorted(run, body, *told))
+        order = _text_order(motion, sd, orders, (run, body), derivatives)
+        if order is not None:
+            found.append(Sorted(run, body, *order))
     return found
 
 
