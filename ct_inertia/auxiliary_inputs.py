@@ -26,7 +26,7 @@ class SmallInputs:
 
 
 def read_small_inputs(options: MassOptions) -> SmallInputs:
-    """Read the files that the options name beside the scan and its labels.
+    """Read the files of the options other than the scan and its labels.
 
     Raises
     ------

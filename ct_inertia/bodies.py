@@ -209,7 +209,7 @@ class Bodies:
     frame_noise_mm4 : float
         Spectral density of its height noise at long waves, as far as neighbouring voxels share noise.
     frame_doubt : Surface or None
-        The same surface, less of what is soft around the stapes taken off by a standard deviation.
+        The same surface, with less soft tissue subtracted, by one standard deviation.
     wall : WindowWall or None
         Surface of other bone near the stapes.
     plate : Surface or None

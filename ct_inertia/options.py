@@ -79,7 +79,7 @@ def _unused_with_mesh(name: str) -> Rule:
 
 
 def _unused_with_labels(name: str) -> Rule:
-    """Return the rule that what seeks the stapes is not given beside labels."""
+    """Return the rule that labels exclude options which seek the stapes."""
     rule = excludes(name, "labels", "which say where the stapes is", f"Leave out {{{name}}} or {{labels}}")
     return Rule(
         lambda v: rule.breaks(v) and not is_mesh(v.scan), rule.thing, rule.expected, "", rule.next_step, name

@@ -86,7 +86,7 @@ def read_labels(
 ) -> Volume:
     """Open a label volume of any format and hold its voxels in memory.
 
-    Its file's own spacing stands; ``spacing_mm``, that of the scan, serves where it has none.
+    The spacing of its own file counts; ``spacing_mm``, that of the scan, is used where it has none.
 
     Raises
     ------

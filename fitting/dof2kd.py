@@ -77,7 +77,7 @@ def dof2kd(
     FittingError, KinematicsError
         A file or an option is at fault, or changes while it is read, or the files do not belong together.
     StapeskitError
-        An output is an input, or a file of another origin stands at its name.
+        An output is an input, or a file of another origin has its name.
     """
     out = json_name(out)
     motion_path, mass_path = Path(motion_path), Path(mass_path)
@@ -116,7 +116,7 @@ def plan2kd(
     FittingError, KinematicsError
         The plan is at fault.
     StapeskitError
-        An output is an input, or a file of another origin stands at its name.
+        An output is an input, or a file of another origin has its name.
     """
     out = json_name(out)
     plan, mass_file = read_plan(path)

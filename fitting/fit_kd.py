@@ -55,7 +55,7 @@ from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice, unique
 
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
-# there is no profile; the Fisher intervals, which are enormous then, stand alone.
+# there is no profile; only the Fisher intervals, which are enormous then, are given.
 _HOPELESS = 3.0
 # Laws that are fitted to a misfit, out of those that are compared: the search for its cause begins at one of
 # them, and the fits with a mass of fluid try all. Chosen by judgement, to save time; tried on two simulated

@@ -146,7 +146,7 @@ class RecordNoise:
     points : tuple of (str, str)
         Body and name of every point of the record; all their channels share it.
     sd : ndarray, (freq,)
-        Relative standard deviation of the real (= imaginary) part; it stands in the sd of the channels, too.
+        Relative standard deviation of the real (= imaginary) part; the sd of the channels contains it, too.
     """
 
     run: int
@@ -293,7 +293,7 @@ def from_arrays(
     frame, order, runs
         As in Measurement.
     overwrite : bool
-        Turn complex ``value`` arrays into displacements in place, so that the data stand in memory once.
+        Turn complex ``value`` arrays into displacements in place, so that memory holds the data once.
         Displacements (order 0) are never copied.
     """
     factor = (2j * np.pi * np.asarray(freq_hz, dtype=float)) ** order

@@ -70,7 +70,7 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
     Raises
     ------
     PipelineError
-        Two studies have one place, another file stands at a place or in a copied folder, or the table of
+        Two studies have one destination, another file is there or in a copied folder, or the table of
         participants contradicts a study. Nothing has been copied then.
     """
     dataset = Path(dataset)
@@ -130,7 +130,7 @@ def _files(source: Path, target: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def _is_other(target: Path, content: Path | bytes) -> bool:
-    """Return whether something else than the copy stands at its place."""
+    """Return whether the destination holds anything but the copy."""
     if not os.path.lexists(target):
         return False
     if not target.is_file():

@@ -196,7 +196,7 @@ def _style(text: str) -> dict[str, str]:
 
 
 def _transform(text: str) -> Transform:
-    """Return the transform of an attribute: what stands last is done first."""
+    """Return the transform of an attribute: the last operation is applied first."""
     from matplotlib.transforms import Affine2D
 
     whole: Transform = Affine2D()

@@ -106,7 +106,7 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
     Raises
     ------
     StapeskitError
-        There is no such page, it holds neither figure nor table, or files of another origin stand in the way.
+        No such page, neither figure nor table in it, or the name of an output is taken by another file.
     """
     parts = _parts(page)
     files = {f"{name}.{kind}": content for name, kind, content in parts.figures}

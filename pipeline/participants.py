@@ -1,4 +1,4 @@
-"""The table of participants of a dataset: rows and columns are added, what stands there stays."""
+"""The table of participants of a dataset: adds rows and columns, keeps existing ones."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _PARTS: dict[str, dict[str, str]] = {
         "segmentation": "Segmentation",
         "mass_matrix": "Mass matrix M",
         "mass_uncertainty": "Uncertainty of M",
-        "literature": "The stapes beside the literature",
+        "literature": "The stapes compared with the literature",
     },
     "Motion": {
         "points_and_beams": "Points and beams",

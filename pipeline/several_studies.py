@@ -24,7 +24,7 @@ from stapeskit.warnings import Notice
 
 @dataclass(frozen=True)
 class CohortChoices:
-    """What a cohort is made of beside its studies.
+    """Choices of a cohort in addition to its studies.
 
     Attributes
     ----------
@@ -195,6 +195,6 @@ def _run_all(
         done = [name for name, end in ends.items() if not end.code]
         if not done:
             raise
-        text = f"interrupted; the finished studies stand in {out}: {', '.join(done)}."
+        text = f"interrupted; the finished studies are in {out}: {', '.join(done)}."
         raise KeyboardInterrupt(text) from stop
     return {name: ends[name] for name in studies}

@@ -29,7 +29,7 @@ class Stage:
     ----------
     name, title : str
     table : str
-        Table of the study file that its options stand in.
+        Table of the study file that holds its options.
     rooms : tuple of str
         Packages and files whose code its outputs depend on.
     inputs : callable

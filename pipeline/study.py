@@ -116,7 +116,7 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     try:
         tables = parse_toml(text)
     except ValueError as fault:
-        step = "Texts and paths stand in quotes, numbers have decimal points"
+        step = "Write texts and paths in quotes, numbers with decimal points"
         if "\\" in text:
             step = "Write paths with / instead of \\, or in single quotes"
         raise PipelineError.of("the study file", "valid TOML", fault, name, step) from fault

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-from stapeskit.warnings import Notice
+from stapeskit.warnings import VERDICTS, Notice, table
 
-BELIEVE, CHECK, DO_NOT_USE = "believe", "check", "do not use"
+BELIEVE = "believe"
+_INFORMATION, CHECK, DO_NOT_USE = VERDICTS
 _ORDER = (BELIEVE, CHECK, DO_NOT_USE)
 # Above this share of its value a standard deviation leaves a diagonal entry of K or D nearly unknown; a
 # stiffness whose standard deviation exceeds it is undetermined.
 _MOST_RELATIVE_SD, _UNDETERMINED = 0.3, 1.0
+# Pairs of codes that forbid the use together; each alone calls for a check. Residuals beyond the noise widen
+# the standard deviations, which covers noise that was stated too small and a body that bends a little. Where
+# K and D change over the band as well, the one pair of matrices is wrong, and widening does not cover that.
+_TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
 
 
 @dataclass(frozen=True)
@@ -44,17 +46,12 @@ class Verdict:
     reasons: tuple[Reason, ...]
 
 
-@cache
-def _lists() -> dict[str, Any]:
-    return tomllib.loads(Path(__file__).with_name("verdict.toml").read_text(encoding="utf-8"))
-
-
-def levels(codes: Collection[str] = ()) -> dict[str, str]:
-    """Return the verdict that each warning code leads to, given all codes of a study."""
-    lists = _lists()
-    together = [code for pair in lists["do_not_use_together"] if set(pair) <= set(codes) for code in pair]
-    listed = dict.fromkeys(lists["information"], BELIEVE)
-    return listed | dict.fromkeys([*lists["do_not_use"], *together], DO_NOT_USE)
+def _level(code: str, codes: Collection[str]) -> str:
+    """Return the verdict that a warning leads to, given all codes of a study."""
+    if any(code in pair and set(pair) <= set(codes) for pair in _TOGETHER):
+        return DO_NOT_USE
+    level = table()[code].verdict if code in table() else CHECK
+    return BELIEVE if level == _INFORMATION else level
 
 
 def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
@@ -68,8 +65,7 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
     """
     notices = list(notices)
     codes = {notice.code for notice in notices}
-    level_of = levels(codes)
-    reasons = [Reason(level_of.get(notice.code, CHECK), notice.code, notice.text) for notice in notices]
+    reasons = [Reason(_level(notice.code, codes), notice.code, notice.text) for notice in notices]
     if not kd["stable"] and "unstable" not in codes:
         reasons.append(Reason(DO_NOT_USE, "", "The system of M, K and D is unstable."))
     if not all(kd["passive"].values()) and "not_passive" not in codes:

@@ -53,7 +53,7 @@ def take_algebra_buffers() -> None:
 
     OpenBLAS takes its buffer at its first product, and where there is no room it ends the process with its
     own message, waits for ever or reads address 0 (github.com/OpenMathLib/OpenBLAS/issues/295 and 5289). A
-    command calls this first, while a lack of room can still be said; later products use the same buffer.
+    command calls this first, while a lack of memory can be reported; later products use the same buffer.
     numpy and scipy bring one library each.
 
     Raises

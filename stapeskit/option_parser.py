@@ -66,7 +66,7 @@ class Parser(argparse.ArgumentParser):
     ----------
     prog, description, epilog : str
     *tables : type
-        Tables of options; positional ones stand in their order.
+        Tables of options; positional options keep their order.
     rules : tuple of Rule
         What options of different tables must not say together.
     """

@@ -199,8 +199,8 @@ class Rule:
 
 
 def excludes(name: str, other: str, why: str = "", next_step: str = "Leave one of the two out") -> Rule:
-    """Return the rule that an option is not given beside another."""
-    expected = f"left out beside {{{other}}}" + (f", {why}" if why else "")
+    """Return the rule that an option excludes another one."""
+    expected = f"left out when {{{other}}} is given" + (f", {why}" if why else "")
     return Rule(
         lambda v: v.has(name) and v.has(other), f"{{{name}}}", expected, next_step=next_step, shows=name
     )

@@ -168,7 +168,7 @@ class OutputSet:
         got = [f"{_listed(edited)}, edited since"] if edited else []
         got += [f"{_listed(others)}, which it is not known to have written"] if others else []
         steps = [self.hints[name] for name in edited if name in self.hints]
-        steps.append(f"{self._elsewhere}, or let --force replace what stands there")
+        steps.append(f"{self._elsewhere}, or let --force replace the files there")
         thing = f"the files in {self.folder} at the names of outputs"
         return Fault(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
 

@@ -60,7 +60,7 @@ class Result:
         Raises
         ------
         StapeskitError
-            An output is an input, or a file of another origin stands at its name.
+            An output is an input, or a file of another origin has its name.
         """
 
     @property

@@ -12,6 +12,8 @@ from pathlib import Path
 
 ROOMS = ("ct_inertia", "kinematics", "fitting", "pipeline", "stapeskit")
 """In the order of the page."""
+VERDICTS = ("information", "check", "do not use")
+"""What a warning means for the use of a study."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +38,14 @@ class WarningEntry:
     room : str
         The package that gives the warning, one of `ROOMS`.
     what_to_do : str
+    verdict : str
+        On a study that has the warning, one of `VERDICTS`.
     """
 
     meaning: str
     room: str
     what_to_do: str
+    verdict: str = "check"
 
 
 @cache
@@ -76,14 +81,25 @@ def page() -> str:
         "",
         "Every warning has a stable code and a text. Both are on the terminal, in the report and in the JSON "
         'results (`"warnings": [{"code", "text"}]`). The text gives the numbers of the case; this page says '
-        "what the code means and what can be done. Warnings of a step travel with its results into the next.",
+        "what the code means and what can be done. Warnings of a step travel with its results into the next. "
+        "The last column is the verdict on a study that has the warning: `information` (the numbers can be "
+        "used), `check` (look before you use them), or `do not use`.",
         "",
         "Options are written as on the command line; `scan2kd --template` shows their keys in a study file.",
     ]
     for room in ROOMS:
-        lines += ["", f"## {room} ({commands[room]})", "", "| code | meaning | what to do |", "|---|---|---|"]
+        lines += [
+            "",
+            f"## {room} ({commands[room]})",
+            "",
+            "| code | meaning | what to do | study |",
+            "|---|---|---|---|",
+        ]
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)
-        lines += [f"| `{code}` | {entry.meaning} | {entry.what_to_do} |" for code, entry in entries]
+        lines += [
+            f"| `{code}` | {entry.meaning} | {entry.what_to_do} | {entry.verdict} |"
+            for code, entry in entries
+        ]
     return "\n".join(lines) + "\n"
 
 

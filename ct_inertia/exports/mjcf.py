@@ -49,5 +49,5 @@ def write(body: ExportBody, folder: Path) -> list[str]:
 
 
 def comment(text: str) -> str:
-    """Return text that may stand in an XML comment."""
+    """Make a text fit for an XML comment."""
     return re.sub("-(?=-|$)", "- ", text)

@@ -137,11 +137,11 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
         return Orientation(sign, "no hint: scan x", (*notices, Notice("anterior_not_given", text)))
     signs = {sign for sign, _ in votes}
     if len(signs) > 1:
-        told = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
+        statements = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
         raise CtInertiaError.of(
             "the anatomical hints",
             "of one mind about which end of the footplate is anterior",
-            told,
+            statements,
             next_step="Correct the wrong one; a wrong {side} or a mirrored scan ({mirror}) does this to "
             "superior and inferior",
         )
@@ -172,7 +172,7 @@ def _votes(
             )
         if angle > _WEAK_DEG:
             text = (
-                f"{named('anterior')} stands {angle:.0f} degrees off the long axis of the footplate; "
+                f"{named('anterior')} is {angle:.0f} degrees off the long axis of the footplate; "
                 "its sign is weak."
             )
             notices.append(Notice("anterior_weak", text))

@@ -128,8 +128,8 @@ def _text(path: Path) -> str:
 
 def _signs(system: object, file: str) -> Array:
     """Return the signs (3,) that lead to LPS."""
-    told = {"0": "RAS", "1": "LPS"}.get(str(system), str(system)).upper()
-    if told not in _LPS_FROM:
+    written = {"0": "RAS", "1": "LPS"}.get(str(system), str(system)).upper()
+    if written not in _LPS_FROM:
         raise CtInertiaError.of(
             "the coordinate system",
             "LPS or RAS",
@@ -137,7 +137,7 @@ def _signs(system: object, file: str) -> Array:
             file,
             next_step="Save the markups in one of the two",
         )
-    return _LPS_FROM[told]
+    return _LPS_FROM[written]
 
 
 def _slicer_json(path: Path) -> Named:
@@ -167,12 +167,12 @@ def _markups_signs(markups: dict[str, Any], file: str) -> Array:
     return _signs(markups.get("coordinateSystem", "LPS"), file) * factor
 
 
-def _mm_per_unit(told: object, file: str) -> float:
-    units = {str(unit) for unit in (told if isinstance(told, list) else [told])}
-    factor = mm_per_unit(units.pop()) if len(units) == 1 else None
+def _mm_per_unit(units: object, file: str) -> float:
+    names = {str(unit) for unit in (units if isinstance(units, list) else [units])}
+    factor = mm_per_unit(names.pop()) if len(names) == 1 else None
     if factor is None:
         raise CtInertiaError.of(
-            "coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm"
+            "coordinateUnits", "one unit of length", units, file, next_step="Save the markups in mm"
         )
     return factor
 
@@ -207,7 +207,7 @@ def _slicer_fcsv(path: Path) -> Named:
             continue
         if not line.strip():
             continue
-        # Labels with commas stand in quotes.
+        # Labels with commas are quoted.
         cells = dict(zip(columns, next(csv.reader([line])), strict=False))
         if "label" not in cells:
             raise CtInertiaError.of(

@@ -262,10 +262,10 @@ def _means(grey: Array, where: NDArray[np.bool_]) -> Array:
 
 def _spread(means: Array) -> float:
     """Return how far the means of columns scatter, safe from a minority of others."""
-    told = means[np.isfinite(means)]
-    if len(told) == 0:
+    known = means[np.isfinite(means)]
+    if len(known) == 0:
         return float("inf")
-    return max(1.4826 * float(np.median(np.abs(told - np.median(told)))), 1e-12)
+    return max(1.4826 * float(np.median(np.abs(known - np.median(known)))), 1e-12)
 
 
 def _squares(flat: Array) -> NDArray[np.intp]:
@@ -278,10 +278,10 @@ def _squares(flat: Array) -> NDArray[np.intp]:
 
 def _darkest(squares: NDArray[np.intp], means: Array, spread: float) -> float:
     """Return the level of air from the darkest tenth of the squares: the blur of bone near by only adds."""
-    told = np.isfinite(means)
-    count = np.bincount(squares, told)
+    known = np.isfinite(means)
+    count = np.bincount(squares, known)
     large = count >= max(0.5 * float(np.median(count[squares])), 1.0)
-    total = np.bincount(squares, np.where(told, means, 0.0))
+    total = np.bincount(squares, np.where(known, means, 0.0))
     values = total[large] / count[large]
     if len(values) == 0:
         return float("nan")
@@ -305,9 +305,9 @@ def _alone(
 
     By means over squares of columns: single ones are too noisy to tell the foot of the blur of bone near by.
     """
-    told = np.isfinite(means)
-    count = np.bincount(squares, told)
-    total = np.bincount(squares, np.where(told, means - level, 0.0))
+    known = np.isfinite(means)
+    count = np.bincount(squares, known)
+    total = np.bincount(squares, np.where(known, means - level, 0.0))
     limit = _BESIDE_NOISE * spread
     alone = np.abs(total) <= limit * np.sqrt(count) + 1e-12
     return np.asarray(alone[squares]), limit / float(np.sqrt(max(np.median(count[squares]), 1.0)))

@@ -49,7 +49,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     Raises
     ------
     CtInertiaError
-        A column is missing, a cell is empty, a name stands twice, or there are fewer than 3 points.
+        A column is missing, a cell is empty, a name is repeated, or there are fewer than 3 points.
     """
     columns: list[str] = []
 

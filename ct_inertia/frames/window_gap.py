@@ -137,7 +137,7 @@ def _deviation(lifted_mm: float, gap_mm: float, wall: WindowWall) -> float:
     Parameters
     ----------
     lifted_mm : float
-        How far both surfaces were moved to where they stand without the blur.
+        Shift of both surfaces that corrects the blur.
     gap_mm : float
     wall : WindowWall
 

@@ -57,13 +57,13 @@ class BareBone:
     face : FaceFit or None
         The plate's face, where one was fitted.
     displaced : ndarray of float32, [z, y, x], or None
-        What was given back where bone stands in the plastic's place.
+        Grey values given back where bone displaces the plastic.
     coat, suspected : CoatImage or None
         The coat that was stated, or the usual one where edges look coated and none was stated.
     voids : Voids or None
     soft : SoftTissue or None
     unfitted_plate : bool
-        Plastic touches the stapes and has no face: it was taken off like something soft.
+        Plastic touches the stapes and has no face: it was subtracted like soft tissue.
     """
 
     cut: Cut
@@ -205,7 +205,7 @@ def _without_plate(
 ) -> tuple[Cut, FaceFit | None, Field | None]:
     """Subtract the plate's blurred face from the grey values near the stapes.
 
-    The third value is what was given back where bone stands in the plastic's place.
+    The third value holds the grey values given back where bone displaces the plastic.
     """
     (air, plastic, sigma), cut = start, ready.cut
     if plastic is None:

@@ -75,8 +75,8 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
     -----
     Depths are between voxel centres and the first centre outside; the surface lies half a voxel nearer.
     What blur is left at depth d under a plane surface, 1 - Phi(d / s), is added back. A level that changes
-    linearly through the bone is told by its slope, what varies beyond that by the scatter between cells of
-    a few voxels; both only as far as noise does not explain them.
+    linearly through the bone is described by its slope, further variation by the scatter between cells of a
+    few voxels; both only as far as noise does not explain them.
     """
     box = _box_of(around.bone)
     inside = around.bone[box]

@@ -74,7 +74,7 @@ def find_cupping(
     What a scanner's own correction leaves of beam hardening is a paraboloid about the axis of rotation
     (Ketcham and Carlson 2001, doi:10.1016/S0098-3004(00)00116-3). Grey values are fitted by a level, a slope
     along each axis, a square along z and the squared distance from the axis: a density that changes along
-    the bone, evenly or not, is none. With a slope of its own the fit does not ask where the axis stands.
+    the bone, evenly or not, is none. With a slope of its own the fit does not need the position of the axis.
     """
     step = max(1, len(values) // _MOST)
     grey, places = values[::step], places_mm[::step]

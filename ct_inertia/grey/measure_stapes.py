@@ -68,7 +68,7 @@ class Measured:
         Surface of other bone in the box, found in the background.
     notices : tuple of Notice
     doubt : ndarray of float32, [z, y, x], or None
-        By how much the share may be wrong at once, where something soft or the plate was taken off.
+        Common error of the share of bone where soft tissue or the plate was subtracted.
     coat_share : float or None
         Volume of the subtracted coat's image over that of the stapes.
     """
@@ -191,7 +191,7 @@ def _integrated(
 def _by_tails(parted: NeighbourSeparation, cut: Cut, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) of what blur carries between close bodies, known to a part of itself.
 
-    Each eighth of the border stands for itself.
+    The eighths of the border have independent errors.
     """
     covariance = np.zeros((10, 10))
     for share in (parted.foreign, parted.behind):

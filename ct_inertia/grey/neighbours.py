@@ -249,7 +249,7 @@ class ThroughBone:
             "cut in "
             f"the report; labels drawn by hand ({named('labels')}) correct it."
         )
-        told = [Notice("cut_through_bone", text)]
+        notices = [Notice("cut_through_bone", text)]
         share = float(np.sqrt(self.covariance[0, 0])) / volume_mm3
         if self.at_neck or share > _WEAK_SHARE:
             where = "at a neck, the narrowest section near its end" if self.at_neck else "across bridges"
@@ -260,8 +260,8 @@ class ThroughBone:
                 f"by {100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, "
                 f"draw it ({named('labels')})."
             )
-            told.append(Notice("separation_weak", text))
-        return told
+            notices.append(Notice("separation_weak", text))
+        return notices
 
 
 def cut_through_bone(

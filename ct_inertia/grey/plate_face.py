@@ -269,7 +269,7 @@ def _refined(
 ) -> FaceFit | None:
     """Fit plane, levels and blur to the voxels across the face (Gauss-Newton with Tukey's weights).
 
-    Where bone leaves too little of the face free, the plane through the edge points (n, 3) stands.
+    Where bone leaves too little of the face free, the plane through the edge points (n, 3) is kept.
     """
     (normal, offset), (air, plastic, sigma) = plane, start
     under = _over_the_face(volume, cut, normal, offset, sigma)

@@ -52,7 +52,7 @@ class SoftTissue:
     grey : ndarray of float32, [z, y, x]
         The box's grey values as they would be with air in its place.
     taken : ndarray of float32, [z, y, x]
-        What was taken off, as a share of the contrast between bone and air.
+        What was subtracted, as a share of the contrast between bone and air.
     level : float
         Its typical grey value, as a share of that contrast.
     """
@@ -210,7 +210,7 @@ def soft_tissue_covariance(
 ) -> Array:
     """Return the covariance (10, 10) of the subtracted material, which has a relative standard deviation.
 
-    ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
+    ``own`` [z, y, x] are the voxels of the stapes. The eighths around the stapes have independent errors, and
     half of it is common to all. The level of something faint is known to a larger part of itself.
     """
     sd = float(np.hypot(_SD, _LEVEL_SD / max(soft.level, _LEVEL_SD)))
@@ -235,7 +235,7 @@ def soft_notices(soft: SoftTissue, own: NDArray[np.bool_], volume: Volume, momen
         return []
     text = (
         f"Something neither air nor bone lies against the stapes (ligament, fluid, glue or mucosa, about "
-        f"{100.0 * soft.level:.0f} % as bright as bone): {100.0 * share:.2g} % of the volume were taken off "
+        f"{100.0 * soft.level:.0f} % as bright as bone): {100.0 * share:.2g} % of the volume were subtracted "
         f"for it, and the budget holds what is not known of that (surroundings). Its own mass is left out: "
         f"name it with {named('add_mass')}; dry or clean the sample to be sure."
     )

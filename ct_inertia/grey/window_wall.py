@@ -44,8 +44,8 @@ def window_wall(
 
     Notes
     -----
-    Other bone has a contrast of its own; its half level is where its surface stands. The stapes' tail is
-    taken off it as its tail was taken off the stapes, and the grid is that of `frame_surface`.
+    Other bone has a contrast of its own; its surface is at its half level. The stapes' tail is
+    subtracted from it as its tail was subtracted from the stapes, and the grid is that of `frame_surface`.
     """
     if not np.any(cut.others):
         return None

@@ -20,7 +20,7 @@ from ct_inertia.volume.grid_operations import used_box
 from ct_inertia.volume.volume import Volume
 
 Index = NDArray[np.int64]
-# Layers that the smoothing of loud scans looks at beside its own.
+# Neighbouring layers that the smoothing of noisy scans uses.
 _HALO = 3
 
 

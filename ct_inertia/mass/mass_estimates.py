@@ -133,7 +133,7 @@ def at_uniform_density(body: MassProperties, moments: Moments) -> MassProperties
 def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
     """Warn where two ways give masses further apart than their standard deviations explain.
 
-    Where one of them has none, 5 % of the mass stand in for it.
+    Where one of them has none, 5 % of the mass replace it.
     """
     if not ways:
         return []

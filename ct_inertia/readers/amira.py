@@ -35,7 +35,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
     Notes
     -----
-    The bounding box joins the centres of the outer voxels. Its unit stands under ``Units``; where it does
+    The bounding box joins the centres of the outer voxels. Its unit is given by ``Units``; where it does
     not, the spacing must be given.
     """
     with path.open("rb") as stream:

@@ -29,9 +29,9 @@ class ZarrFiles:
     shape, stored : tuple of int
         Voxels of the array and of a file along every axis.
     separator : str
-        ``.`` or ``/``: what stands between the numbers of a file.
+        ``.`` or ``/``: the separator between the numbers of a file name.
     leading : tuple of str
-        What stands before them.
+        The prefix of the numbers.
     """
 
     folder: Path

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pictured:
-    """What the pictures need beside mass.json.
+    """What the pictures need in addition to mass.json.
 
     Attributes
     ----------

@@ -71,12 +71,12 @@ class CoarseSegmentation:
     between : float
         Grey value above which a voxel counts as bone.
     markers : Markers or None
-        Cores of the pieces, when they touch and had to be parted; numbered as in ``pieces``.
+        Cores of the pieces, when they touch and had to be separated; numbered as in ``pieces``.
     method : str
-        How the pieces were told apart.
+        How the pieces were separated.
     notices : tuple of Notice
     neck : Neck or None
-        The plane at a neck by which they were parted.
+        The plane at a neck by which they were separated.
     cropped : bool
         Bone that the border of the scan crops was cut off the stapes.
     """

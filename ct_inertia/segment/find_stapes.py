@@ -30,7 +30,7 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _ODD = calibrated("search.odd")
-# Largest bodies that are parted: for time only.
+# Most bodies that are split, the largest first: for time only.
 _MOST_WHOLES = 4
 _HALO_MM = calibrated("search.halo_mm")
 _LEAST_BEYOND = calibrated("search.least_beyond")

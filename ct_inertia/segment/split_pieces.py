@@ -83,7 +83,7 @@ class SplitPiece:
     depth_mm : float
         How far from the narrow gaps the parts still hang together by themselves.
     neck : Neck or None
-        The plane cut at a neck, where that is how they were parted.
+        The plane cut at a neck, where they were separated by one.
     cropped : bool
         The border of the scan crops the bone that was cut off.
     doubtful : bool
@@ -100,7 +100,7 @@ class SplitPiece:
 
     @property
     def method(self) -> str:
-        """How the parts were told from each other, in words."""
+        """How the parts were separated, in words."""
         if self.neck is not None:
             return f"parted at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
         if self.cropped:
@@ -271,7 +271,7 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
 def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array) -> Separation:
     """Give the stapes back what lies within its own hull and hangs together with it.
 
-    A gutter of a crus is a narrow gap as well, along which its wall is parted from the rest; at its ends
+    A gutter of a crus is a narrow gap as well, along which its wall is separated from the rest; at its ends
     ``solid`` bone [z, y, x] joins the two. A loose fragment between the crura has a valley all around.
     """
     small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < MOST_WALL_MM3]

@@ -81,7 +81,7 @@ def narrow_gaps(share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm:
 
     Notes
     -----
-    Two levels are used: the middle one for gaps that stand open in the image, a higher one for gaps of one
+    Two levels are used: the middle one for gaps that are open in the image, a higher one for gaps of one
     or two voxels, which the blur fills.
     """
     valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
@@ -104,7 +104,7 @@ class Separation:
     pieces : list of Piece
         From the largest to the smallest.
     neck : Neck or None
-        The plane, when they were parted by one at a neck.
+        The plane, when they were separated by one at a neck.
     cropped : bool
         The part beyond is bone that the border of the scan crops.
     doubtful : bool
@@ -137,7 +137,7 @@ def separate_bones(
     A gap between two bones is a dark sheet, with holes where bone bridges it. The distance from the sheet
     grows into both bones and is least, across a bridge, on the surface that continues the sheet: its
     watershed parts the bones there. A crus, however thin, lies far from every narrow gap, so that it is
-    not parted, which an erosion deep enough for the bridge would do.
+    not separated, which an erosion deep enough for the bridge would do.
     """
     gaps = narrow_gaps(held.pop(), bone, spacing_mm)
     box = used_box(bone)
@@ -176,7 +176,7 @@ def relabel(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np
 
 
 def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
-    """Return whether each of so many markers stands in a part of its own."""
+    """Return whether every marker is in a part of its own."""
     marked = markers > 0
     pairs = np.unique(labels[marked].astype(np.int64) * (count + 1) + markers[marked])
     return bool(len(pairs) == count == len(np.unique(labels[labels > 0])))

@@ -135,7 +135,7 @@ class Diffusion:
         Parameters
         ----------
         points : ndarray, (n, 3), optional
-            Vertices a little displaced, where the surface stands but not where its fields are diffused.
+            Vertices a little displaced, the position of the surface, on which fields are not diffused.
         """
         mesh = self.mesh if points is None else Mesh(points, self.mesh.faces)
         vectors = mesh.area_vectors / 3.0
@@ -200,7 +200,7 @@ def positive_patch(mesh: Mesh, field: Array, areas: Array, points: Array | None 
     areas : ndarray, (n,)
         Area of every vertex, mm2: says which set is the largest.
     points : ndarray, (n, 3), optional
-        Where the vertices stand in the result, when not where the mesh has them.
+        Positions of the vertices in the result, where they differ from those of the mesh.
     """
     inside = _largest_component(mesh, field > 0.0, areas)
     if inside is None:

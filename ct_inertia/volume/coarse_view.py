@@ -193,7 +193,7 @@ def material_levels(scan: CoarseScan) -> Array:
 
 
 def _modes(inside: Interior) -> Array:
-    """Return the peaks of the histogram that stand apart from each other."""
+    """Return the separate peaks of the histogram."""
     if inside.histogram.sum() < _LEAST_INTERIOR:
         return np.zeros(0)
     histogram = np.pad(inside.histogram.astype(float), _BINS)

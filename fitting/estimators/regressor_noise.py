@@ -5,7 +5,7 @@ C = Spp - G Ce^-1 G^H. So the Hessian H = sum Re(J^H J) that it makes is larger,
 true motion by N_kl = sum over lines of Re[conj(s_k) s_l tr(E_k Ce^-1 E_l C)], which is no information; it is
 however the spread of the scores. The covariance of the estimate is therefore (H - N)^-1 H (H - N)^-1 / 2 (the
 sandwich of Huber 1967 with both parts known; for errors in variables see Fuller 1987, Measurement Error
-Models, section 2.2). Where noise is small beside the motion this is the inverse Fisher matrix.
+Models, section 2.2). Where noise is small against the motion this is the inverse Fisher matrix.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def _table_section(setup: Setup, repetitions: int) -> Section:
         page.table(_HEADER, rows_of(table)),
         page.text(
             f"Mean ± standard deviation over {repetitions} repetitions. Printed in Table 1: {printed} %. "
-            "The beam cannot be neglected beside such a cube: chi2 shows that the massless model is wrong. "
+            "The mass of the beam cannot be neglected against such a cube: chi2 rejects the massless model. "
             "What the condensed model leaves is the error of condensing the beam statically, growing with "
             "frequency."
         ),

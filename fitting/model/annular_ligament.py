@@ -1,6 +1,6 @@
-"""The ring test: K of a uniform annular ligament around a footplate's rim, beside the K that was measured.
+"""The ring test: K of a uniform annular ligament around a footplate's rim, compared with the measured K.
 
-A ligament of shear modulus G, thickness t (along y) and width g (between the rims) that is thin beside the
+A ligament of shear modulus G, thickness t (along y) and width g (between the rims) that is thin against the
 footplate resists normal displacement of the rim by c = G t / g per length (simple shear), so that
 
     K = c * integral over the rim of r^T r ds,    r = (1, -z, x) for y, alpha, gamma.

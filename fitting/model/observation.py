@@ -14,7 +14,7 @@ from stapeskit.faults import Fault, raise_all
 from stapeskit.option_names import named
 from stapeskit.records.motion import RigidMotion
 
-# A difference of two motions this small beside them is rounding.
+# A difference of two motions this small against them is rounding.
 _AS_ONE = 1e-9
 # Upper end of a band over the lowest line, below which the band looks like one in kHz: with it lines may span
 # 50 times their lowest frequency.
@@ -30,7 +30,7 @@ class Observation:
     dof, load_dof : tuple of str
         Chosen degrees of freedom (n), and measured ones of the structure outside them (c).
     freq_hz : ndarray, (lines,)
-        Hz; lines of several runs stand one after the other.
+        Hz; the runs follow one after the other.
     run : ndarray, (lines,), int
         Place of each line's run in ``runs``.
     runs : tuple of str

@@ -152,7 +152,7 @@ def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
     if "noise_m_s" in table and "noise_relative" in table:
         faults.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
     if "mass_sd_percent" in table and str(table.get("mass", "")).lower().endswith(".json"):
-        wanted = "left out beside a mass.json, which has its own"
+        wanted = "left out when a mass.json is given, which has its own"
         faults.append(Fault("mass_sd_percent", wanted, table["mass_sd_percent"], where))
     for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking", *_ERROR_KEYS):
         value, zero = table.get(key, 1.0), key == "rocking" or key in _ERROR_KEYS

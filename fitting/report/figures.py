@@ -102,7 +102,7 @@ def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: 
 
 
 def _unwrapped(response: NDArray[np.complex128], noise: Array) -> Array:
-    """Return the phase (lines,), rad, continued over lines that stand clear of their noise.
+    """Return the phase (lines,), rad, unwrapped over lines well above their noise.
 
     A line within its noise takes the turn of the clear line before it, so that noise cannot add turns.
     """

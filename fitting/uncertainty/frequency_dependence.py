@@ -32,7 +32,7 @@ from stapeskit.warnings import Notice
 _FEWEST_LINES = 8
 # Level of the test that one K and D hold over the band: 1 of 1000 right fits is called frequency dependent.
 _SIGNIFICANT = 1e-3
-# Below this it is not said that one pair of matrices holds.
+# Below this p-value the result does not state that one pair of matrices holds.
 _DOUBTFUL = 0.05
 
 

@@ -1,4 +1,4 @@
-"""Channels that are louder than their noise, beside the faults that a fit explains."""
+"""Channels with more noise than stated, after the faults that a fit explains."""
 
 from __future__ import annotations
 

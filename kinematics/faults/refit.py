@@ -25,7 +25,7 @@ ComplexArray = NDArray[np.complex128]
 _ROUNDS = 12
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")
-# Segments or lines that a change over the lines needs, to be told from level, slope and bend.
+# Segments or lines that a change over the lines needs, to be distinguished from level, slope and bend.
 _COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5

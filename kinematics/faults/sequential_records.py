@@ -47,32 +47,32 @@ def search_body(
         return diagnose(placed, body, fit, known), fit
     usual = fit_with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
 
-    def told(without: list[int], out: list[int]) -> Diagnosis:
+    def search_without(without: list[int], out: list[int]) -> Diagnosis:
         """Search without some channels, in a motion that may hold nothing of others."""
         moved = bound_record_noise(placed, run, body, basis, without=without, left=out)
         again = usual if moved is None else fit_with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
         return diagnose(placed, body, again, known, out)
 
     findings: list[Finding] = []
-    first = last = told([], [])
+    first = last = search_without([], [])
     most = max(2, len(set(body.points)) // 3)
     while last.findings:
         out = sorted({channel for finding in findings for channel in finding.channels})
         named = diagnose(placed, body, usual, known, out)
         found = (named.findings or last.findings)[0]
         if found.kind == "flexible" or found.owner in _WHOLE:
-            found = _single(told, (named, last), out) or found
+            found = _single(search_without, (named, last), out) or found
         if found.kind == "flexible" or found.owner in _WHOLE or len(findings) >= most:
             whole = named if named.findings else last
             return replace(whole, findings=(*findings, *whole.findings[:1])), usual
         findings.append(found)
         out = sorted({*out, *found.channels})
-        last = told(out, out)
+        last = search_without(out, out)
     return replace(last, findings=tuple(findings), kept=first.kept), usual
 
 
 def _single(
-    told: Callable[[list[int], list[int]], Diagnosis], seen: Sequence[Diagnosis], out: list[int]
+    search_without: Callable[[list[int], list[int]], Diagnosis], seen: Sequence[Diagnosis], out: list[int]
 ) -> Finding | None:
     """Return a fault of one channel without which nothing is found; None when there is none."""
     tried: set[int] = set()
@@ -81,9 +81,9 @@ def _single(
         energy[out] = 0.0
         tried.update(int(channel) for channel in np.argsort(-energy)[:_TRIED])
     for channel in tried:
-        if told([*out, channel], [*out, channel]).findings:
+        if search_without([*out, channel], [*out, channel]).findings:
             continue
-        whole = told([*out, channel], out).findings
+        whole = search_without([*out, channel], out).findings
         if whole and whole[0].channels == [channel]:
             return whole[0]
     return None

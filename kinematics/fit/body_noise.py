@@ -58,7 +58,7 @@ def fit_with_noise(
         where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""
         text = (
             f"body {body.body}{where} has no sd and as many channels as degrees of freedom: its noise "
-            "is unknown and stands as NaN. Give sd columns or more channels."
+            "is unknown and written as NaN. Give sd columns or more channels."
         )
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, False, [Notice("noise_unknown", text)]

@@ -13,7 +13,7 @@ Index = NDArray[np.intp]
 _ONE_LASER_DEG = 8.0
 # Directions are compared in pairs: more of them than this are gathered in cells of this width (rad) before.
 _MOST_PAIRED, _CELL = 1000, 0.04
-# Probability by which lasers that are equally noisy are told apart.
+# Probability that lasers of equal noise are called different.
 _CHANCE = 1e-3
 
 

@@ -13,8 +13,8 @@ from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Numbers said to be measured were halved and doubled on 42 simulated scenes: clean ones and one of each fault
-# of benchmarks/fault_scenes.py, on 10 points of a stapes and 5 of a footplate, 120 lines, a third of them
+# Numbers called measured were halved and doubled on 42 simulated scenes: clean ones and one of each fault of
+# benchmarks/fault_scenes.py, on 10 points of a stapes and 5 of a footplate, 120 lines, a third of them
 # with 5 % of the values missing, noise by frequency to the power 1, 0, -1 or -2. The course is off by 0.9 %
 # (median of the rms over frequency), by 3.0 % in one scene of ten.
 #
@@ -232,7 +232,7 @@ def _parabola(
 ) -> tuple[Array, Array, bool]:
     """Return the logarithm (freq,) of a smooth factor of the noise, and whether it is more than chance.
 
-    Between them stands by how much lines (line,) that stand out are above it; zero elsewhere.
+    The second value is the excess of outlying lines (line,) over it; zero elsewhere.
     """
     from scipy.special import digamma, polygamma
 

@@ -36,7 +36,7 @@ class MotionUnit:
     scale : float
         Factor to m, m/s, m/s2.
     per : str
-        Unit of the reference as written; empty when the quantity stands alone.
+        Unit of the reference as written; empty when there is no reference.
     """
 
     order: int

@@ -70,7 +70,7 @@ def read_fiducials(path: Path) -> Fiducials:
     Raises
     ------
     KinematicsError
-        A column is missing, a cell is no finite number, a name stands there twice, a frame is unknown, or
+        A column is missing, a cell is no finite number, a name is repeated, a frame is unknown, or
         an sd is not positive, stated for some fiducials or some axes only, or stated both for all axes and
         for each; all faults are listed.
     """

@@ -30,7 +30,7 @@ class TriangleSurface:
     name : str
         What it is, for messages.
     sd_mm : float or None
-        How well it is known, where that was said.
+        Standard deviation of the surface, where one was stated.
 
     Raises
     ------

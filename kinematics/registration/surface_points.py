@@ -27,7 +27,7 @@ def read_surface_points(path: Path, kind: str) -> Cloud:
     Raises
     ------
     KinematicsError
-        A column is missing, a cell is no finite number, a name stands there twice, an sd_mm is not positive
+        A column is missing, a cell is no finite number, a name is repeated, an sd_mm is not positive
         or stated for some points only, or no row is of that kind; all faults are listed.
     """
 

@@ -64,7 +64,7 @@ class RunRepeats:
         The takes were pooled into one run; else each is a separate run.
     shift : ndarray, (take,)
         Relative shift of each take's responses along the frequency (a moving resonance); NaN when it cannot
-        be told. ``shift_share`` is the part of all differences that it explains.
+        be identified. ``shift_share`` is the part of all differences that it explains.
     """
 
     run: str
@@ -166,7 +166,7 @@ class RunRepeats:
         return (
             f"{_words(self.takes[worst])} differs by {100.0 * (size[worst] - 1.0):+.2g} % in amplitude and "
             f"{turn[worst]:+.3g} degrees in phase, in all channels alike, from the middle of them; {fate} "
-            "stands as an error that all lines share. Responses per reference do not contain it."
+            "is kept as an error that all lines share. Responses per reference do not contain it."
         )
 
     def as_json(self) -> dict[str, Any]:

@@ -57,7 +57,7 @@ class ContrastSums:
         ----------
         z : ndarray, (n, channel), complex
         left : ndarray, (n, take, channel), complex
-            What remains beside the contrast.
+            The residual after the contrast.
         """
         left = np.ascontiguousarray(left)
         size = left.real**2 + left.imag**2

@@ -56,7 +56,7 @@ def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     over neighbouring lines of each channel to f degrees of freedom and widened by f / (f - 2), the mean of
     1 / chi2, so that chi2 of later fits keeps its mean; f is smaller where neighbouring lines scatter as one.
     Stated standard deviations that scatter from take to take as estimates of few averages do are raised to
-    what they mean on the average; where takes differ by more than stated, the larger of both stands.
+    what they mean on the average; where takes differ by more than stated, the larger of both counts.
     """
     if not measurement.takes:
         return Pooled(measurement)

@@ -31,7 +31,7 @@ class Stack:
     ----------
     bodies : tuple of BodyChannels
     places : tuple of int
-        Where the takes stand among the runs of the bodies.
+        Indices of the takes among the runs of the bodies.
     rate : ndarray, (freq,)
         (2 pi f) to the order of the measured quantity: noise that is not stated is level in it.
     noise : ndarray, (channel, freq), or None
@@ -129,7 +129,7 @@ class Shapes:
         return np.asarray(np.einsum("ft,ftc->fc", self.gain[lines].conj(), data, optimize=True))
 
     def residual(self, lines: Lines, data: ComplexArray) -> ComplexArray:
-        """Return what is left of ``data`` beside the common shape, (n, take, channel)."""
+        """Return the residual of ``data`` after the common shape, (n, take, channel)."""
         difference = self.gain[lines][:, :, None] * self.common(lines, data)[:, None, :]
         return np.subtract(data, difference, out=difference)
 

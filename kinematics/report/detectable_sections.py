@@ -155,7 +155,7 @@ def _never(result: Points2Dof) -> list[Markup]:
         page.text(
             "A factor that all readings of all bodies have (the gain of the whole system, amplitudes a "
             "thousand times too large or too small) changes no K and no D, for these are ratios of motions. "
-            "It is told only where velocities leave the range of ears in experiments, "
+            "It is recognised only where velocities leave the range of ears in experiments, "
             f"{SLOWEST:g} to {FASTEST:g} m/s."
         ),
     ]

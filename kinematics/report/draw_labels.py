@@ -81,7 +81,7 @@ def label_points(
 
 
 def _middle(offset: tuple[int, int], words: str, at: Array, scale: float) -> tuple[float, float]:
-    """Return where the middle of a label would stand."""
+    """Return where the centre of a label would be."""
     width, height = 4.6 * len(words), 7.5
     across = offset[0] + np.sign(offset[0]) * width / 2.0
     return float(at[0] + across * scale), float(
@@ -97,7 +97,7 @@ def _room(
     scale: float,
     box: tuple[float, ...],
 ) -> float:
-    """Return the distance of a label from the nearest thing, less what it would stand out of the picture."""
+    """Return the distance of a label from the nearest thing, less its overhang over the picture's edge."""
     x, y = _middle(offset, words, at, scale)
     wide = 2.3 * len(words) * scale
     beyond = max(box[0] - (x - wide), x + wide - box[1], box[2] - y, y - box[3], 0.0)

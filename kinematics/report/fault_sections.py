@@ -127,7 +127,9 @@ def clean_words(result: Points2Dof) -> str:
     """State that no channel is an outlier, and whether all residuals exceed the stated noise."""
     codes = {notice.code for notice in result.notices}
     if "noise_level" in codes:
-        return "None stands out, but all err by more than their stated noise (warning noise_level)."
+        return (
+            "No channel is an outlier, but all deviate by more than their stated noise (warning noise_level)."
+        )
     if "neglected_motion" in codes:
         return "None is significant; the warning neglected_motion reports motion that the fit leaves out."
     return "Every one agrees with the rigid motion of its body within its noise."
@@ -202,9 +204,7 @@ def _all_channels(result: Points2Dof) -> list[Markup]:
     ]  # fmt: skip
     blocks = [page.table(header, rows)]
     if len(result.channels) > _MOST_ROWS:
-        blocks.append(
-            page.text(f"The other {len(result.channels) - _MOST_ROWS} stand in the channels table.")
-        )
+        blocks.append(page.text(f"The other {len(result.channels) - _MOST_ROWS} are in the channels table."))
     blocks.append(
         page.text(
             "The p-value of a channel that is ok is the chance of so large a residual, without correction."

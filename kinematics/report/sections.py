@@ -109,7 +109,7 @@ def _in_short(result: Points2Dof) -> str:
 
 
 def grouped_notices(notices: Sequence[Notice]) -> list[Markup]:
-    """Return the warnings by code; of many with one code all but the first stand behind a fold."""
+    """Return the warnings by code; of many with one code all but the first are folded away."""
     by_code: dict[str, list[Notice]] = {}
     for notice in notices:
         by_code.setdefault(notice.code, []).append(notice)

@@ -275,7 +275,7 @@ def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -
     ----------
     own : ndarray, (channel, freq)
         Power of each channel's own noise over that of its signal; of fewer than three channels it is not
-        told from the noise of the reference.
+        separated from the noise of the reference.
     value : ndarray, (channel, freq), complex
     variance : ndarray, (channel, freq)
         E|dH|^2.

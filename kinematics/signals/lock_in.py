@@ -74,7 +74,7 @@ class SteppedSine:
     settle : float
         Share of every step left out at its start, 0 to 0.9.
     harmonics : int
-        Highest harmonic fitted beside the line (1: none).
+        Highest harmonic fitted with the line (1: none).
     drift : int
         Degree of the polynomial fitted beside it: 0 offset, 1 linear drift.
     refine : bool

@@ -55,14 +55,14 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
         notices.append(Notice("clipped", text))
     if any(spikes.values()):
         text = (
-            f"lone spikes stand out of the signal by far ({_listed(spikes, file)}), as when the laser loses "
+            f"isolated spikes rise far above the signal ({_listed(spikes, file)}), as when the laser loses "
             "its light: they are noise in the responses and counted as such. A tracking filter or a better "
             "spot removes them."
         )
         notices.append(Notice("spikes", text))
     if any(still.values()):
         text = (
-            f"the signal stands still for {_STILL} samples or more in the midst of motion "
+            f"the signal is constant for {_STILL} samples or more in the midst of motion "
             f"({_listed(still, file)}), as when a decoder holds its last value: such responses are too "
             "small. Measure these points again."
         )
@@ -147,7 +147,7 @@ def count_still(row: Array, resting: NDArray[np.bool_] | None = None) -> int:
     ----------
     row : ndarray, (sample,)
     resting : ndarray, (sample - 1,), bool, optional
-        Where the reference stands still: a pause of both is none of the channel.
+        Where the reference is constant: a pause of both is no fault of the channel.
     """
     steps = np.diff(row)
     moving = np.abs(steps[steps != 0.0])

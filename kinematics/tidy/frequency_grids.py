@@ -26,7 +26,7 @@ _SHARE = 0.5
 # that is filled where there are more. A run for each of 100 lines fills 1 in 100; what fills less has another
 # column where the frequency or the run should be, and its arrays would not fit into memory.
 _ANY_PLACES, _LEAST_FILLED = 4_000_000, 0.01
-# More rigid bodies than these were in no study: points stand where the bodies should be.
+# More rigid bodies than these were in no study: the column of bodies holds points.
 _MOST_BODIES = 1000
 
 
@@ -79,7 +79,7 @@ def join_lines(
     -----
     Frequencies within 1e-6 of each other are one line. So are those within 1 % of the spacing of the lines
     of the channels they come from, but never more than 1e-4 apart: across a resonance with 10 % damping
-    that changes a response by 0.1 % at most. The line stands at the lowest of its frequencies.
+    that changes a response by 0.1 % at most. The line has the lowest of its frequencies.
     """
     import pandas as pd
 

@@ -162,7 +162,7 @@ def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) ->
         f"{count} readings of {len(channels)} channels ({names}) have no row in {table.file} at lines that "
         "other channels of the body have; they count as missing."
     )
-    end = " The last row stands within a sweep: was the file cut off?" if cut else ""
+    end = " The last row is in the middle of a sweep: was the file cut off?" if cut else ""
     return [Notice("rows_missing", text + end)]
 
 

@@ -33,7 +33,7 @@ def read_points(path: Path) -> Points:
     Raises
     ------
     KinematicsError
-        A column is missing, a cell is no finite number, a name is empty, a point stands there twice, or an
+        A column is missing, a cell is no finite number, a name is empty, a point is repeated, or an
         sd_mm is not positive; all faults are listed.
     """
 

@@ -61,7 +61,7 @@ class Cohort(CohortLaws, Result):
         Raises
         ------
         StapeskitError
-            A file of another origin stands at a name.
+            A file of another origin has the name of an output.
         """
         from pipeline.cohort.files import cohort_outputs, write_cohort
 

@@ -114,7 +114,7 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
 
 
 def _narrow(name: str) -> str:
-    """Return a name in lines that stand below a tick beside others."""
+    """Wrap a name into lines short enough for the label of a tick."""
     return "\n".join(textwrap.wrap(plain(name), 14))
 
 

@@ -9,7 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pipeline.runners import Where
 from pipeline.runners.process import End, Task, run_task
 
-# Pause between two looks: short beside a study, long beside a look.
+# Pause between two checks: short against a study, long against a check.
 _POLL_S = 0.1
 
 
@@ -27,7 +27,7 @@ def run(
             return End(130, fault="interrupted")
 
         def say(line: str) -> None:
-            if not stop.is_set():  # that it was interrupted is said once, for all
+            if not stop.is_set():  # an interruption is reported once, for all studies
                 tell(task.name, line)
 
         return run_task(task, say, stop.is_set)

@@ -233,7 +233,7 @@ def _check_pairs(a: Array, b: Array) -> None:
                 "fiducials",
                 "spread over a plane at least",
                 "points on one line",
-                next_step="Add a fiducial beside the line",
+                next_step="Add a fiducial off the line",
             )
 
 

@@ -64,7 +64,7 @@ def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]
 
 
 def plain(name: str) -> str:
-    """Return a name that matplotlib writes as it stands: ``$`` would begin a formula."""
+    """Escape ``$`` in a name, which would begin a formula in matplotlib."""
     return name.replace("$", r"\$")
 
 

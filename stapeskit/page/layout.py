@@ -1,4 +1,4 @@
-"""The layout of a figure, made once and from one measurement of what stands around its axes."""
+"""The layout of a figure, made once and from one measurement of labels and ticks around its axes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def lay_out(drawing: Figure) -> None:
 
 
 class _MeasuredOnce:
-    """The box around axes and all that stands around them, pixels: it moves with the axes.
+    """The box around axes with their labels and ticks, pixels: it moves with the axes.
 
     It is measured again where other ticks may have made it wider: those along x, whose last label stands out,
     or longer labels along y.

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # A page loads nothing from anywhere and sends nothing: styles, scripts and pictures are in it. Of scripts only
-# those of this program run, whatever stands in the page.
+# those of this program run, whatever the page contains.
 _POLICY = (
     "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; img-src data:; "
     "script-src {scripts}"
@@ -208,7 +208,7 @@ def table(
 ) -> Markup:
     """Return a table; ``words`` aligns text to the left and lets it wrap.
 
-    Of a table of numbers the first ``named_by`` columns, 1 or 2, are names and stand to the left.
+    Of a table of numbers the first ``named_by`` columns, 1 or 2, are names, aligned to the left.
     """
     listed = list(rows)
     return _render(
@@ -358,7 +358,7 @@ def image(data: bytes, caption: str, alt: str, kind: str = "png") -> Markup:
 
 
 def folded(summary: str, *blocks: Markup) -> Markup:
-    """Return blocks that stand behind one line until the reader opens it."""
+    """Return blocks hidden below one line until the reader opens it."""
     return _render(
         "<details><summary>{{ s }}</summary>{% for b in blocks %}{{ b }}{% endfor %}</details>",
         s=summary,

@@ -58,7 +58,7 @@ class Shaded:
     image : ndarray, (rows, columns, 4)
         Red, green, blue, opacity, 0 to 1; row 0 is at the top.
     depth : ndarray, (rows, columns)
-        Nearness of the surface to the reader, mm; -inf beside it.
+        Nearness of the surface to the reader, mm; -inf outside it.
     extent : tuple of float
         left, right, bottom, top in picture coordinates, mm.
     """
@@ -116,7 +116,7 @@ def silhouette(vertices_mm: Array, faces: Faces, view: View, pixels: int = 220) 
     across, up : ndarray, (columns,) and (rows,)
         Picture coordinates of the pixels, mm.
     covered : ndarray, (rows, columns)
-        0 beside the surface to 1 within.
+        0 outside the surface to 1 within.
     """
     flat = view.flat(np.asarray(vertices_mm, dtype=float))
     low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)

@@ -1,6 +1,6 @@
 """Rigid-body motion: generalized coordinates per run, body and frequency, with their covariance.
 
-`ROW_COLUMNS` is the table of what dof.csv holds beside them, one number per row. A new column is one entry;
+`ROW_COLUMNS` is the table of the further columns of dof.csv, one number per row. A new column is one entry;
 writer, reader, checks and docs/schemas.md follow. Where its values are not computed from other fields, it
 also needs a field in `RigidMotion`, None by default, and an attribute of that name in `LineFit`
 (kinematics/fit/rigid_fit.py).

@@ -128,7 +128,7 @@ def read_motion(path: Path) -> RigidMotion:
     """Read ``dof.csv`` or ``dof.h5``.
 
     A CSV file is completed from the HDF5 file of the same name when that one was written with it; a CSV
-    file that stands alone, or was changed since, gives uncorrelated noise from its sd columns
+    file without its HDF5 file, or changed since, gives uncorrelated noise from its sd columns
     and no shared errors.
 
     Raises

@@ -70,7 +70,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
             continue
         if not lines and not faults and _are_units([row[place] for name, place in places if name in numbers]):
             where = Place(sheet.file, "line", (line,))
-            got, step = "units", "Units stand in the names of the columns: remove the line"
+            got, step = "units", "Units belong in the names of the columns: remove the line"
             faults.append(Fault("the line below the header", "the first row of numbers", got, where, step))
             continue
         lines.append(line)

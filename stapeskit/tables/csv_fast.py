@@ -52,7 +52,7 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Columns | Non
     Returns
     -------
     Columns or None
-        None when a row is not as the header says, a cell is not a number, or a comment stands among quoted
+        None when a row is not as the header says, a cell is not a number, or a comment is among quoted
         cells: `read_cells` then reads the file.
 
     Notes

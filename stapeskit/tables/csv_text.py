@@ -58,7 +58,7 @@ class Sheet:
 def open_sheet(path: Path) -> Sheet:
     """Read a file and find its header.
 
-    Blank lines, lines that begin with ``#`` and the line ``sep=;`` of spreadsheets may stand above it.
+    Blank lines, lines that begin with ``#`` and the line ``sep=;`` of spreadsheets may precede it.
 
     Raises
     ------

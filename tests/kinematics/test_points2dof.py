@@ -194,7 +194,7 @@ def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
     [
         (["--frame", "scan"], "--frame must be .*given with --mass mass.json; got scan"),
         (["--frame", "moon"], "--frame must be one of footplate, plate, scan; got moon"),
-        (["--frame", "plate", "--fiducials", "f.csv"], "left out beside --fiducials"),
+        (["--frame", "plate", "--fiducials", "f.csv"], "left out when --fiducials is given"),
         (["--out", "dof.xlsx"], "--out must be a file name that ends with .csv; got dof.xlsx"),
         (["--points", "nowhere.csv"], "--points must be an existing .*; got nowhere.csv"),
         (["--mass", "nowhere.json"], "--mass must be an existing .*; got nowhere.json"),

@@ -37,7 +37,10 @@ def test_the_keys_become_options(tmp_path):
     ("lines", "match"),
     [
         (["axes_sd_deg = 1"], "ldv.axes_sd_deg must be given with ldv.calibrate; got it alone"),
-        (['plate_points = "p.csv"', 'frame = "scan"'], "ldv.frame must be left out beside ldv.plate_points"),
+        (
+            ['plate_points = "p.csv"', 'frame = "scan"'],
+            "ldv.frame must be left out when ldv.plate_points is given",
+        ),
         (["calibrate = 1"], "calibrate must be true or false"),
         (['mirror_points = "w"'], "mirror_points must be one of x, y, z"),
         (['plate_point = "p.csv"'], "Did you mean plate_points"),

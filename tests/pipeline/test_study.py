@@ -213,7 +213,7 @@ def test_a_byte_order_mark_is_read_and_other_encodings_are_refused(tmp_path):
     ("line", "step"),
     [
         ('name = "C:\\Users\\Ohr"', "Write paths with / instead of \\"),
-        ("name = 1,394", "Texts and paths stand in quotes, numbers have decimal points"),
+        ("name = 1,394", "Write texts and paths in quotes, numbers with decimal points"),
     ],
 )
 def test_what_breaks_toml_is_explained(tmp_path, line, step):

@@ -19,7 +19,7 @@ def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
 
     Notes
     -----
-    What stands in the file is the conjugate: of velocities, i w times displacements, that turns the sign of
+    The file holds the conjugate: of velocities, i w times displacements, that turns the sign of
     the displacements too.
     """
     value, fit = suspect.value, suspect.plain

@@ -55,11 +55,11 @@ def mains(suspect: MisfittingBody) -> Iterator[Explanation]:
     if best is None:
         return
     _p, base, near = best
-    told = freq[near & loud]
-    names = ", ".join(f"{value:.6g}" for value in told[:_LISTED])
-    names += f" and {len(told) - _LISTED} more" if len(told) > _LISTED else ""
-    text = f"the lines at multiples of {base:.0f} Hz hold mains hum beside the motion: {names} Hz"
-    ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in told[:_LISTED])
+    mains_hz = freq[near & loud]
+    names = ", ".join(f"{value:.6g}" for value in mains_hz[:_LISTED])
+    names += f" and {len(mains_hz) - _LISTED} more" if len(mains_hz) > _LISTED else ""
+    text = f"the lines at multiples of {base:.0f} Hz hold mains hum in addition to the motion: {names} Hz"
+    ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in mains_hz[:_LISTED])
     step = f"Leave these lines out (dof2kd {named('exclude')} {ranges}), or remove them from the file"
     value = np.where(near[None], np.nan, suspect.value)
     channels = list(range(len(suspect.body.points)))

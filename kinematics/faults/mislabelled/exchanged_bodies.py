@@ -1,4 +1,4 @@
-"""Whole bodies, runs or frequency columns under a wrong label, told by the ligament between two bodies.
+"""Whole bodies, runs or frequency columns under a wrong label, identified by the ligament between two bodies.
 
 Each body by itself moves rigidly then, and no residual shows anything. What is left is that one and the same
 ligament carries the stapes in every run and at every line.

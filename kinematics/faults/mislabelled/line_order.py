@@ -49,7 +49,7 @@ def rate_ratio(order: Order, freq_hz: Array, derivatives: int) -> Array:
 
 @dataclass(frozen=True)
 class Sorted:
-    """A body whose lines stand in the order of text.
+    """A body whose lines are sorted as text.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ _Entry = tuple[_Suspect, _Place, float]
 def label_findings(
     motions: Mapping[Key, CleanMotion], runs: Sequence[str], freq_hz: Array
 ) -> dict[Key, list[Finding]]:
-    """Name the rows of one point or channel that stand under a wrong body, point, run or frequency.
+    """Name the rows of one point or channel that carry the label of another body, point, run or frequency.
 
     Parameters
     ----------

@@ -52,10 +52,10 @@ def find_mislabelled(
             if key in findings_of:
                 break
     findings_of = {**findings_of, **label_findings(motions, placed.runs, placed.freq_hz)}
-    told = {}
+    diagnoses_with_labels = {}
     for key, findings in findings_of.items():
         out = [c for finding in findings for c in finding.channels]
         rest = diagnose(placed, placed.bodies[key[1]], fits[key], known[key], out)
         kept = 0.0 if not rest.findings else rest.kept
-        told[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
-    return told
+        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
+    return diagnoses_with_labels

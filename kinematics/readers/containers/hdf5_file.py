@@ -25,7 +25,7 @@ _CLASSES = {"", "double", "single", "logical", "char", "cell", "struct"} | {
 
 
 def is_hdf5(path: Path) -> bool:
-    """Return whether the HDF5 signature stands where it may: at byte 0, 512, 1024, ..."""
+    """Return whether the HDF5 signature is at a permitted place: at byte 0, 512, 1024, ..."""
     with Path(path).open("rb") as stream:
         for place in (0, 512, 1024, 2048, 4096):
             stream.seek(place)

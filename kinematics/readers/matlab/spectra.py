@@ -4,7 +4,7 @@ Recognised: ``x`` (1 x F, Hz) and ``y`` (points x F, complex, or real and imagin
 struct ``usd`` that GetPointData returns; ``xyz`` from GetXYZCoordinates (points x 3, m); one value a beam
 (``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x``, ...); the same inside a struct, in several structs (one run
 each), in a struct array or in cells with one element a point; points x F x 3 for three beams. Versions 5
-to 7.3. Everything else is said by a mapping, see kinematics.readers.matlab.mapping.
+to 7.3. Everything else is described by a mapping, see kinematics.readers.matlab.mapping.
 """
 
 from __future__ import annotations

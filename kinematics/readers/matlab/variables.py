@@ -221,7 +221,7 @@ def companion_of(
 
 
 def count_of(space: Mapping[str, Any], signal: Signal, where: str, tree: Mapping[str, Any]) -> float | None:
-    """Return the number of averages; None where it is not said.
+    """Return the number of averages; None where it is not stated.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def directions_of(
     where: str,
     tree: Mapping[str, Any],
 ) -> list[Array]:
-    """Return the direction (3,) of a beam at every point, NaN where it is not said.
+    """Return the direction (3,) of a beam at every point, NaN where it is not stated.
 
     ``values`` (point, F, beam) are those of the signal.
 

@@ -189,7 +189,7 @@ def _after_rows(lines: list[str], first: int) -> int:
 
 
 def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, faults: list[Fault]) -> Block:
-    """Read the table whose rows stand at ``rows``, and the header above it."""
+    """Read the table with the lines ``rows``, and the header above it."""
     first = rows[0]
     fields, names, units, named = {}, "", "", start
     for number in range(start, first):

@@ -202,7 +202,7 @@ def _unit(
 def sensitivity(text: str) -> tuple[float, str] | None:
     """Read ``5 mm/s/V`` or ``100 mV/g`` as the factor from volts to the unit, and that unit.
 
-    None when there is no positive number, or volts stand neither first nor last.
+    None when there is no positive number, or volts are neither the first nor the last unit.
     """
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*(\S.*)", text)
     if match is None:

@@ -100,7 +100,7 @@ def read_responses(
     if not recordings:
         raise KinematicsError(empty_band(file))
     if left:
-        text = f"{file}: left out: {left} functions beside its time responses."
+        text = f"{file}: left out: {left} functions that are no time responses."
         notices.append(Notice("functions_left_out", text))
     notices += geometry.notices
     units = f"{geometry.units}; {how}" + (f", reference {name}" if name else "")
@@ -216,7 +216,9 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]
     if not responses:
         if not faults:
             step = "Export the records of the points too"
-            faults.append(Fault("time responses", "of one motion beside the reference", "none", file, step))
+            faults.append(
+                Fault("time responses", "of one motion in addition to the reference", "none", file, step)
+            )
         return []
     counts = {len(response.records) for response in responses}
     if lead is None or counts == {len(lead.records)}:

@@ -63,7 +63,7 @@ def is_frequency(name: str) -> bool:
 
 
 def frequency_unit(name: str) -> str:
-    """Return the unit that stands as a word in the name of a column, as in ``freq_khz``; else nothing."""
+    """Return the unit in the name of a column, such as khz of ``freq_khz``; empty without one."""
     return next((word for word in _WORD.findall(name) if word.lower() in HERTZ), "")
 
 

@@ -51,7 +51,7 @@ class Sheet:
 def header_of(text: str) -> tuple[int, list[str], list[str], str] | None:
     """Return line (from 0), names, units and separator of the header in the first lines of a text.
 
-    None where no row of two numbers or more stands under a line of names.
+    None where no line of names is followed by a row of at least two numbers.
     """
     lines = lines_of(text)[:_MOST_ABOVE]
     for mark in ("\t", ";", ","):

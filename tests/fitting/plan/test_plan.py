@@ -199,7 +199,7 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ("noise_m_s = 1e-6\nnoise_relative = 0.1", "got both"),
         ("rocking = -1", "zero or positive"),
         ("gain_sd_percent = -1", "gain_sd_percent must be a number, zero or positive"),
-        ('mass = "mass.json"\nmass_sd_percent = 1', "left out beside a mass.json"),
+        ('mass = "mass.json"\nmass_sd_percent = 1', "left out when a mass.json is given"),
         ('directions = ["x"]', "out of the plan's dof"),
         ('directions = ["q"]', "directions must be different names out of the plan's dof"),
         ('directions = ["y", "y"]', "directions must be different names"),
@@ -236,7 +236,7 @@ def test_faults_of_the_command(tmp_path: Path) -> None:
     with pytest.raises(StapeskitError, match="existing TOML file"):
         work(["--plan", str(tmp_path / "none.toml")])
     path = write(tmp_path, "lines = 50")
-    with pytest.raises(StapeskitError, match="DOF must be left out beside --plan"):
+    with pytest.raises(StapeskitError, match="DOF must be left out when --plan is given"):
         work(["dof.csv", "--plan", str(path)])
     with pytest.raises(StapeskitError, match=r"ends with \.json"):
         work(["--plan", str(path), "--out", "plan.txt"])

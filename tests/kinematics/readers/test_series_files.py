@@ -220,7 +220,7 @@ def test_options_change_the_estimate(tmp_path):
     np.testing.assert_allclose(found.freq_hz, np.arange(100.0, 201.0, 10.0))
     with pytest.raises(StapeskitError, match="the band must be with one line at least"):
         read(path, SeriesOptions(options.channels, frf_band_hz=(5000.0, 6000.0)))
-    with pytest.raises(StapeskitError, match="--steps must be left out beside --period"):
+    with pytest.raises(StapeskitError, match="--steps must be left out when --period is given"):
         SeriesOptions(options.channels, period_s=1.0, steps=options.channels)
 
 

@@ -124,7 +124,7 @@ def test_surface_points_need_a_mass_file_and_no_frame(files):
             str(files / "plate.csv"), "--frame", "footplate"]  # fmt: skip
     with pytest.raises(StapeskitError, match=r"--plate-points must be given with --mass") as told:
         work(base)
-    assert "--frame must be left out beside --plate-points" in str(told.value)
+    assert "--frame must be left out when --plate-points is given" in str(told.value)
 
 
 def test_positions_that_alone_are_mirrored_are_refused_and_cured(files, scan):
