@@ -338,9 +338,7 @@ def test_bad_zarr_folders(tmp_path):
     path = f.ome_zarr(tmp_path / "b.zarr", picture(), leading=("c",))
     array = json.loads((path / "0" / ".zarray").read_text())
     (path / "0" / ".zarray").write_text(json.dumps(array | {"shape": [2, *array["shape"][1:]]}))
-    with pytest.raises(
-        CtInertiaError, match=r"a stack of one grey value per voxel; got 2 c \(channels or times\)"
-    ):
+    with pytest.raises(CtInertiaError, match=r"one grey value per voxel; got 2 c \(channels"):
         read_volume(path)
     path = f.ome_zarr(tmp_path / "c.zarr", picture())
     chunk = next(p for p in (path / "0").rglob("*") if p.is_file() and not p.name.startswith("."))
