@@ -118,7 +118,7 @@ class Parser(argparse.ArgumentParser):
             self.error(str(fault))
         options = [word for word in unknown if word.startswith("-")]
         faults += [self._unknown(word) for word in options or unknown]
-        texts = {name: value for name, value in vars(known).items() if value not in (None, [])}
+        texts = {name: _words(value) for name, value in vars(known).items() if value not in (None, [])}
         values = {name: entry.default for name, entry in self.declared.items()}
         if "config" in texts:
             values |= self._config(Path(texts["config"][-1]), texts, faults)
@@ -227,6 +227,11 @@ class Parser(argparse.ArgumentParser):
                 with fault_of(entry, value, faults, key, path.name):
                     values[entry.field] = entry.kind.read(value)
         return values
+
+
+def _words(value: Any) -> Any:
+    """Return the texts of an option; argparse of Python 3.11 makes an empty list of the value ``--``."""
+    return [word if isinstance(word, str) else "--" for word in value] if isinstance(value, list) else value
 
 
 def add_arguments(parser: argparse.ArgumentParser, options: Iterable[Option]) -> None:

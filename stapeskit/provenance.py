@@ -48,7 +48,7 @@ def content_hash(path: Path, sha256: bool = False) -> str:
     window, program = memoryview(bytearray(_CHUNK)), threading.main_thread()
     for file in files:
         if path.is_dir():
-            digest.update(str(file.relative_to(path)).encode())
+            digest.update(os.fsencode(file.relative_to(path)))
         with file.open("rb", buffering=0) as stream:
             while count := stream.readinto(window):
                 digest.update(window[:count])

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_positive, density_notice, header_fault
+from ct_inertia.readers.checks import check_positive, density_notice
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, grid_volume
+from ct_inertia.readers.refusals import header_fault
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault

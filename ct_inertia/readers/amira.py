@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.checks import mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.refusals import header_fault, several_values
 from ct_inertia.volume.volume import Volume
 
 _PACKINGS = {None: "raw", "HxByteRLE": "HxByteRLE", "HxZip": "zlib"}
@@ -50,13 +51,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     size = _sizes(text, path)
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
     if field is None or field[1] not in _TYPES or field[2] not in (None, "[1]"):
-        raise CtInertiaError.of(
-            "the lattice",
-            "one grey value per voxel",
-            field[0] if field else "none",
-            path.name,
-            "Export one channel",
-        )
+        raise several_values(path, field[0] if field else "no lattice")
     packing = _PACKINGS.get(field[3])
     if packing is None:
         known = ", ".join(name for name in _PACKINGS if name)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.refusals import header_fault, unreadable
 from stapeskit.arrays import Array
 from stapeskit.memory import available_memory
 from stapeskit.option_names import named
@@ -181,14 +182,6 @@ def existing_file(path: Path) -> Path:
     return path
 
 
-def unreadable(path: Path, fault: Exception) -> CtInertiaError:
-    """Make the error for a file that the system does not let be read."""
-    why = getattr(fault, "strerror", None) or str(fault)
-    return CtInertiaError.of(
-        "the scan", "a file that can be read", why, path.name, "Check its name, permissions and disk"
-    )
-
-
 def beside(path: Path, name: str, follow: bool) -> Path:
     """Return the data file that a header names.
 
@@ -221,18 +214,6 @@ def beside(path: Path, name: str, follow: bool) -> Path:
     return path.parent / name
 
 
-def no_data_file(path: Path, data: Path) -> CtInertiaError:
-    """Make the error for a header whose data file is not there."""
-    return CtInertiaError.of(
-        "the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together"
-    )
-
-
-def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:
-    """Return the error for a header with an impossible value or without a needed one."""
-    return CtInertiaError.of("the scan", f"a readable {kind}", what, path.name, "Copy or export it again")
-
-
 def check_positive(size: Sequence[int], name: str) -> None:
     """Refuse a size with a number of voxels that is not positive."""
     if min(size) <= 0:
@@ -259,36 +240,42 @@ def density_notice(name: str, scaling: float, slope: float, intercept: float, un
     return [Notice("density_in_header", text)]
 
 
-def numbered_names(words: Sequence[str], path: Path, kind: str, most: int) -> list[str]:
-    """Return the file names of ``pattern first last [step]``, as in ``s%03d.raw 0 99 1``; at most so many.
+def named_files(named: str, listed: Sequence[str], most: float, path: Path, kind: str) -> list[str]:
+    """Return the data files that a header names: one, a list behind it, or ``pattern first last [step]``.
+
+    Parameters
+    ----------
+    named : str
+        ``a.raw``, ``LIST``, or ``s%03d.raw 0 99 1``.
+    listed : sequence of str
+        The lines behind the header.
+    most : float
+        Files that there can be.
+    path : Path
+        The header.
+    kind : str
+        What it is, for messages.
 
     Raises
     ------
     CtInertiaError
-        No such pattern with whole numbers, or more than ``most`` names.
+        No list, no such pattern with whole numbers, or more names than ``most``.
     """
-    pattern, *rest = words
-    if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):
-        raise header_fault(path, kind, f"data files {' '.join(words)}")
-    step = int(rest[2]) if len(rest) > 2 else 1
-    directive = re.search(r"%0?[0-9]{0,2}d", pattern)
-    if step < 1 or directive is None or pattern.count("%") != 1:
-        raise header_fault(path, kind, f"data files {' '.join(words)}")
+    if named.upper().startswith("LIST"):
+        if not listed:
+            raise header_fault(path, kind, "an empty list of data files")
+        return list(listed)
+    if not re.search(r"%\d*d", named):
+        return [named]
+    pattern, *rest = named.split()
+    whole = len(rest) in (2, 3, 4) and all(re.fullmatch(r"\d{1,7}", word) for word in rest)
+    step = int(rest[2]) if whole and len(rest) > 2 else 1
+    if not whole or step < 1 or pattern.count("%") != 1 or not re.search(r"%0?[0-9]{0,2}d", pattern):
+        raise header_fault(path, kind, f"data files {named}")
     numbers = range(int(rest[0]), int(rest[1]) + 1, step)
     if len(numbers) > most:
-        raise header_fault(path, kind, f"{len(numbers)} data files for {most} slices")
+        raise header_fault(path, kind, f"{len(numbers)} data files for {most:g} slices")
     return [pattern % number for number in numbers]
-
-
-def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
-    """Make the error for a file that its library cannot read."""
-    return CtInertiaError.of(
-        "the scan",
-        f"a readable {kind}",
-        f"a file that {'ends too early' if isinstance(fault, EOFError) else 'cannot be read as one'}",
-        path.name,
-        "The file is truncated or damaged: copy or export it again",
-    )
 
 
 def amount(count: int) -> str:

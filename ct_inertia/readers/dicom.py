@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_memory, not_readable, settle_spacing, unreadable
+from ct_inertia.readers.checks import check_memory, settle_spacing
 from ct_inertia.readers.dicom_lengths import dicom_size
 from ct_inertia.readers.formats import ReadOptions
+from ct_inertia.readers.refusals import not_readable, several_values, unreadable
 from ct_inertia.volume.lazy_arrays import BlockArray
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
@@ -171,13 +172,7 @@ def _slice(name: str) -> _Slice:
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
     kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
     if reader.GetNumberOfComponents() > 1 or kind not in _TYPES:
-        raise CtInertiaError.of(
-            "the DICOM file",
-            "grey values",
-            f"{reader.GetNumberOfComponents()} values per voxel ({kind})",
-            Path(name).name,
-            "Export it as grey values",
-        )
+        raise several_values(Path(name), f"{reader.GetNumberOfComponents()} ({kind})")
     return _Slice(
         name,
         tuple(reader.GetSize()),

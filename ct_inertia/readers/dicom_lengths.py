@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from ct_inertia.readers.checks import header_fault
+from ct_inertia.readers.refusals import header_fault
 
 _LONG = {b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"}
 # Undefined length and the tags of items and of the ends of items and sequences: DICOM PS3.5, 7.5.

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.refusals import not_readable, unreadable
 from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
@@ -96,11 +97,11 @@ class Format:
         try:
             volume: Volume = code.read(path, options)
         except OSError as fault:
-            raise _checks().unreadable(Path(fault.filename or path), fault) from fault
+            raise unreadable(Path(fault.filename or path), fault) from fault
         except StapeskitError:
             raise
         except _DAMAGE as fault:
-            raise _checks().not_readable(path, self.title, fault) from fault
+            raise not_readable(path, self.title, fault) from fault
         return volume
 
     def recognises(self, path: Path) -> bool:
@@ -227,8 +228,3 @@ def format_of(path: Path, raw: RawLayout | None = None) -> Format:
         path.name,
         next_step="Export it in one of these formats, or as raw voxels with {shape} and {dtype}",
     )
-
-
-def _checks() -> Any:
-    """Return the module of checks, which loads numpy: a help needs the table alone."""
-    return import_module("ct_inertia.readers.checks")

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_size, header_fault, no_data_file, not_readable, settle_spacing
+from ct_inertia.readers.checks import check_size, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.memory_mapping import mapped
+from ct_inertia.readers.refusals import header_fault, no_data_file, not_readable, not_three_dimensional
 from ct_inertia.readers.streams import DECODERS
 from ct_inertia.volume.lazy_arrays import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
@@ -134,13 +135,7 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
 def check_dimensions(size: Sequence[int], name: str) -> None:
     """Refuse sizes that are not those of a volume."""
     if len(size) != 3 or min(size) < 2:
-        raise CtInertiaError.of(
-            "the volume",
-            "three-dimensional",
-            f"an image of shape {' x '.join(map(str, size))}",
-            name,
-            next_step="Give the whole stack",
-        )
+        raise not_three_dimensional(name, size)
 
 
 def _stacked(grid: Grid, path: Path) -> NDArray[Any]:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.native import compiled
-from ct_inertia.readers.checks import check_size, unreadable
+from ct_inertia.readers.checks import check_size
+from ct_inertia.readers.refusals import ends_too_early, unreadable
 from ct_inertia.volume.lazy_arrays import BlockArray
 
 # Read at once: large enough that the calls cost little, small enough for a part of a plane.
@@ -63,7 +64,7 @@ def mapped(
         offset = max(0, stored - needed)
     check_size(shape, dtype, max(0, stored - offset), name)
     if offset + needed > stored:
-        raise _short(file)
+        raise ends_too_early(file)
     start = offset % mmap.ALLOCATIONGRANULARITY
     length = needed + start
     if length <= 2 * _PIECE_BYTES:  # not worth a map
@@ -142,16 +143,10 @@ def _read(file: Path, offset: int, count: int) -> bytearray:
             while filled < count:
                 got = stream.readinto(view[filled:])
                 if not got:
-                    raise _short(file)
+                    raise ends_too_early(file)
                 filled += got
     except (OSError, ValueError) as fault:
         if isinstance(fault, CtInertiaError):
             raise
         raise unreadable(file, fault) from fault
     return data
-
-
-def _short(file: Path) -> CtInertiaError:
-    return CtInertiaError.of(
-        "the scan", "complete", "a file that ends too early", file.name, "Copy or export it again"
-    )

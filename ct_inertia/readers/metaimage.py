@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.checks import beside, mm_per_unit, named_files
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.refusals import header_fault, no_grey_values, several_values
 from ct_inertia.volume.volume import Volume
 
 _TYPES = {
@@ -56,15 +57,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     while len(size) > 3 and size[-1] == 1:
         size.pop()
     check_dimensions(size, path.name)
-    channels = int(channels_told)
-    if channels > 1:
-        raise CtInertiaError.of(
-            "the volume",
-            "one grey value per voxel",
-            f"{channels} (a colour or vector image)",
-            path.name,
-            "Export one channel",
-        )
+    if int(channels_told) > 1:
+        raise several_values(path, f"{channels_told} (a colour or vector image)")
     return grid_volume(_grid(path, fields, size, start, rest, options.follow), path, options)
 
 
@@ -113,13 +107,7 @@ def _grid(
 ) -> Grid:
     kind = fields.get("ElementType", "")
     if kind not in _TYPES:
-        raise CtInertiaError.of(
-            "the grey values",
-            "integers or floating point numbers",
-            f"ElementType {kind or 'missing'}",
-            path.name,
-            next_step="Export it as grey values",
-        )
+        raise no_grey_values(path, f"ElementType {kind or 'missing'}")
     order = ">" if _true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     unit = mm_per_unit(fields.get("DistanceUnits", "mm")) or 1.0
     steps = np.abs(_values(fields, ("ElementSpacing", "ElementSize"), path)) * unit
@@ -155,26 +143,12 @@ def _files(
     skip = int(head[0]) if head and abs(head[0]) < 1e15 else 0
     if named.upper() in ("LOCAL", ""):
         return [(path, start)]
-    if named.upper().startswith("LIST"):
-        names = rest
-    elif "%" in named:
-        names = numbered_names(named.split(), path, "MetaImage volume", _most_slices(fields, path))
-    else:
-        names = [named]
+    most = max((n for n in _values(fields, ("DimSize",), path) if abs(n) < 1e15), default=0)
+    names = named_files(named, rest, most, path, "MetaImage volume")
     pictures = [
         name for name in names if Path(name).suffix.lower() in (".tif", ".tiff", ".png", ".jpg", ".bmp")
     ]
-    if pictures or not names:
-        raise CtInertiaError.of(
-            "the data files",
-            "raw voxels",
-            pictures[0] if pictures else "an empty list",
-            path.name,
-            "Give the folder of slices itself, with {spacing}",
-        )
+    if pictures:
+        step = "Give the folder of slices itself, with {spacing}"
+        raise CtInertiaError.of("the data files", "raw voxels", pictures[0], path.name, step)
     return [(beside(path, name, follow), skip) for name in names]
-
-
-def _most_slices(fields: dict[str, str], path: Path) -> int:
-    sizes = _values(fields, ("DimSize",), path)
-    return int(max((n for n in sizes if abs(n) < 1e15), default=0))

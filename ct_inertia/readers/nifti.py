@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, not_readable
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, check_dimensions, grid_volume
+from ct_inertia.readers.refusals import header_fault, no_grey_values, not_readable, several_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -72,13 +71,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     while len(size) > 3 and size[-1] == 1:
         size.pop()
     if len(size) > 3 and min(size[:3]) > 1:
-        raise CtInertiaError.of(
-            "the volume",
-            "one grey value per voxel",
-            f"{int(np.prod(size[3:]))} (a vector or time image)",
-            path.name,
-            "Export one channel",
-        )
+        raise several_values(path, f"{int(np.prod(size[3:]))} (a vector or time image)")
     check_dimensions(size, path.name)
     return grid_volume(_grid(path, header, size), path, options)
 
@@ -169,14 +162,8 @@ def _second(head: bytes, order: str) -> _Header:
 
 def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
     if header.datatype not in _TYPES:
-        complex_or_colour = {32: "complex numbers", 1792: "complex numbers", 128: "a colour (RGB) image"}
-        raise CtInertiaError.of(
-            "the grey values",
-            "integers or floating point numbers",
-            complex_or_colour.get(header.datatype, f"data type {header.datatype}"),
-            path.name,
-            next_step="Export it as real grey values",
-        )
+        known = {32: "complex numbers", 1792: "complex numbers", 128: "a colour (RGB) image"}
+        raise no_grey_values(path, known.get(header.datatype, f"data type {header.datatype}"))
     notices = []
     unit = _UNITS.get(header.units & 7)
     if unit is None:

@@ -14,9 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.checks import beside, mm_per_unit, named_files
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, grid_array, grid_volume
+from ct_inertia.readers.refusals import (
+    header_fault,
+    no_grey_values,
+    not_three_dimensional,
+    several_values,
+)
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -67,13 +73,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         return replace(grid_volume(grid, path, options), segment_names=names)
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
-        raise CtInertiaError.of(
-            "the volume",
-            "one grey value per voxel",
-            f"{count} (a colour, vector or time image)",
-            path.name,
-            "Export one channel",
-        )
+        raise several_values(path, f"{count} (a colour, vector or time image)")
     labels, notice = _flattened(grid_array(grid, path), segments)
     volume = grid_volume(grid, path, options, labels)
     names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
@@ -152,13 +152,7 @@ def _grid(
 ) -> Grid:
     kind = fields.get("type", "").lower()
     if kind not in _TYPES:
-        raise CtInertiaError.of(
-            "the grey values",
-            "integers or floating point numbers",
-            f"type {kind or 'missing'}",
-            path.name,
-            next_step="Export it as grey values",
-        )
+        raise no_grey_values(path, f"type {kind or 'missing'}")
     packing = _PACKINGS.get(fields.get("encoding", "").lower())
     if packing is None:
         raise CtInertiaError.of(
@@ -169,10 +163,7 @@ def _grid(
             next_step="Export it as raw or gzip",
         )
     if len(axes) != 3 or min(sizes) < 1 or min(sizes[k] for k in axes) < 2:
-        shape = " x ".join(map(str, sizes))
-        raise CtInertiaError.of(
-            "the volume", "three-dimensional", f"an image of shape {shape}", path.name, "Give the whole stack"
-        )
+        raise not_three_dimensional(path.name, sizes)
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
     spacing, direction, origin, anatomical, notices = _place(path, fields, axes, sizes)
     extra = int(np.prod([n for k, n in enumerate(sizes) if k not in axes], dtype=np.int64))
@@ -268,12 +259,8 @@ def _files(
     named = fields.get("data file")
     if not named:
         return [(path, -1 if skip == -1 else start + max(skip, 0))]
-    if named.upper().startswith("LIST"):
-        names = fields.get("list", "").splitlines()
-    elif re.search(r"%[0-9]*d", named):
-        names = numbered_names(named.split(), path, "NRRD volume", max(_sizes(fields, path), default=0))
-    else:
-        names = [named]
+    most = max(_sizes(fields, path), default=0)
+    names = named_files(named, fields.get("list", "").splitlines(), most, path, "NRRD volume")
     files = []
     for name in names:
         file = beside(path, name, follow)
@@ -285,8 +272,6 @@ def _files(
                         break
                 past = stream.tell()
         files.append((file, -1 if skip == -1 else past + skip))
-    if not files:
-        raise header_fault(path, "NRRD volume", "an empty list of data files")
     return files
 
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, settle_spacing
+from ct_inertia.readers.checks import beside, mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import check_dimensions
+from ct_inertia.readers.refusals import header_fault, no_grey_values, several_values
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
 from ct_inertia.volume.lazy_arrays import BlockArray, Gaps, Level
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -145,27 +145,11 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
         raise header_fault(folder, "OME-Zarr image", f"{len(axes)} axes for {len(array.shape)} dimensions")
     extra = [f"{n} {axis}" for axis, n in zip(axes, array.shape, strict=True) if axis not in _SPACE and n > 1]
     if extra:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "one stack",
-                f"{', '.join(extra)} (channels or times)",
-                folder.name,
-                "Export one channel and one time",
-            )
-        )
+        raise several_values(folder, f"{', '.join(extra)} (channels or times)")
     order = [axes.index(axis) for axis in _SPACE if axis in axes]
     check_dimensions([array.shape[k] for k in reversed(order)], folder.name)
     if array.dtype.kind not in "uif":
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "integers or floating point numbers",
-                array.dtype,
-                folder.name,
-                "Export grey values",
-            )
-        )
+        raise no_grey_values(folder, array.dtype)
     rest = [k for k in range(len(axes)) if k not in order]
 
     def block(z: int, y: int, x: int) -> NDArray[Any]:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_memory, check_size, not_readable, settle_spacing
+from ct_inertia.readers.checks import check_memory, check_size, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.memory_mapping import read_at
+from ct_inertia.readers.refusals import not_readable
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening

@@ -10,7 +10,8 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ct_inertia.readers.checks import beside, header_fault
+from ct_inertia.readers.checks import beside
+from ct_inertia.readers.refusals import header_fault
 
 # Kinds of limits in readers.checks by the compression that a page states.
 _PACKINGS = {

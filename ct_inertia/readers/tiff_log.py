@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import not_readable
+from ct_inertia.readers.refusals import not_readable
 
 _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_memory, check_size, header_fault, not_readable
+from ct_inertia.readers.checks import check_memory, check_size
 from ct_inertia.readers.memory_mapping import mapped, read_at
+from ct_inertia.readers.refusals import header_fault, not_readable, not_three_dimensional, several_values
 from ct_inertia.readers.tiff_directories import packing_of
 from ct_inertia.volume.lazy_arrays import BlockArray
 from stapeskit.warnings import Notice
@@ -175,32 +176,16 @@ def _evenly_stepped(
 def _check_kind(series: Any, page: Any, path: Path) -> None:
     check_palette(page, path)
     if page.photometric is not None and page.photometric.name in ("RGB", "YCBCR", "CMYK"):
-        raise CtInertiaError.of(
-            "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
-        )
+        raise several_values(path, "a colour (RGB) image")
     axes, shape = series.axes, series.shape
     if "S" in axes and shape[axes.index("S")] > 1:
-        raise CtInertiaError.of(
-            "the volume", "grey values", "several samples per voxel", path.name, "Export one channel"
-        )
+        raise several_values(path, "several samples per voxel")
     extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
     kept = tuple(n for n in shape if n > 1)
     if extra and (len(kept) > 3 or "Z" in axes):
-        raise CtInertiaError.of(
-            "the volume",
-            "one stack",
-            f"{', '.join(extra)} (channels or times)",
-            path.name,
-            "Export one channel and one time",
-        )
+        raise several_values(path, f"{', '.join(extra)} (channels or times)")
     if len(kept) != 3:
-        raise CtInertiaError.of(
-            "the volume",
-            "three-dimensional",
-            f"an image of shape {' x '.join(map(str, reversed(kept)))}",
-            path.name,
-            "Give the whole stack, or the folder of slices",
-        )
+        raise not_three_dimensional(path.name, kept[::-1])
 
 
 def check_palette(page: Any, path: Path) -> None:
@@ -229,9 +214,7 @@ def _check_pages(series: Any, files: list[Path], path: Path) -> None:
     check_pieces(series.keyframe, path)
     for page, file in zip(series.pages, files, strict=True):
         if page is None:
-            raise CtInertiaError.of(
-                "the TIFF", "complete", "a missing page", path.name, "Copy or export it again"
-            )
+            raise header_fault(path, "TIFF", "a missing page")
         check_offsets(page, file, sizes[file])
 
 

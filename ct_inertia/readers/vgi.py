@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.checks import mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.header_grid import Grid, grid_volume
+from ct_inertia.readers.refusals import header_fault
 from ct_inertia.volume.volume import Volume
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice

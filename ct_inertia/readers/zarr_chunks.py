@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import amount, check_memory, header_fault, not_readable, unreadable
+from ct_inertia.readers.checks import amount, check_memory
 from ct_inertia.readers.decompression import CODECS, unpack
+from ct_inertia.readers.refusals import header_fault, not_readable, unreadable
 from ct_inertia.readers.zarr_files import ZarrFiles
 from stapeskit.faults import Fault
 

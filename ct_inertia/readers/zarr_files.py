@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.readers.checks import header_fault, unreadable
+from ct_inertia.readers.refusals import header_fault, unreadable
 
 # Most files of an array: 1024^3 voxels in chunks of 8^3 have 2 million; damaged shapes claim more.
 _MOST_FILES = 4_000_000

@@ -50,7 +50,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import array_of, complex_of, read_hdf5, text_of, texts_of
-from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
+from kinematics.readers.recording import Recording, Recordings, from_parts, scaled, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import number_faults
@@ -223,8 +223,7 @@ def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bo
         if parts[0].shape != parts[1].shape:
             got = f"{parts[0].shape} and {parts[1].shape}"
             raise KinematicsError.of("re and im", "of one shape", got, name)
-        values = np.empty(parts[0].shape, dtype=complex)
-        values.real, values.imag = parts
+        values = from_parts(*parts)
     else:
         step = "Write the imaginary part: without phase there is no motion"
         raise KinematicsError.of("the data set im", "in the file", "re alone", name, step)

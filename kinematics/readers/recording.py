@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kinematics.errors import KinematicsError
 from stapeskit.arrays import Array, ComplexArray
@@ -25,6 +26,19 @@ def scaled(value: ComplexArray, factor: float) -> ComplexArray:
     with np.errstate(over="ignore", invalid="ignore"):
         converted.real, converted.imag = value.real * factor, value.imag * factor
     return converted
+
+
+def from_parts(real: ArrayLike, imaginary: ArrayLike) -> ComplexArray:
+    """Return complex numbers of their parts; ``a + 1j * b`` would make NaN of infinite ones."""
+    value = np.asarray(real).astype(complex)
+    value.imag = imaginary
+    return value
+
+
+def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
+    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(magnitude * np.exp(1j * turn * phase))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -18,6 +19,11 @@ LENGTHS = {
 # m/s2, by definition (3rd CGPM, 1901).
 STANDARD_GRAVITY = 9.80665
 MOTIONS = ("m, mm, um, nm", "m/s, mm/s, um/s", "m/s2, mm/s2, g")
+_DEGREES = ("deg", "degree", "degrees", "°", "\ufffd")
+_PHASES = {
+    **dict.fromkeys(_DEGREES, math.pi / 180.0),
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+}
 _RATES = {"": 0, "s": 1, "s2": 2, "sec": 1, "sec2": 2}
 _DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
 # As in m s-1 and m*s^-2.
@@ -89,6 +95,11 @@ def motion_unit(label: str) -> MotionUnit | None:
             order, rest = 2, rest[1:]
         return MotionUnit(order, scale, "/".join(rest).strip("()"))
     return MotionUnit(0, scale, "/".join(parts[1:]).strip("()"))
+
+
+def phase_scale(label: str) -> float | None:
+    """Return the factor of a unit of phase to radians; None when it is no known one."""
+    return _PHASES.get(label.strip().lower())
 
 
 def length_scale(label: str) -> float | None:

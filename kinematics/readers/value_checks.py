@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.errors import KinematicsError
 from kinematics.readers.recording import Recording
-from stapeskit.faults import Fault, Place
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 
@@ -62,8 +64,29 @@ def value_faults(recordings: Sequence[Recording]) -> list[Fault]:
     return faults
 
 
+def check_frequencies(
+    freq_hz: Array, where: Place | str, thing: str = "the frequencies", step: str = "Export it again"
+) -> None:
+    """Refuse frequencies (freq,) that do not ascend, or are negative or no numbers.
+
+    Raises
+    ------
+    KinematicsError
+        The first of them, and how many more there are.
+    """
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq_hz) | (freq_hz < 0.0) | (np.diff(freq_hz, prepend=-np.inf) <= 0.0)
+    wanted = "ascending and not negative"
+    raise_all(KinematicsError, number_faults(thing, freq_hz, bad, wanted, where, step))
+
+
 def number_faults(
-    thing: str, numbers: NDArray[np.generic], bad: NDArray[np.bool_], expected: str, where: Place | str
+    thing: str,
+    numbers: NDArray[np.generic],
+    bad: NDArray[np.bool_],
+    expected: str,
+    where: Place | str,
+    step: str = "Export it again",
 ) -> list[Fault]:
     """Return one sentence on the bad entries of an array, with the first of them and its place from 1."""
     if not np.any(bad):
@@ -71,7 +94,7 @@ def number_faults(
     first = tuple(int(place) for place in np.argwhere(bad)[0])
     more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
     place = ", ".join(str(entry + 1) for entry in first)
-    return [Fault(thing, expected, f"{numbers[first]} at place {place}{more}", where, "Export it again")]
+    return [Fault(thing, expected, f"{numbers[first]:g} at place {place}{more}", where, step)]
 
 
 def _number_faults_of(

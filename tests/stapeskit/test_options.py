@@ -122,6 +122,12 @@ def test_a_folder_as_config_file_is_refused(tmp_path, monkeypatch):
         ct2mass().parse(["scan.tif", "--config", "o.toml"])
 
 
+@pytest.mark.parametrize("command", ["ct2mass", "points2dof", "dof2kd"])
+def test_two_hyphens_are_a_value_like_others(command):
+    with pytest.raises(StapeskitError, match="--config must be an existing TOML file; got --"):
+        PARSERS[command]().parse(["--config=--"])
+
+
 def outcome(command, words, field):
     """The value that a parser reads, or the faults of what is missing beside it."""
     try:

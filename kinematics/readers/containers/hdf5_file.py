@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.recording import from_parts
 from stapeskit.faults import StapeskitError
 from stapeskit.records.hdf5_guard import read_apart
 
@@ -92,9 +93,7 @@ def complex_of(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return compound numbers with the fields real, imag or r, i as complex ones, others as they are."""
     names = values.dtype.names
     if names and len(names) == 2:
-        both = np.empty(values.shape, dtype=complex)
-        both.real, both.imag = values[names[0]], values[names[1]]
-        return both
+        return from_parts(values[names[0]], values[names[1]])
     return values
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.recording import from_parts
 from stapeskit.faults import Fault
 
 # Five whole numbers before each matrix, and the types of its numbers.
@@ -51,9 +52,7 @@ def read_mat4(path: Path) -> dict[str, Any]:
         place += needed
         values = values.astype(dtype.newbyteorder("="))
         if is_complex:
-            both = np.empty(count, dtype=complex)
-            both.real, both.imag = values[:count], values[count:]
-            values = both
+            values = from_parts(values[:count], values[count:])
         matrix = values.reshape(rows, columns, order="F")
         if content == _TEXT:
             with np.errstate(invalid="ignore"):

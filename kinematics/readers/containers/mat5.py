@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.recording import from_parts
 from stapeskit.faults import Fault, raise_all
 
 # MAT-File Format (MathWorks), level 5: length of the header, data types and array classes.
@@ -166,9 +167,7 @@ def _matrix(elements: _Elements, depth: int) -> tuple[str, Any]:
         return name, _structs(elements, count, kind == _OBJECT, depth)
     real = _sized(elements, count)
     if is_complex:
-        both = np.empty(count, dtype=complex)
-        both.real, both.imag = real, _sized(elements, count)
-        real = both
+        real = from_parts(real, _sized(elements, count))
     return name, real.astype(real.dtype.newbyteorder("=")).reshape(shape, order="F")
 
 

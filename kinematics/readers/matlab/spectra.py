@@ -34,6 +34,7 @@ from kinematics.readers.matlab.variables import (
 )
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
+from kinematics.readers.value_checks import check_frequencies
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.option_names import named
@@ -251,12 +252,6 @@ def _plain(
 
 def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any]) -> Array:
     freq = reals(space, layout.frequency, where, tree).reshape(-1)
-    with np.errstate(invalid="ignore"):
-        bad = ~np.isfinite(freq) | (np.diff(freq, prepend=-np.inf) <= 0.0)
-    if np.any(bad):
-        first = int(np.flatnonzero(bad)[0])
-        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
-        got = f"{freq[first]:g} at place {first + 1}{more}"
-        step = "Say which variable holds the frequencies in a mapping"
-        raise KinematicsError.of(layout.frequency, "ascending frequencies, Hz", got, where, step)
+    step = "Say which variable holds the frequencies in a mapping"
+    check_frequencies(freq, where, layout.frequency, step)
     return freq

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.matlab_file import describe
 from kinematics.readers.matlab.mapping import Layout, Signal, stacked, usd_direction
-from kinematics.readers.recording import unknown_vector
+from kinematics.readers.recording import from_parts, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import in_mm
@@ -93,21 +93,15 @@ def values_of(
         if shaped[0].shape != shaped[1].shape:
             want = f"as large as {signal.value_re}"
             raise KinematicsError.of(signal.value_im, want, "another size", where)
-        return _both(shaped[0], shaped[1])
+        return from_parts(shaped[0], shaped[1])
     values = _numbers(space, signal.value, where, tree)
     if not np.iscomplexobj(values):
         if values.ndim == 2 and values.shape[1] == 2 * count:
-            values = _both(values[:, 0::2], values[:, 1::2])
+            values = from_parts(values[:, 0::2], values[:, 1::2])
         else:
             step = "Export Real & Imag., not a magnitude: without phase there is no motion"
             raise KinematicsError.of(f"the variable {signal.value}", "complex", "real numbers", where, step)
     return np.asarray(_shaped(values, count, signal.value, where), dtype=complex)
-
-
-def _both(real: NDArray[Any], imaginary: NDArray[Any]) -> NDArray[np.complex128]:
-    value = np.empty(real.shape, dtype=complex)
-    value.real, value.imag = real, imaginary
-    return value
 
 
 def unit_of(

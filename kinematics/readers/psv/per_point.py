@@ -18,7 +18,7 @@ from kinematics.readers.psv.text_blocks import Block, fields_of, read_blocks, va
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
-from kinematics.readers.value_checks import in_mm
+from kinematics.readers.value_checks import check_frequencies, in_mm
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
 from stapeskit.warnings import Notice
@@ -130,14 +130,7 @@ def _frequencies(block: Block) -> Array:
         raise KinematicsError.of("the first column", "Frequency [Hz]", got, block.where, step)
     with np.errstate(over="ignore"):
         freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
-    with np.errstate(invalid="ignore"):
-        bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
-    if np.any(bad):
-        row = int(np.flatnonzero(bad)[0])
-        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
-        got = f"{freq[row]:g} in row {row + 1}{more}"
-        step = "Export it again"
-        raise KinematicsError.of("the frequencies", "ascending and not negative", got, block.where, step)
+    check_frequencies(freq, block.where)
     return np.asarray(freq)
 
 

@@ -6,13 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.text_blocks import Block, value_of
-from kinematics.readers.recording import scaled
+from kinematics.readers.recording import from_parts, from_polar, scaled
 from kinematics.readers.text import shown
-from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
+from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit, phase_scale
 from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
@@ -91,8 +89,7 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
     of_axis = f" of axis {axis}" if axis else ""
     if {"re", "im"} <= set(parts):
         first, second = parts["re"], parts["im"]
-        value = np.empty(len(block.numbers), dtype=complex)
-        value.real, value.imag = block.numbers[:, first], block.numbers[:, second]
+        value = from_parts(block.numbers[:, first], block.numbers[:, second])
         if block.units[first] != block.units[second]:
             got = f"{shown(block.units[first])} and {shown(block.units[second])}"
             raise KinematicsError.of(
@@ -100,9 +97,14 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
             )
     elif {"amp", "phase"} <= set(parts):
         first, second = parts["amp"], parts["phase"]
-        turn = _phase_factor(block.units[second], block.where)
-        with np.errstate(invalid="ignore", over="ignore"):
-            value = np.asarray(block.numbers[:, first] * np.exp(1j * turn * block.numbers[:, second]))
+        label = block.units[second]
+        turn = phase_scale("deg" if label.strip().lower() == "grad" else label)  # degrees in German
+        if turn is None:
+            got = shown(label) if label.strip() else "none"
+            raise KinematicsError.of(
+                "the unit of the phase", "degrees or rad", got, block.where, "Export it again"
+            )
+        value = from_polar(block.numbers[:, first], block.numbers[:, second], turn)
     else:
         names = {"re": "real part", "im": "imaginary part", "amp": "magnitude", "phase": "phase"}
         got = " and ".join(names[part] for part in parts) + " alone"
@@ -110,15 +112,6 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
         expected = "real and imaginary part, or magnitude and phase"
         raise KinematicsError.of(f"the values{of_axis}", expected, got, block.where, step)
     return first, value
-
-
-def _phase_factor(unit: str, where: Place | str) -> float:
-    if unit.strip().lower() in ("°", "deg", "degree", "degrees", "grad", "\ufffd"):
-        return float(np.pi / 180.0)
-    if unit.strip().lower() in ("rad", "radian", "radians"):
-        return 1.0
-    got = shown(unit) if unit else "none"
-    raise KinematicsError.of("the unit of the phase", "degrees or rad", got, where, "Export it again")
 
 
 def frequency_hz(text: str, where: Place | str) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.recording import from_parts
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff.datasets import CUT, Dataset, data_form
 from stapeskit.arrays import Array
@@ -216,10 +217,7 @@ def _values(
         rows = _text(dataset, kind, count, even, parts, file)
     x = np.empty(0) if even else rows[:, 0]
     columns = rows if even else rows[:, 1:]
-    y = np.zeros(count, dtype=complex)
-    y.real = columns[:, 0]
-    if parts == 2:
-        y.imag = columns[:, 1]
+    y = from_parts(columns[:, 0], columns[:, 1] if parts == 2 else 0.0)
     return np.ascontiguousarray(x), y
 
 

@@ -13,9 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
+from kinematics.readers.recording import (
+    Recording,
+    Recordings,
+    from_parts,
+    from_polar,
+    scaled,
+    unknown_vector,
+)
 from kinematics.readers.text import shown
-from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit, phase_scale
+from kinematics.readers.value_checks import check_frequencies
 from kinematics.readers.wide.columns import (
     HERTZ,
     Beam,
@@ -30,14 +38,6 @@ from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
-
-_TURNS = {
-    "deg": np.pi / 180.0,
-    "°": np.pi / 180.0,
-    "degree": np.pi / 180.0,
-    "degrees": np.pi / 180.0,
-    "rad": 1.0,
-}
 
 
 def is_wide(text: str) -> bool:
@@ -71,7 +71,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     freq = _frequencies(sheet, document)
     if np.all(np.diff(freq) < 0.0):  # measured from high to low
         sheet, freq = replace(sheet, numbers=sheet.numbers[::-1]), freq[::-1]
-    _check_ascending(freq, sheet)
+    check_frequencies(freq, sheet.place(), step="Sort the rows, one a frequency")
     faults: list[Fault] = []
     recordings = []
     stated = {document.get("amplitude", "")} if document else set()
@@ -105,16 +105,6 @@ def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
     return np.asarray(sheet.numbers[:, columns[0]] * HERTZ[unit.lower()])
 
 
-def _check_ascending(freq: Array, sheet: Sheet) -> None:
-    with np.errstate(invalid="ignore"):
-        bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
-    if np.any(bad):
-        row = int(np.flatnonzero(bad)[0])
-        step = "Sort the rows, one a frequency"
-        got = f"{freq[row]:g} Hz in row {row + 1}"
-        raise KinematicsError.of("the frequencies", "ascending and not negative", got, sheet.place(), step)
-
-
 def _recording(
     sheet: Sheet, beam: Beam, freq: Array, document: dict[str, Any], stem: str
 ) -> tuple[Recording, str]:
@@ -141,18 +131,17 @@ def _complex(sheet: Sheet, beam: Beam) -> tuple[NDArray[np.complex128], int]:
     """Return the values of a beam in its unit, and the column that says the unit."""
     parts = beam.columns
     if {"re", "im"} <= set(parts):
-        value = np.empty(len(sheet.numbers), dtype=complex)
-        value.real, value.imag = sheet.numbers[:, parts["re"]], sheet.numbers[:, parts["im"]]
-        return value, parts["re"]
+        return from_parts(sheet.numbers[:, parts["re"]], sheet.numbers[:, parts["im"]]), parts["re"]
     if {"amp", "phase"} <= set(parts):
-        label = (beam.phase_unit or sheet.units[parts["phase"]] or "deg").lower()
-        if label not in _TURNS:
+        label = beam.phase_unit or sheet.units[parts["phase"]] or "deg"
+        turn = phase_scale(label)
+        if turn is None:
             raise KinematicsError.of(
                 "the unit of the phase", "deg or rad", shown(label), sheet.place(parts["phase"])
             )
-        with np.errstate(invalid="ignore", over="ignore"):
-            turn = np.exp(1j * _TURNS[label] * sheet.numbers[:, parts["phase"]])
-            return np.asarray(sheet.numbers[:, parts["amp"]] * turn), parts["amp"]
+        return from_polar(sheet.numbers[:, parts["amp"]], sheet.numbers[:, parts["phase"]], turn), parts[
+            "amp"
+        ]
     lone = next(iter(parts.values()))
     want = "with its phase, or a real part with its imaginary part"
     step = f"Export both, or say in {sheet.file}.toml which column is what (docs/vibrometer_files.md)"

@@ -171,12 +171,12 @@ BAD_TIFF = {
     "channels.tif": (
         np.zeros((3, 2, 6, 5), np.uint8),
         {"imagej": True, "metadata": {"axes": "ZCYX"}},
-        r"one stack; got 2 C \(channels or times\)",
+        r"a stack of one grey value per voxel; got 2 C \(channels or times\)",
     ),
     "times.ome.tif": (
         np.zeros((4, 3, 6, 5), np.uint16),
         {"metadata": {"axes": "TZYX"}},
-        r"one stack; got 4 T \(channels or times\)",
+        r"a stack of one grey value per voxel; got 4 T \(channels or times\)",
     ),
 }
 
@@ -338,7 +338,7 @@ def test_bad_zarr_folders(tmp_path):
     path = f.ome_zarr(tmp_path / "b.zarr", picture(), leading=("c",))
     array = json.loads((path / "0" / ".zarray").read_text())
     (path / "0" / ".zarray").write_text(json.dumps(array | {"shape": [2, *array["shape"][1:]]}))
-    with pytest.raises(CtInertiaError, match=r"one stack; got 2 c \(channels or times\)"):
+    with pytest.raises(CtInertiaError, match=r"one grey value per voxel; got 2 c \(channels"):
         read_volume(path)
     path = f.ome_zarr(tmp_path / "c.zarr", picture())
     chunk = next(p for p in (path / "0").rglob("*") if p.is_file() and not p.name.startswith("."))

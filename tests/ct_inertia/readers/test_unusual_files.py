@@ -1,6 +1,7 @@
 """Files that are unusual and right: made after the descriptions of their formats, read as they are meant."""
 
 import gzip
+import os
 import struct
 import zlib
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_labels, read_volume
+from stapeskit.provenance import content_hash
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
@@ -203,3 +205,11 @@ def test_a_stream_that_becomes_longer_than_its_volume_fills_the_volume_only(tmp_
     path.write_bytes(path.read_bytes().rpartition(b"@1\n")[0] + b"@1\n" + zlib.compress(bytes(1 << 20)))
     with pytest.raises(CtInertiaError, match="differing grey values"):
         read_volume(path)
+
+
+def test_a_folder_may_hold_names_that_are_no_utf_8(tmp_path):
+    f.slices(tmp_path / "scan", picture())
+    before = content_hash(tmp_path / "scan")
+    (tmp_path / "scan" / os.fsdecode(b"Pr\xe4parat.txt")).write_text("a note in Latin-1")
+    assert content_hash(tmp_path / "scan") != before
+    read_back(tmp_path / "scan", picture())

@@ -229,7 +229,7 @@ def test_all_faults_of_a_file_are_told_together(tmp_path):
         file["freq_hz"][4] = 1.0
     with pytest.raises(StapeskitError) as caught:
         read(path)
-    assert "freq_hz must be ascending and finite; got 1.0 at place 5" in str(caught.value)
+    assert "freq_hz must be ascending and finite; got 1 at place 5" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 3
 
 

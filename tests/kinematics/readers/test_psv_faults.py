@@ -56,7 +56,7 @@ def test_faults_of_single_points_are_told_together(tmp_path):
     )
     told = fault(folder).splitlines()
     assert len(told) == 4
-    assert "got 1000 in row 2 and 1 more (p1.txt" in told[2]
+    assert "got 1000 at place 2 and 1 more (p1.txt" in told[2]
 
 
 def test_a_long_list_is_cut_and_counted(tmp_path):

@@ -86,7 +86,7 @@ def test_missing_values_and_a_dc_line_are_no_faults():
 def test_the_first_bad_number_is_named_with_its_place():
     numbers = np.arange(6.0).reshape(2, 3)
     (fault,) = number_faults("the matrix", numbers, numbers > 3.5, "below 3.5", "file.mat")
-    assert "4.0 at place 2, 2 and 1 more" in str(fault)
+    assert "4 at place 2, 2 and 1 more" in str(fault)
     assert number_faults("the matrix", numbers, numbers > 9.0, "below 9", "file.mat") == []
 
 
