@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -120,8 +120,8 @@ def budget_of(problem: Problem, lines: Lines, fit: LawFit, off: Array | None = N
     if np.any(bias):
         sources[ATTENUATION] = np.outer(bias, bias)
     effects = shared_effects(problem, lines, fit.estimate)
-    if fit.exponent_sd is not None:
-        effects.append(_exponent_effect(fit, widened))
+    if fit.law_covariance.size:
+        effects.append(_law_effect(fit, widened))
     for effect in effects:
         sources.update(_by_source(effect))
     covariance = sum(sources.values(), np.zeros_like(noise))
@@ -164,22 +164,25 @@ def _by_source(effect: SharedEffect) -> dict[str, Array]:
     return parts
 
 
-def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
-    """Return how the uncertainty of an estimated exponent or time moves the SI parameters."""
-    problem, parameters = fit.problem, fit.estimate.parameters
-    step = 1e-5 * fit.law.unit_of_exponent(problem.scale.omega)
-    gradients = []
-    for sign in (1.0, -1.0):
-        moved = problem.with_law(replace(fit.law, exponent=fit.law.exponent + sign * step))
-        gradients.append(problem.gradient(parameters, moved.lines()))
-    respond = implicit_response(problem, problem.lines(), fit.estimate)
-    column = respond((gradients[0] - gradients[1]) / (2.0 * step))
+def _law_effect(fit: LawFit, widened: float) -> SharedEffect:
+    """Return how the uncertainty of what the law leaves open moves the SI parameters."""
+    problem, parameters, law = fit.problem, fit.estimate.parameters, fit.law
+    steps = np.diag(1e-5 * law.units(problem.scale.omega))
+    slopes = []
+    for step in steps:
+        ends = [
+            problem.gradient(parameters, problem.with_law(law.with_unknowns(law.unknowns + move)).lines())
+            for move in (step, -step)
+        ]
+        slopes.append((ends[0] - ends[1]) / (2.0 * step.max()))
+    response = implicit_response(problem, problem.lines(), fit.estimate)(np.stack(slopes, axis=1))
     half = len(parameters) // 2
-    if fit.law.law.time_power is None:
-        column[half:] -= np.log(problem.scale.omega) * parameters[half:] * problem.units[half:]
-    variance = np.array([[widened * (fit.exponent_sd or 0.0) ** 2]])
-    none = np.zeros((1, problem.n, problem.n))
-    return SharedEffect(EXPONENT, ("exponent",), variance, column[:, None], none)
+    if law.law.time_power is None:
+        response[half:, 0] -= np.log(problem.scale.omega) * parameters[half:] * problem.units[half:]
+    none = np.zeros((len(steps), problem.n, problem.n))
+    return SharedEffect(
+        EXPONENT, ("exponent", "ratio")[: len(steps)], widened * fit.law_covariance, response, none
+    )
 
 
 def derived_quantities(problem: Problem, stiffness: Array, damping: Array, budget: Budget) -> Derived:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from fitting.causes.catalogue import Setting, term_of
 from fitting.causes.correction import corrected_problem
 from fitting.errors import FittingError
 from fitting.estimators import ml
-from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
+from fitting.estimators.base import Estimate, gram, solve_symmetric
 from fitting.estimators.multistart import with_fluid
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
@@ -44,10 +44,12 @@ class LawFit:
     chi2 : float
     bic : float
         chi2 over the best law's chi2 per degree of freedom (when above 1) + unknowns ln(equations).
-    exponent_sd : float or None
-        Standard deviation of an estimated exponent, channel noise only; with a ligament from all sources.
+    law_covariance : ndarray, (unknowns, unknowns)
+        Of the unknowns of the law, channel noise only; with a ligament their variances, from all sources.
     ligament : LigamentFit or None
         The joint fit with the plane of the ligament; chi2 is its then.
+    others : tuple of LawFit
+        Further minima under the same law.
     outside : float
         Chi2 of the joint fit that was left since its K or D is not positive semidefinite; 0 where none was.
     """
@@ -57,8 +59,9 @@ class LawFit:
     estimate: Estimate
     chi2: float
     bic: float
-    exponent_sd: float | None = None
+    law_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     ligament: LigamentFit | None = None
+    others: tuple[LawFit, ...] = field(default=(), repr=False)
     outside: float = 0.0
 
     @property
@@ -66,27 +69,50 @@ class LawFit:
         """Degrees of freedom of chi2."""
         if self.ligament is not None:
             return self.ligament.n_dof
-        return degrees(self.problem.lines()) - self.law.unknowns
+        return degrees(self.problem.lines()) - self.law.free
+
+    @property
+    def law_sd(self) -> Array:
+        """Standard deviations of the unknowns of the law."""
+        return np.sqrt(np.diag(self.law_covariance))
+
+    @property
+    def exponent_sd(self) -> float | None:
+        """Standard deviation of an estimated exponent or time."""
+        return float(self.law_sd[0]) if self.law_covariance.size else None
 
 
 def fit_law(
     problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float], ratio: float = 0.0
 ) -> LawFit:
-    """Estimate under one damping law; an exponent or a time is estimated by a one-dimensional search."""
+    """Estimate under one damping law; what it leaves open is estimated by a search."""
     search = law_of(name).search
     if search is None:
         return fit_at(problem, DampingLaw(name), lower, upper)
-    from scipy.optimize import minimize_scalar
+    from scipy.optimize import minimize, minimize_scalar
 
-    unit = 1.0 / problem.scale.omega
+    unit, sd = 1.0 / problem.scale.omega, DampingLaw(name).prior_sd
 
-    def objective(exponent: float) -> float:
-        law = DampingLaw(name, float(exponent), ratio).scaled(unit)
-        return fit_at(problem, law, lower, upper).estimate.objective
+    def law_at(unknowns: Array) -> DampingLaw:
+        return DampingLaw(name).with_unknowns(unknowns).scaled(unit)
 
-    optimum = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
-    best = fit_at(problem, DampingLaw(name, float(optimum.x), ratio).scaled(unit), lower, upper)
-    return replace(best, exponent_sd=_exponent_sd(best))
+    def objective(unknowns: Array) -> float:
+        off = float(np.sum(((unknowns - usual) / sd) ** 2))
+        return fit_at(problem, law_at(unknowns), lower, upper).estimate.objective + 0.5 * off
+
+    usual = DampingLaw(name, ratio=ratio).unknowns
+    best = usual.copy()
+    optimum = minimize_scalar(
+        lambda exponent: objective(np.array([exponent, *best[1:]])),
+        bounds=search,
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    best[0] = optimum.x
+    if len(best) > 1:
+        best = minimize(objective, best, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-4}).x
+    fit = fit_at(problem, law_at(best), lower, upper)
+    return replace(fit, law_covariance=_law_covariance(fit))
 
 
 def start_of_law(
@@ -99,6 +125,7 @@ def start_of_law(
 ) -> LawFit:
     """Return the best fit under a law at a few of the exponents or times that it may have.
 
+    Two times start where they relax at either side of the middle of the band.
     With ``fluid`` it is the best one from which a fit with a mass of fluid goes on: without that mass a
     relaxation time comes out below zero, and the fit with it would stay there.
     """
@@ -106,10 +133,8 @@ def start_of_law(
     if search is None:
         return fit_law(problem, name, lower, upper)
     ends = np.linspace(*search, _STARTS + 1)
-    laws = [
-        DampingLaw(name, float(at), ratio).scaled(1.0 / problem.scale.omega)
-        for at in ends[:-1] + 0.5 * np.diff(ends)
-    ]
+    places = [ratio**-0.5] if ratio else ends[:-1] + 0.5 * np.diff(ends)
+    laws = [DampingLaw(name, float(at), ratio).scaled(1.0 / problem.scale.omega) for at in places]
     free = replace(problem, options=replace(problem.options, passive=False))
     tried = [fit_at(free, law, lower, upper) for law in laws]
     if fluid:
@@ -132,7 +157,7 @@ def fits_of_laws(
     upper: Mapping[str, float],
     fit: Callable[..., LawFit] = fit_law,
 ) -> tuple[tuple[LawFit, ...], dict[str, str]]:
-    """Estimate under damping laws; a law with two times has a fit for each of their ratios.
+    """Estimate under damping laws; a law with two times from each of its ratios.
 
     Parameters
     ----------
@@ -167,11 +192,11 @@ def fits_of_laws(
 
 
 def best_of_each(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
-    """Return the best fit of each law."""
-    best: dict[str, LawFit] = {}
+    """Return the best fit of each law, with its other minima."""
+    of_law: dict[str, list[LawFit]] = {}
     for fit in sorted(fits, key=lambda fit: (fit.ligament is None, fit.bic)):
-        best.setdefault(fit.law.name, fit)
-    return tuple(best[name] for name in LAWS if name in best)
+        of_law.setdefault(fit.law.name, []).extend([fit, *fit.others])
+    return tuple(replace(of_law[name][0], others=tuple(of_law[name][1:])) for name in LAWS if name in of_law)
 
 
 def rescale_bic(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
@@ -185,7 +210,7 @@ def indistinguishable_laws(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, .
     """Return the other laws that the data do not tell from the one of the best fit.
 
     A law that the best one is a special case of is no other: the simple one is kept until the data speak
-    against it. Numbers that were chosen for a law do not count here, since they say nothing of the data.
+    against it. Unknowns of a law that have a prior do not count here, since they say nothing of the data.
     """
     names = []
     for other in laws:
@@ -193,7 +218,7 @@ def indistinguishable_laws(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, .
         if same or not other.law.physical or (best.ligament is not None and other.ligament is None):
             continue
         equations = 2 * best.problem.n * len(best.problem.observation.freq_hz)
-        chosen = (other.law.law.fixed - best.law.law.fixed) * np.log(equations)
+        chosen = (other.law.known - best.law.known) * np.log(equations)
         if other.bic - best.bic - chosen < calibrated("causes.look_alike_chi2"):
             names.append(other.law.name)
     return tuple(names)
@@ -257,7 +282,7 @@ def with_ligament(
         ligament.estimate,
         ligament.chi2,
         0.0,
-        ligament.exponent_sd,
+        np.diag(ligament.law_sd**2),
         ligament,
     )
     return replace(extended, bic=_bic(extended, 1.0))
@@ -278,7 +303,7 @@ def fit_at(
 
 def _bic(fit: LawFit, spread: float) -> float:
     observation = fit.problem.observation
-    unknowns = len(fit.estimate.parameters) + fit.law.unknowns + fit.law.law.fixed
+    unknowns = len(fit.estimate.parameters) + len(fit.law.unknowns)
     if fit.ligament is not None:
         unknowns += len(fit.ligament.terms)
     equations = 2 * fit.problem.n * len(observation.freq_hz)
@@ -296,16 +321,19 @@ def _bounds(problem: Problem, bounds: Mapping[str, float], default: float) -> Ar
     return filled
 
 
-def _exponent_sd(fit: LawFit) -> float:
-    """Return the sd of a fractional exponent: the Schur complement of its Fisher information."""
+def _law_covariance(fit: LawFit) -> Array:
+    """Return the covariance of the law's unknowns: the inverse Schur complement of their information."""
     lines = fit.problem.lines()
     now = ml.whiten(fit.estimate.parameters, lines)
     rows = real_rows(now.corrected(lines))
     _, damping = split(fit.estimate.parameters, lines.n)
     omega = fit.problem.scale.omega
-    slope = fit.law.scaled(omega).slope(lines.omega)
-    extra = real_rows(forward(now.factor, slope * (damping @ lines.dq)))
-    coupling = transposed_times(rows, extra)
-    explained = float(coupling @ solve_symmetric(gram(rows), coupling))
-    information = 2.0 * (float(extra @ extra) - explained)
-    return fit.law.unit_of_exponent(omega) / max(information, 1e-300) ** 0.5
+    slopes = fit.law.scaled(omega).slopes(lines.omega)
+    extra = np.stack(
+        [real_rows(forward(now.factor, slope * (damping @ lines.dq))) for slope in slopes], axis=1
+    )
+    across = rows.T @ extra
+    information = 2.0 * (extra.T @ extra - across.T @ solve_symmetric(gram(rows), across))
+    information += np.diag(fit.law.prior_sd**-2.0)
+    units = fit.law.units(omega)
+    return np.asarray(np.linalg.pinv(information) * np.outer(units, units))

@@ -12,6 +12,7 @@ import numpy as np
 from fitting.budget import budget_of
 from fitting.calibrated import calibrated
 from fitting.causes.diagnosis import model_error
+from fitting.causes.model_error import minimum_error
 from fitting.damping_laws import (
     LawFit,
     best_of_each,
@@ -136,7 +137,7 @@ def _fitted(
     if best.ligament is not None and measured is not None:
         best, diagnosis, fluid, laws = choose_fluid(best, plain, measured, options, laws)
         if best.ligament is not None:
-            off = model_error(diagnosis, best.ligament)
+            off = np.concatenate([model_error(diagnosis, best.ligament), _minima(best)], axis=1)
             best = replace(best, ligament=best.ligament.with_model_error(off[12:]))
         laws = tuple(best if law.law.name == best.law.name else law for law in laws)
     problem = best.problem
@@ -152,6 +153,20 @@ def _fitted(
     fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
     notices = [*fit.notices, *_undetermined(undetermined), *_alike(fit)]
     return replace(fit, undetermined=undetermined, notices=unique(notices))
+
+
+def _minima(best: LawFit) -> Array:
+    """Return columns (24, k) of the error where the data do not tell the minima under a law apart."""
+    assert best.ligament is not None  # noqa: S101
+    others = [fit for fit in best.others if fit.ligament is not None and fit.law.physical]
+    level = max(1.0, best.ligament.joint.level)
+    weights = np.exp([-0.5 * max(fit.chi2 - best.chi2, 0.0) / level for fit in others])
+    columns = [
+        np.sqrt(weight / (1.0 + weights.sum())) * minimum_error(best.ligament, fit.ligament)
+        for weight, fit in zip(weights, others, strict=True)
+        if fit.ligament is not None
+    ]
+    return np.stack(columns, axis=1) if columns else np.zeros((24, 0))
 
 
 def _measured(motion: RigidMotion, options: KDOptions, problem: Problem) -> JointLines | None:

@@ -243,10 +243,6 @@ def _compared(best: LawFit, laws: Iterable[LawFit]) -> list[Refit]:
     ]
 
 
-def _counted(fit: LawFit) -> int:
-    return fit.law.unknowns + fit.law.law.fixed
-
-
 def _refit_of(best: LawFit, other: LawFit, unknowns: float) -> Refit:
     """Return a fit under another law as a refit whose law counts as ``unknowns`` beside its exponent."""
     assert best.ligament is not None  # noqa: S101
@@ -264,10 +260,10 @@ def _refit_of(best: LawFit, other: LawFit, unknowns: float) -> Refit:
         (best.ligament.chi2 - other.ligament.chi2) / level,
         change,
         other.ligament.p_value,
-        unknowns + _counted(other) - _counted(best),
+        unknowns + len(other.law.unknowns) - len(best.law.unknowns),
         off=law_error(best.ligament, other.ligament, omega),
         chi2=other.ligament.chi2,
-        fixed=other.law.law.fixed - best.law.law.fixed,
+        known=other.law.known - best.law.known,
     )
 
 

@@ -105,7 +105,7 @@ class Diagnosis:
         weights exp(evidence / 2) (Hoeting et al. 1999, Bayesian model averaging, doi:10.1214/ss/1009212519).
         """
         evidence = np.array(
-            [0.0, *(self.evidence(refit) + self.threshold * refit.fixed for refit in self.refits)]
+            [0.0, *(self.evidence(refit) + self.threshold * refit.known for refit in self.refits)]
         )
         shares = np.exp(0.5 * (evidence - evidence.max()))
         roots = np.sqrt(shares / shares.sum())[1:]

@@ -62,6 +62,11 @@ def law_error(ligament: LigamentFit, other: LigamentFit, omega: Array) -> Array:
     return np.stack([effect, float(np.std(ratio)) * damping * there], axis=1)
 
 
+def minimum_error(ligament: LigamentFit, other: LigamentFit) -> Array:
+    """Return the error (24,) where another minimum of the same model is right."""
+    return _entries(other) - _entries(ligament)
+
+
 def _loss(law: DampingLaw, omega: Array) -> Array:
     return np.asarray(law.factor(omega).imag)
 

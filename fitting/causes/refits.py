@@ -53,8 +53,8 @@ class Refit:
         With the noise as stated.
     fall_sd : float
         Standard deviation of the fall where noise alone makes it (fitting.causes.chi2_differences).
-    fixed : float
-        Of the unknowns those that were chosen, not estimated: they count for a name, not for a weight.
+    known : float
+        Of the unknowns those that have a prior: they count for a name, not for a weight.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Refit:
     off: Array = field(default_factory=lambda: np.zeros((24, 0)), repr=False)
     chi2: float = np.inf
     fall_sd: float = 0.0
-    fixed: float = 0.0
+    known: float = 0.0
 
 
 def useful_chi2(ligament: LigamentFit, known: Sequence[Refit]) -> float:

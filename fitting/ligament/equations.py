@@ -102,7 +102,7 @@ class Equations:
     @cached_property
     def coupling(self) -> slice:
         """Where Y, row by row, lies among the parameters."""
-        start = self.entries + self.law.unknowns
+        start = self.entries + len(self.law.unknowns)
         return slice(start, start + self.n * len(self.coupled))
 
     @cached_property
@@ -127,10 +127,8 @@ class Equations:
         return self.difference + np.einsum("k,kij->ij", parameters[self.shape], self.shapes)
 
     def law_at(self, parameters: Array) -> DampingLaw:
-        """Return the damping law with the exponent among the parameters."""
-        if not self.law.estimated:
-            return self.law
-        return self.law.with_exponent(float(parameters[self.entries]))
+        """Return the damping law with its unknowns among the parameters."""
+        return self.law.with_unknowns(parameters[self.entries : self.coupling.start])
 
     def damping_factor(self, parameters: Array, omega: Array) -> ComplexArray:
         """Return s, (lines,)."""

@@ -25,7 +25,7 @@ ROWS, COLUMNS = dof_indices(PRINCIPAL_DOF), dof_indices(INPLANE_DOF)
 _N = len(PRINCIPAL_DOF)
 # The stiffness in the plane is needed to a tenth only: a step of a tenth of its uncertainty ends the fit.
 _TOLERANCE, _STEPS = 1e-2, 25
-# One over the sd of an exponent that is not to move, since the piston equations determine it.
+# One over the sd of an unknown of the law that is not to move, since the piston equations determine it.
 _FIXED = 1e6
 
 
@@ -93,11 +93,11 @@ def inplane_stiffness(
         spread.transpose(0, 2, 1) @ rows,
         law,
         Prior.independent(
-            np.concatenate([mean / units, [law.exponent] * spare, np.zeros(len(spread))]),
-            np.concatenate([units / sd, [_FIXED] * spare, np.ones(len(spread))]),
+            np.concatenate([mean / units, spare, np.zeros(len(spread))]),
+            np.concatenate([units / sd, np.full(len(spare), _FIXED), np.ones(len(spread))]),
         ),
     )
-    begin = np.concatenate([mean / units, [law.exponent] * spare])
+    begin = np.concatenate([mean / units, spare])
     used = corrected
     fit = _solved(used, equations, begin)
     if fit is not None and chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):

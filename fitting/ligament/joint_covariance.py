@@ -66,12 +66,11 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
 
 
 def _weights(lines: JointLines, equations: Equations, parameters: Array) -> ComplexArray:
-    """Return the functions u of the frequency, (m, lines): of K, of D, of masses, of an exponent."""
+    """Return the functions u of the frequency, (m, lines): of K, D, masses, and of the law's unknowns."""
     law = equations.law_at(parameters)
     factor = np.ones(lines.count) if equations.factor is None else equations.factor
     weights = [factor, factor * equations.damping_factor(parameters, lines.omega), lines.omega**2]
-    if law.estimated:
-        weights.append(factor * law.slope(lines.omega))
+    weights += list(factor * law.slopes(lines.omega))
     return np.array(weights, dtype=complex)
 
 
@@ -90,8 +89,8 @@ def _constant_operators(
     operators = np.zeros((p + lines.errors, weights, n, 2 * DOFS), dtype=complex)
     units, half = basis(n), equations.entries // 2
     operators[:half, 0] = operators[half : 2 * half, 1] = units @ both
-    if equations.law.estimated:
-        operators[equations.entries, 3] = damping @ both
+    for place in range(weights - 3):
+        operators[equations.entries + place, 3 + place] = damping @ both
     if len(equations.coupled):
         rows = (equations.coupled @ mass_at(lines, errors)).astype(complex)
         rows = rows if turn is None else rows @ turn[0]

@@ -188,7 +188,7 @@ def _structural_columns(
     columns = [np.moveaxis(regressor(np.ascontiguousarray(deflection.T), lossy), 0, 1)]
     if law.estimated:
         _, damping = split(parameters[: equations.entries], n)
-        columns.append((law.slope(lines.omega)[:, None] * (deflection @ damping))[:, :, None])
+        columns.append(law.slopes(lines.omega).T[:, None] * (deflection @ damping)[:, :, None])
     if len(equations.coupled):
         rows = equations.coupled @ mass_at(lines, parameters[equations.unknowns :])
         load = (lines.omega**2)[:, None] * (moved[:, :DOFS] @ rows.T)

@@ -44,6 +44,8 @@ _FEW = 20
 # Fits with other noise of one that adds a term, and of one that only looks or starts far away: with the
 # noise of the fit without it, and with the noise that is left.
 MOST_ROUNDS, FEW_ROUNDS = 4, 2
+# By how much more closely what is known of a law is held at first than it is known.
+_PINNED = 1e3
 Extended = tuple[JointLines, Equations, JointFit]
 
 
@@ -113,13 +115,14 @@ def fit_ligament(
         It settles where K' or D' is not positive semidefinite, and they are not held.
     """
     equations = _piston_equations(problem, lines)
-    begins = np.concatenate([start, [scaled_law(problem).exponent] * problem.law.unknowns])
+    begins = np.concatenate([start, scaled_law(problem).unknowns])
     terms = extend(lines) if extend is not None else ()
     prior = equations.prior.mean[len(begins) :]
     if held:
         others = np.concatenate([begins[len(start) :], prior, np.zeros(lines.errors)])
         fit, active = fit_held(lines, equations, start, others)
         return ligament_in_si(problem, lines, equations, fit, active)
+    known, equations = equations.prior, _pinned(equations, begins)
     fitted = None
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])
@@ -133,6 +136,8 @@ def fit_ligament(
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
         elif joint is not None:
             fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
+    if fitted is not None and problem.law.known:
+        fitted = _released(*fitted, known)
     if within is not None and (fitted is None or fitted[2].chi2 > within):
         raise NotWithin
     if fitted is None:
@@ -140,6 +145,31 @@ def fit_ligament(
     if not semidefinite(fitted[2].parameters[: equations.entries]):
         raise NotPassive(fitted[2].chi2)
     return ligament_in_si(problem, *fitted)
+
+
+def _pinned(equations: Equations, begins: Array) -> Equations:
+    """Return the equations with what is known of the law held where the start has it.
+
+    Two times that are free from the start lead from most starts into one valley; held first, each ratio leads
+    into its own.
+    """
+    place = slice(equations.entries + equations.law.free, equations.coupling.start)
+    mean, root = equations.prior.mean.copy(), equations.prior.root.copy()
+    mean[place] = begins[place]
+    root[place, place] *= _PINNED
+    return replace(equations, prior=Prior(mean, root))
+
+
+def _released(lines: JointLines, equations: Equations, fit: JointFit, known: Prior) -> Extended | None:
+    """Return the fit that goes on with the law's unknowns as they are known."""
+    place = slice(equations.entries + equations.law.free, equations.coupling.start)
+    mean, root = equations.prior.mean.copy(), equations.prior.root.copy()
+    mean[place], root[place, place] = known.mean[place], known.root[place, place]
+    free = replace(equations, prior=Prior(mean, root))
+    joint = _settled(
+        lambda: fit_with_noise(lines, free, fit.parameters, partial(descend, free), fit, FEW_ROUNDS)
+    )
+    return None if joint is None else (lines, free, joint)
 
 
 def _from_valleys(
@@ -284,10 +314,12 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
 def _piston_equations(problem: Problem, lines: JointLines) -> Equations:
     """Return the equations of y, alpha and gamma with unknown coupling to x, z and beta."""
     rows, columns = np.eye(DOFS)[ROWS], np.eye(DOFS)[COLUMNS]
-    free = _N * (_N + 1) + problem.law.unknowns
+    law = scaled_law(problem)
+    first = np.concatenate([np.full(_N * (_N + 1), np.inf), law.prior_sd])
     mean, covariance = coupling_prior()
     unit = coupling_units(lines).ravel()
-    root = np.zeros((_N * _N, free + _N * _N))
-    root[:, free:] = np.linalg.cholesky(np.linalg.inv(covariance / np.outer(unit, unit))).T
-    prior = Prior(np.concatenate([np.zeros(free), mean.ravel() / unit]), root)
-    return Equations(rows, rows, columns, np.zeros((0, _N, DOFS)), scaled_law(problem), prior)
+    root = np.zeros((len(first) + _N * _N,) * 2)
+    root[: len(first), : len(first)] = np.diag(1.0 / first)
+    root[len(first) :, len(first) :] = np.linalg.cholesky(np.linalg.inv(covariance / np.outer(unit, unit))).T
+    prior = Prior(np.concatenate([np.zeros(_N * (_N + 1)), law.unknowns, mean.ravel() / unit]), root)
+    return Equations(rows, rows, columns, np.zeros((0, _N, DOFS)), law, prior)

@@ -60,7 +60,8 @@ class LigamentFit:
     n_dof : int
     widened : float
         Factor on the channel noise because chi2 exceeds its degrees of freedom.
-    exponent_sd : float or None
+    law_sd : ndarray, (unknowns,)
+        Of the unknowns of the law, SI.
     normalised : ndarray, (lines, 3), complex
         Residuals over their noise; real and imaginary parts have unit variance.
     lines, equations, joint
@@ -86,7 +87,7 @@ class LigamentFit:
     chi2: float
     n_dof: int
     widened: float
-    exponent_sd: float | None
+    law_sd: Array
     normalised: ComplexArray
     lines: JointLines = field(repr=False)
     equations: Equations = field(repr=False)
@@ -203,9 +204,7 @@ def ligament_in_si(
     total = noise + response @ shared @ response.T
     added = [coupling @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
     place = equations.coupling
-    exponent_sd = None
-    if law.estimated:
-        exponent_sd = float(np.sqrt(total[entries, entries])) * law.unit_of_exponent(problem.scale.omega)
+    open_in_law = np.diag(total)[entries : place.start]
     return LigamentFit(
         law,
         Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged, active),
@@ -222,7 +221,7 @@ def ligament_in_si(
         fit.chi2,
         fit.n_dof,
         widened,
-        exponent_sd,
+        np.sqrt(open_in_law) * law.units(problem.scale.omega),
         fit.at.residual * np.sqrt(2.0),
         lines,
         equations,

@@ -10,8 +10,11 @@ from numpy.typing import ArrayLike
 from fitting.errors import FittingError
 from fitting.model.laws import LAWS, law_of
 from fitting.model.laws.law import Law
-from stapeskit.arrays import ComplexArray
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page.quantities import time_unit
+
+# Of the logarithm of a ratio of times: a thousand, where one of them is out of every band.
+_WIDEST = float(np.log(1e3))
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class DampingLaw:
         That of the law where it is fixed; otherwise the unknown: the power of time in the unit of D, between
         0 and 2, or a relaxation time (s).
     ratio : float
-        The second time over the first, where the law has two; 0: the usual one.
+        The second time over the first, where the law has two, an unknown as well; 0: the usual one.
 
     Raises
     ------
@@ -52,18 +55,46 @@ class DampingLaw:
     @property
     def law(self) -> Law:
         """The entry of the table."""
-        law = law_of(self.name)
-        return law if law.at_ratio is None or self.ratio == 0.0 else law.at_ratio(self.ratio)
+        return law_of(self.name)
+
+    @property
+    def _values(self) -> tuple[float, ...]:
+        return (self.exponent, self.ratio) if self.law.ratios else (self.exponent,)
 
     @property
     def estimated(self) -> bool:
         """Whether the exponent is an unknown of a fit."""
         return self.law.search is not None
 
-    def with_exponent(self, exponent: float) -> DampingLaw:
-        """Return the law with another exponent, within what it allows."""
+    @property
+    def unknowns(self) -> Array:
+        """What a fit estimates: the exponent, and the logarithm of the ratio of two times."""
+        if not self.estimated:
+            return np.zeros(0)
+        return np.array([self.exponent, np.log(self.ratio)] if self.law.ratios else [self.exponent])
+
+    @property
+    def prior_sd(self) -> Array:
+        """Standard deviation of the unknowns about those of a usual form; infinite where nothing is known."""
+        return np.array([np.inf, self.law.ratio_sd])[: len(self.unknowns)]
+
+    @property
+    def free(self) -> int:
+        """Number of unknowns of which nothing is known beforehand."""
+        return int(np.isinf(self.prior_sd).sum())
+
+    @property
+    def known(self) -> int:
+        """Number of unknowns that have a prior."""
+        return len(self.unknowns) - self.free
+
+    def with_unknowns(self, values: Array) -> DampingLaw:
+        """Return the law with other unknowns, within what it allows."""
+        if not len(values):
+            return self
         low, high = self.law.valid
-        return replace(self, exponent=float(np.clip(exponent, low + 1e-3, high - 1e-3)))
+        ratio = float(np.exp(np.clip(values[1], -_WIDEST, _WIDEST))) if len(values) > 1 else self.ratio
+        return replace(self, exponent=float(np.clip(values[0], low + 1e-3, high - 1e-3)), ratio=ratio)
 
     @property
     def time_power(self) -> float:
@@ -75,38 +106,39 @@ class DampingLaw:
         """Whether a ligament can have it: a relaxation time below zero is noise."""
         return not self.estimated or self.exponent > 0.0
 
-    def unit_of_exponent(self, omega: float) -> float:
-        """Return the exponent of this law over that of frequencies divided by ``omega`` (rad/s)."""
-        return 1.0 if self.law.time_power is None else 1.0 / omega
+    def units(self, omega: float) -> Array:
+        """Return the unknowns of this law over those of frequencies divided by ``omega`` (rad/s)."""
+        units = np.ones(len(self.unknowns))
+        if self.law.time_power is not None:
+            units[:1] = 1.0 / omega
+        return units
 
     def scaled(self, omega: float) -> DampingLaw:
         """Return the law of frequencies divided by ``omega`` (rad/s)."""
-        return replace(self, exponent=self.exponent / self.unit_of_exponent(omega))
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns of a fit that the law adds."""
-        return int(self.estimated)
+        return (
+            self
+            if self.law.time_power is None or not self.estimated
+            else replace(self, exponent=self.exponent * omega)
+        )
 
     def factor(self, omega: ArrayLike) -> ComplexArray:
         """Return s(w) for angular frequencies (rad/s, or any unit that D goes with)."""
-        return np.asarray(self.law.factor(np.asarray(omega, dtype=float), self.exponent), dtype=complex)
+        return np.asarray(self.law.factor(np.asarray(omega, dtype=float), *self._values), dtype=complex)
 
-    def slope(self, omega: ArrayLike) -> ComplexArray:
-        """Return the derivative of s(w) by an estimated exponent; zero where it is fixed."""
+    def slopes(self, omega: ArrayLike) -> ComplexArray:
+        """Return the derivatives of s(w) by the unknowns, (unknowns, lines)."""
         w = np.asarray(omega, dtype=float)
-        if self.law.slope is None:
-            return np.zeros(w.shape, dtype=complex)
-        return np.asarray(self.law.slope(w, self.exponent), dtype=complex)
+        slopes = [slope(w, *self._values) for slope in (self.law.slope, self.law.ratio_slope) if slope]
+        return np.asarray(slopes, dtype=complex).reshape(len(slopes), *w.shape)
 
     def at(self, eigenvalue: complex) -> complex:
         """Return s continued to a complex eigenvalue in the upper half plane, in place of i w."""
-        return complex(self.law.continued(eigenvalue, self.exponent))
+        return complex(self.law.continued(eigenvalue, *self._values))
 
     @property
     def formula(self) -> str:
         """The dynamic stiffness as text."""
-        return self.law.formula(self.exponent)
+        return self.law.formula(*self._values)
 
     def unit(self, stiffness_unit: str) -> str:
         """Return the unit of an entry of D from that of the same entry of K."""

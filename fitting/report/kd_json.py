@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.damping_laws import LawFit
 from fitting.kd_fit import KDFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.model.model import NORMALISATION
@@ -84,7 +85,8 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "damping_exponent": fit.law.time_power,
         "damping_law_causal": fit.law.law.causal,
         "relaxation_time_s": fit.law.exponent if fit.law.estimated and fit.law.law.time_power else None,
-        "damping_exponent_sd": fit.laws[0].exponent_sd if len(fit.laws) == 1 else _exponent_sd(fit),
+        "relaxation_time_ratio": _time_ratio(fit),
+        "damping_exponent_sd": None if (law := _law_fit(fit)) is None else law.exponent_sd,
         "damping_unit_of_D11": fit.law.unit("N/m" if fit.dof[0] in "xyz" else "N m"),
         "damping_laws_compared": [
             {"law": law.law.name, "exponent": law.law.exponent, "chi2": law.chi2, "bic": law.bic}
@@ -191,8 +193,16 @@ def _plain(fit: KDFit) -> dict[str, Any] | None:
     }
 
 
-def _exponent_sd(fit: KDFit) -> float | None:
-    return next((law.exponent_sd for law in fit.laws if law.law == fit.law), None)
+def _law_fit(fit: KDFit) -> LawFit | None:
+    return next((law for law in fit.laws if law.law == fit.law), None)
+
+
+def _time_ratio(fit: KDFit) -> dict[str, float] | None:
+    """Return the second relaxation time over the first, and the standard deviation of its logarithm."""
+    law = _law_fit(fit)
+    if law is None or not law.law.law.ratios:
+        return None
+    return {"value": law.law.ratio, "sd_of_logarithm": float(law.law_sd[1])}
 
 
 def _modes(fit: KDFit) -> list[dict[str, Any]]:

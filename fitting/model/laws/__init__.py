@@ -17,7 +17,7 @@ LAWS: dict[str, str] = {
     "hysteretic": "K + i D, a loss factor",
     "fractional": "K + (i w)^a D, a estimated",
     "relaxation": "K + i w D / (1 + i w T), T estimated (standard linear solid)",
-    "two_relaxations": "K + i w D / 2 (1 / (1 + i w T) + 1 / (1 + i w c T)), T estimated, c 3 or 10",
+    "two_relaxations": "K + i w D / 2 (1 / (1 + i w T) + 1 / (1 + i w c T)), T and c estimated",
 }
 
 

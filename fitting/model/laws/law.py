@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.arrays import Array
-
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -41,28 +39,28 @@ class Law:
         it is pushed.
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
-    fixed : int
-        Numbers that were chosen for the law where nature has them free; they count in a comparison as if they
-        had been estimated, so that the data must speak for the law.
     includes : tuple of str
         Simpler laws that it becomes at a value of its exponent or in a limit.
     ratios : tuple of float
-        What the second time over the first may be, where the law has two; the last is the usual one.
-    at_ratio : callable, optional
-        The law of a ratio.
+        Usual ratios of a second time to the first; a fit starts at each. ``factor``, ``continued``,
+        ``formula`` and ``slope`` then take the ratio after the exponent.
+    ratio_sd : float
+        Standard deviation of the logarithm of the ratio about a usual one, before the data are seen.
+    ratio_slope : callable, optional
+        Derivative of s by the logarithm of the ratio.
     """
 
-    factor: Callable[[Array, float], ComplexArray]
-    continued: Callable[[complex, float], complex]
-    formula: Callable[[float], str]
+    factor: Callable[..., ComplexArray]
+    continued: Callable[..., complex]
+    formula: Callable[..., str]
     exponent: float
     search: tuple[float, float] | None = None
-    slope: Callable[[Array, float], ComplexArray] | None = None
+    slope: Callable[..., ComplexArray] | None = None
     time_power: float | None = None
     valid: tuple[float, float] = (0.0, 2.0)
     causal: bool = True
     polynomial: bool = False
-    fixed: int = 0
     includes: tuple[str, ...] = ()
     ratios: tuple[float, ...] = ()
-    at_ratio: Callable[[float], Law] | None = None
+    ratio_sd: float = np.inf
+    ratio_slope: Callable[..., ComplexArray] | None = None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import BRANCHES, ERRORS, PISTON, EarSettings, ear
+from fitting.budget import MODEL_ERROR
 from fitting.causes.catalogue import CAUSES, HEAD_PLACE, places_of, term_of
 from fitting.causes.chi2_differences import difference_sd
 from fitting.causes.diagnosis import setting_of, with_refits
@@ -168,8 +169,22 @@ def test_a_relaxation_that_the_law_does_not_follow_is_no_mass_of_fluid() -> None
     name = next(one for one in BRANCHES if "10 and 30 us" in one)
     fit = fitted(ear(EarSettings(0.1, 0.01, law=name), np.random.default_rng([57, 0, 2])), damping="compare")
     assert not fit.fluid.used
-    assert (fit.law.name, fit.law.ratio) == ("two_relaxations", 3.0)
-    assert fit.law.exponent == pytest.approx(10e-6, rel=0.1)
+    assert fit.law.name == "two_relaxations"
+    assert abs(np.log(fit.law.ratio / 3.0)) < 2.0 * fit.ligament.law_sd[1] < 1.5
+    assert fit.law.exponent == pytest.approx(10e-6, abs=2.0 * fit.ligament.law_sd[0])
+
+
+@pytest.mark.parametrize("number", [6, 8, 14])
+def test_two_times_that_explain_the_data_alike_are_in_the_intervals_of_d(number: int) -> None:
+    """Times of 12 and 40 us fit these ears of 20 and 200 us; with one ratio chosen D was up to 17 sd off."""
+    rng = np.random.default_rng([7003, number])
+    noise = 0.005 * 10.0 ** rng.uniform()
+    case = ear(EarSettings(0.3 * rng.uniform(), noise, law="two_relaxations"), rng)
+    fit = fitted(case, damping="two_relaxations")
+    off = join(fit.stiffness - case.stiffness[BLOCK], fit.damping - case.damping[BLOCK])
+    assert np.all(np.abs(off) < 3.0 * np.sqrt(np.diag(fit.covariance)))
+    assert len(next(law for law in fit.laws if law.law == fit.law).others) == 1
+    assert fit.budget.deviations()[MODEL_ERROR]["D11"] > 0.02 * fit.damping[0, 0]
 
 
 def test_fluid_that_is_stated_and_the_right_law_explain_the_data() -> None:

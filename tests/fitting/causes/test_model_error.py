@@ -98,7 +98,7 @@ def test_laws_that_the_data_cannot_tell_apart_are_part_of_the_intervals() -> Non
         assert np.all(inside(fit, case)[:6])
         assert fit.diagnosis.named is None
         other = next(one for one in fit.diagnosis.refits if "relaxation" in one.name)
-        weight = fit.diagnosis.evidence(other) + fit.diagnosis.threshold * other.fixed
+        weight = fit.diagnosis.evidence(other) + fit.diagnosis.threshold * other.known
         share = 1.0 / (1.0 + np.exp(-0.5 * weight))
         assert (share > 0.05) == (chosen == "relaxation")
         part = np.sqrt(np.diag(fit.budget.sources[MODEL_ERROR]))
