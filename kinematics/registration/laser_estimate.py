@@ -20,6 +20,8 @@ KINDS = ("laser_gain", "laser_phase", "laser_delay")
 # Points and lines of a body that are looked at: more of them say hardly more of a few lasers.
 _MOST_POINTS, _MOST_LINES = 60, 2000
 _LEAST_LINES = 2
+# Sets of channels with values at the same lines that are looked at, the most frequent ones: they cost time.
+_MOST_PATTERNS = 200
 # A misfit beyond noise is coherent over the lines when it is this many standard deviations of its own.
 _COHERENT_SD = 3.0
 # Directions in which the data gain less than this share of the prior variance say nothing.
@@ -156,8 +158,39 @@ class LaserEstimate:
 
 
 @dataclass(frozen=True)
+class _Sweep:
+    """What one body in one run says of all parameters.
+
+    Attributes
+    ----------
+    information : ndarray, (p, p)
+    score : ndarray, (p,)
+    energy : float
+        Sum of squared residuals over noise.
+    freedom, lines : int
+    """
+
+    information: Array
+    score: Array
+    energy: float
+    freedom: int
+    lines: int
+
+    def fall(self, values: Array) -> float:
+        """Return by how much some values lower the sum of squared residuals over noise."""
+        return float(values @ self.score) - 0.5 * float(values @ self.information @ values)
+
+    def level(self, values: Array) -> float:
+        """Return the factor on the variance of sums over lines that the misfit left by some values makes."""
+        ratio = (self.energy - self.fall(values)) / self.freedom
+        if ratio - 1.0 < _COHERENT_SD / np.sqrt(self.freedom):
+            return 1.0
+        return ratio + (ratio - 1.0) * self.lines
+
+
+@dataclass(frozen=True)
 class _Block:
-    """Whitened readings of one body in one run, reduced to moments.
+    """Whitened readings of channels with values at the same lines, reduced to moments.
 
     Attributes
     ----------
@@ -223,31 +256,34 @@ def laser_estimate(
     size = len(kinds) * count
     prior = list(np.repeat([prior_sd[kind] for kind in kinds], count))
     places: dict[tuple[int, str], int] = {}
-    blocks: list[_Block] = []
+    sweeps: list[list[_Block]] = []
     for (run, number), fit in fits.items():
         if (run, number) not in left_out:
             continue
-        block = _block(fit, bodies[number], number, lasers[number], freq_hz, kinds, count,
-                       left_out[run, number], places, prior, size)  # fmt: skip
-        if block is not None:
-            blocks.append(block)
+        body = bodies[number]
+        own = [
+            _block(fit, body, number, lasers[number], freq_hz, kinds, count, used, weights, lines, places,
+                   prior, size)
+            for used, weights, lines in _patterns(fit, body, left_out[run, number])
+        ]  # fmt: skip
+        held = [block for block in own if block is not None]
+        if sum(block.lines for block in held) >= _LEAST_LINES:
+            sweeps.append(held)
     spread = np.array(prior)
     values, covariance = np.zeros(len(spread)), np.diag(spread**2)
     start = np.zeros(len(spread))
     start[:size] = 0.0 if applied is None else applied
-    parts = [_information(block, len(spread)) for block in blocks]
-    levels = np.ones(len(blocks))
-    for _ in range(2 if blocks else 0):
+    parts = [_sweep(own, len(spread)) for own in sweeps]
+    levels = np.ones(len(parts))
+    for _ in range(2 if parts else 0):
         information = np.diag(1.0 / spread**2) + sum(
-            gram / level for (gram, _), level in zip(parts, levels, strict=True)
+            part.information / level for part, level in zip(parts, levels, strict=True)
         )
         scale = np.outer(spread, spread)
         covariance = scale * np.linalg.inv(information * scale)
-        total = sum(pull / level for (_, pull), level in zip(parts, levels, strict=True))
+        total = sum(part.score / level for part, level in zip(parts, levels, strict=True))
         values = covariance @ (total - start / spread**2)
-        levels = np.array(
-            [_level(block, gram, pull, values) for block, (gram, pull) in zip(blocks, parts, strict=True)]
-        )
+        levels = np.array([part.level(values) for part in parts])
     relative = np.kron(np.eye(len(kinds)), np.eye(count) - 1.0 / count)
     across = {
         key: np.asarray(relative @ covariance[:size, place : place + 3]) for key, place in places.items()
@@ -259,44 +295,60 @@ def laser_estimate(
         relative @ covariance[:size, :size] @ relative,
         across,
         spread[:size],
-        sum(block.energy for block in blocks),
-        sum(_fall(gram, pull, values) for gram, pull in parts),
-        sum(block.freedom for block in blocks),
+        sum(part.energy for part in parts),
+        sum(part.fall(values) for part in parts),
+        sum(part.freedom for part in parts),
         count,
     )
 
 
-def _level(block: _Block, information: Array, score: Array, values: Array) -> float:
-    """Return the factor on the variance of sums over lines that the misfit left by some values makes."""
-    ratio = (block.energy - _fall(information, score, values)) / block.freedom
-    if ratio - 1.0 < _COHERENT_SD / np.sqrt(block.freedom):
-        return 1.0
-    return ratio + (ratio - 1.0) * block.lines
+def _sweep(blocks: Sequence[_Block], size: int) -> _Sweep:
+    """Return what the blocks of one body in one run say together."""
+    both = [_information(block, size) for block in blocks]
+    return _Sweep(
+        np.sum([information for information, _ in both], axis=0),
+        np.sum([score for _, score in both], axis=0),
+        sum(block.energy for block in blocks),
+        sum(block.freedom for block in blocks),
+        sum(block.lines for block in blocks),
+    )
 
 
-def _fall(information: Array, score: Array, values: Array) -> float:
-    """Return by how much some values lower the sum of squared residuals over noise."""
-    return float(values @ score) - 0.5 * float(values @ information @ values)
+def _patterns(
+    fit: LineFit, body: BodyChannels, left_out: Sequence[int]
+) -> list[tuple[NDArray[np.bool_], Array, Index]]:
+    """Return sets of channels, their weights and the lines at which just these have values.
+
+    Each as a mask (channel,), weights (n, line) and places of lines (line,).
+
+    The most frequent first.
+    """
+    if not float(np.sum(fit.solution.explained)) > 0.0:
+        return []
+    names = list(dict.fromkeys(body.points))
+    chosen = set(names[:: -(-len(names) // _MOST_POINTS)])
+    wanted = (fit.solution.used > 0) & np.array([point in chosen for point in body.points])
+    wanted[list(left_out)] = False
+    lines = np.arange(fit.value.shape[1])[:: max(1, fit.value.shape[1] // _MOST_LINES)]
+    weights = fit.at(lines, wanted)[2]
+    sets, of_line, count = np.unique(weights.T > 0.0, axis=0, return_inverse=True, return_counts=True)
+    patterns = []
+    for number in np.argsort(-count, kind="stable")[:_MOST_PATTERNS]:
+        used, own = wanted.copy(), of_line == number
+        used[wanted] = sets[number]
+        patterns.append((used, weights[np.ix_(sets[number], own)], lines[own]))
+    return patterns
 
 
 def _block(
     fit: LineFit, body: BodyChannels, number: int, lasers: Index, freq_hz: Array, kinds: Sequence[str],
-    count: int, left_out: Sequence[int], places: dict[tuple[int, str], int], prior: list[float], size: int,
+    count: int, used: NDArray[np.bool_], weights: Array, lines: Index, places: dict[tuple[int, str], int],
+    prior: list[float], size: int,
 ) -> _Block | None:  # fmt: skip
-    """Return the moments of one body in one run; None when too few complete lines or channels are left."""
-    if not float(np.sum(fit.solution.explained)) > 0.0:
-        return None
-    names = list(dict.fromkeys(body.points))
-    chosen = set(names[:: -(-len(names) // _MOST_POINTS)])
-    used = (fit.solution.used > 0) & np.array([point in chosen for point in body.points])
-    used[list(left_out)] = False
-    lines = np.arange(len(freq_hz))[:: max(1, len(freq_hz) // _MOST_LINES)]
-    weights = fit.at(lines, used)[2]
-    whole = np.all(weights > 0.0, axis=0)
-    lines, weights = lines[whole], weights[:, whole]
+    """Return the moments of some channels of one body in one run at some lines; None for too few channels."""
     beams = fit.beams if len(fit.beams.dof) == 6 else extended_beams(body, fit.beams.dof)
     basis = beams.basis[used]
-    if len(lines) < _LEAST_LINES or len(basis) <= basis.shape[1]:
+    if len(basis) <= basis.shape[1]:
         return None
     root = np.sqrt(weights)
     by_channel = np.sqrt(np.mean(weights / np.mean(weights, axis=0), axis=1))
@@ -359,7 +411,7 @@ def _slopes(
 
 
 def _information(block: _Block, size: int) -> tuple[Array, Array]:
-    """Return information (p, p) and score (p,) of all parameters from one body in one run."""
+    """Return information (p, p) and score (p,) of all parameters from one block."""
     count = block.span.shape[1]
     parameters = np.array([parameter for parameter, _, _ in block.slopes], dtype=int)
     columns = np.empty((len(parameters), len(block.span), block.half.shape[1]))

@@ -42,6 +42,14 @@ def measured(
     return from_arrays({"stapes": body}, made.freq_hz, order=0), made
 
 
+def with_gaps(measurement, share, seed=0):
+    """Leave out a share of the values, at other lines in each channel."""
+    body = measurement.bodies[0]
+    lost = np.random.default_rng([seed, 7]).random(body.displacement.shape) < share
+    value = np.where(lost, np.nan, body.displacement)
+    return replace(measurement, bodies=(replace(body, displacement=value),))
+
+
 def test_the_parts_of_the_lasers_add_up_and_scale_with_their_readings():
     measurement, _ = measured()
     body = measurement.bodies[0]
@@ -92,13 +100,14 @@ def agreement(measurement, priors=None):
     return lasers.estimate(measurement, {(0, 0): fit})
 
 
-def test_estimates_spread_as_stated():
+@pytest.mark.parametrize("missing", [0.0, 0.15])
+def test_estimates_spread_as_stated(missing):
     deviations = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         true = rng.standard_normal((3, 3)) * np.array([[0.01], [np.deg2rad(0.5)], [1e-6]])
         measurement, _ = measured(seed + 100, snr=100.0, gain=true[0], phase=true[1], delay=true[2])
-        found = agreement(measurement)
+        found = agreement(with_gaps(measurement, missing, seed))
         relative = (true - true.mean(axis=1, keepdims=True)).ravel()
         deviations.append((found.values - relative) / found.sd)
     spread = np.sqrt(np.mean(np.array(deviations) ** 2))
@@ -171,12 +180,14 @@ def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
     assert found[0.3] <= 10
 
 
-def test_a_usual_scatter_of_lasers_is_no_fault_where_the_noise_is_not_stated():
+@pytest.mark.parametrize("missing", [0.0, 0.15])
+def test_a_usual_scatter_of_lasers_is_no_fault_where_the_noise_is_not_stated(missing):
     rng = np.random.default_rng(5)
     alarms = 0
     for seed in range(12):
         gain, phase, delay = (sd * rng.normal(size=3) for sd in (0.01, np.radians(0.5), 1e-6))
         readings, _ = measured(100 + seed, 150.0, gain, phase, delay, stated=False)
+        readings = with_gaps(readings, missing, seed)
         alarms += any(channel.verdict != "ok" for channel in points2dof(readings).channels)
     # An alarm in one of a hundred files: two in twelve have a probability of .006.
     assert alarms <= 1
