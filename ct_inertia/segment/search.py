@@ -12,7 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
 from ct_inertia.segment.doubts import RIVAL, USUAL, doubts, refuse_rivals
-from ct_inertia.segment.necks import necks
+from ct_inertia.segment.necks import Neck, necks
 from ct_inertia.segment.not_found import nothing_found
 from ct_inertia.segment.own_level import at_own_level, takes_soft_for_bone
 from ct_inertia.segment.parting import MOST_WALL_MM3, CoarseGrid, Parting, partings
@@ -116,15 +116,22 @@ def _better(parted: Sight, whole: Piece) -> bool:
 
 
 def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sight | None:
-    """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has."""
+    """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has.
+
+    An incus reaches further beyond the neck than a head does, or to the border of the scan.
+    """
     scan, whole = chosen.scan, chosen.stapes
+
+    def grown(neck: Neck) -> bool:
+        return neck.narrow and (whole.at_border or neck.longer_than_head)
+
     inside = np.stack(np.nonzero(chosen.pieces == whole.label)[::-1], axis=1)
-    if not any(neck.grown for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
+    if not any(grown(neck) for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
         return None
     for way in partings(volume, _grid(chosen), whole):
         if way.doubtful:
             continue
-        if not (way.cropped or (way.neck is not None and way.neck.grown)):
+        if not (way.cropped or (way.neck is not None and grown(way.neck))):
             return None
         part = _trial(volume, chosen, way, chosen.others, options)
         if part is not None and part.stapes.arched and _usual(part.stapes):
