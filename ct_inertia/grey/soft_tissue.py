@@ -1,4 +1,4 @@
-"""Ligament, fluid or glue around the stapes: material between air and bone, detected and subtracted."""
+"""Ligament, fluid or glue in air around the stapes, bubbles in fluid: detected and subtracted."""
 
 from __future__ import annotations
 
@@ -96,7 +96,8 @@ def subtract_soft_tissue(
     In a medium of the level b (air 0, bone 1) a body's blurred grey value is b + (1 - b) m, m its share
     blurred in air; its surface lies at (1 + b) / 2. m is modelled as a two-valued body with that surface,
     b = sum G (1 - m) (w - m) / sum G (1 - m)^2 over a Gaussian window G of two widths of the blur, in turn;
-    then m = (w - b) / (1 - b) takes the place of w. Inside bone that changes nothing.
+    then m = (w - b) / (1 - b) takes the place of w. Inside bone that changes nothing. Where fluid lies around
+    the stapes, its level is the 0, and b is negative in bubbles.
     """
     if not _seen(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
         return None
@@ -139,8 +140,8 @@ def taken_off(
         total = gaussian(free * (share - model), width, truncate=3.0)
         weight = gaussian(free * free, width, truncate=3.0)
         medium = total / np.maximum(weight, np.float32(1e-3))
-        medium *= np.clip((medium - least) / least, 0.0, 1.0)
-        np.minimum(medium, np.float32(_MOST_SOFT), out=medium)
+        medium *= np.clip((np.abs(medium) - least) / least, 0.0, 1.0)
+        np.clip(medium, np.float32(-_MOST_SOFT), np.float32(_MOST_SOFT), out=medium)
     taken = share - (share - medium) / (1 - medium)
     # Bone itself is left as it is: there the medium is unknown.
     taken *= model < 0.98
@@ -200,7 +201,7 @@ def _seen(
     mean = np.bincount(number, rest)[used] / count[used]
     expected = np.bincount(number, model)[used] / count[used]
     noise = air.noise / (bone - air.level) * np.sqrt(air.correlation / count[used])
-    soft = mean > np.maximum(_LEAST_SHARE + _MODEL_DOUBT * expected, _STANDS_OUT * noise)
+    soft = np.abs(mean) > np.maximum(_LEAST_SHARE + _MODEL_DOUBT * expected, _STANDS_OUT * noise)
     part = count[used][soft].sum() / count[used].sum()
     return bool(np.count_nonzero(soft) >= _LEAST_CELLS and part > _LEAST_PART)
 
@@ -231,8 +232,15 @@ def soft_tissue_covariance(
 def soft_notices(soft: SoftTissue, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
     """Report the medium around the stapes, whose voxels are ``own`` [z, y, x], and the share subtracted."""
     share = float(soft.taken[own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
-    if share < _TOLD:
+    if abs(share) < _TOLD:
         return []
+    if share < 0.0:
+        text = (
+            f"Something darker than what surrounds the stapes elsewhere lies against it, such as bubbles of "
+            f"air in fluid: {-100.0 * share:.2g} % of the volume were added for it, and the budget holds "
+            f"what is not known of that (surroundings). Scan without bubbles to be sure."
+        )
+        return [Notice("soft_surroundings", text)]
     text = (
         f"Something neither air nor bone lies against the stapes (ligament, fluid, glue or mucosa, about "
         f"{100.0 * soft.level:.0f} % as bright as bone): {100.0 * share:.2g} % of the volume were subtracted "

@@ -20,7 +20,7 @@ from ct_inertia.segment.coarse_segmentation import (
     level_hypotheses,
 )
 from ct_inertia.segment.local_threshold import segment_at_local_threshold, takes_soft_for_bone
-from ct_inertia.segment.necks import necks
+from ct_inertia.segment.necks import Neck, necks
 from ct_inertia.segment.not_found import not_found_error
 from ct_inertia.segment.split_pieces import MOST_WALL_MM3, CoarseGrid, SplitPiece, split_piece
 from ct_inertia.volume.coarse_view import CoarseOverview, CoarseScan, coarse_overview, smooth_noise
@@ -128,15 +128,22 @@ def _better(parted: CoarseSegmentation, whole: Piece) -> bool:
 def _without_grown(
     volume: Volume, chosen: CoarseSegmentation, options: SearchOptions
 ) -> CoarseSegmentation | None:
-    """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has."""
+    """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has.
+
+    An incus reaches further beyond the neck than a head does, or to the border of the scan.
+    """
     scan, whole = chosen.scan, chosen.stapes
+
+    def grown(neck: Neck) -> bool:
+        return neck.narrow and (whole.at_border or neck.longer_than_head)
+
     inside = np.stack(np.nonzero(chosen.pieces == whole.label)[::-1], axis=1)
-    if not any(neck.grown for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
+    if not any(grown(neck) for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
         return None
     for way in split_piece(volume, _grid(chosen), whole):
         if way.doubtful:
             continue
-        if not (way.cropped or (way.neck is not None and way.neck.grown)):
+        if not (way.cropped or (way.neck is not None and grown(way.neck))):
             return None
         part = _trial(volume, chosen, way, chosen.others, options)
         if part is not None and part.stapes.arched and _usual(part.stapes):

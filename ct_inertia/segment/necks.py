@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ _LEAST_BEYOND_MM3 = calibrated("necks.least_beyond_mm3")
 _MOST_BEYOND = calibrated("necks.most_beyond")
 _NARROWER = calibrated("necks.narrower")
 _GROWN = calibrated("necks.grown")
+_HEAD_MM = calibrated("necks.head_mm")
+# Ratio of the edges of voxels below which they are cubes.
+_CUBES = 1.05
 _APART_MM = calibrated("necks.apart_mm")
 # Limits of the computing time: necks kept at each end, and voxels of a body that areas are counted from.
 _MOST = 4
@@ -42,17 +45,25 @@ class Neck:
         Of the cross-section.
     share : float
         Its area over the lesser of the widest sections on either side.
+    beyond_mm : float
+        How far the body reaches beyond it.
     """
 
     normal: Array
     height_mm: float
     area_mm2: float
     share: float
+    beyond_mm: float
 
     @property
-    def grown(self) -> bool:
-        """It is narrower than that of a head: something has grown onto the body."""
+    def narrow(self) -> bool:
+        """It is narrower than most necks of a head: something may have grown onto the body."""
         return self.share < _GROWN
+
+    @property
+    def longer_than_head(self) -> bool:
+        """The body reaches further beyond it than a head does."""
+        return self.beyond_mm > _HEAD_MM
 
 
 def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list[Neck]:
@@ -78,7 +89,10 @@ def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list
     middle = points_mm.mean(axis=0)
     points = points_mm - middle
     voxel = float(np.prod(spacing_mm)) * count / len(points)
-    grain = _Grain(voxel, float(np.mean(spacing_mm)), voxel * len(points))
+    cubes = bool(spacing_mm.max() < _CUBES * spacing_mm.min())
+    # Areas are means over three steps: at least two layers of voxels.
+    step = float(max(np.mean(spacing_mm), 2.0 / 3.0 * spacing_mm.max()))
+    grain = _Grain(voxel, step, voxel * len(points), cubes)
     _, axes = np.linalg.eigh(np.cov(points.T))
     candidates: list[Neck] = []
     for end in (1.0, -1.0):
@@ -89,8 +103,7 @@ def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list
         best = _apart(sorted((neck for some in every for neck in some), key=lambda neck: neck.share))
         candidates += [_settled(neck, near, grain) for neck in best]
     candidates = [
-        Neck(neck.normal, neck.height_mm + float(neck.normal @ middle), neck.area_mm2, neck.share)
-        for neck in candidates
+        replace(neck, height_mm=neck.height_mm + float(neck.normal @ middle)) for neck in candidates
     ]
     return sorted(candidates, key=lambda neck: neck.share)
 
@@ -108,11 +121,12 @@ def _around(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
 
 @dataclass(frozen=True)
 class _Grain:
-    """Volume per sample point, mm3; thickness of a section, mm; volume of the body, mm3."""
+    """Volume that a point stands for, mm3; thickness of a section, mm; volume of the body, mm3; voxels."""
 
     voxel_mm3: float
     step_mm: float
     total_mm3: float
+    cubes: bool
 
 
 def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
@@ -120,7 +134,7 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     voxel, step = grain.voxel_mm3, grain.step_mm
     height = near @ normal
     low = float(height.min())
-    counts = np.bincount(((height - low) / step).astype(np.intp)).astype(float)
+    counts = _counted((height - low) / step, grain.cubes)
     area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step
     beyond = np.cumsum(counts[::-1])[::-1] * voxel
     reach = max(2, round(_WIDENS_WITHIN_MM / step))
@@ -132,8 +146,27 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
             continue
         wide = min(area[k - reach : k].max(), area[k + 1 : k + 1 + reach].max())
         if area[k] < _NARROWER * wide:
-            minima.append(Neck(normal, low + (k + 0.5) * step, float(area[k]), float(area[k] / wide)))
+            at, share = low + (k + 0.5) * step, float(area[k] / wide)
+            minima.append(Neck(normal, at, float(area[k]), share, float(height.max()) - at))
     return minima
+
+
+def _counted(place: Array, cubes: bool) -> Array:
+    """Return how many points lie in each bin; each is shared by two bins where voxels are no cubes.
+
+    Layers of voxels that are farther apart than a bin beat with it: by a fifth of a section at 0.036 mm along
+    one axis and 0.048 mm along others.
+    """
+    low = place.astype(np.intp)
+    if cubes:
+        return np.bincount(low).astype(float)
+    low = np.floor(place + 0.5).astype(np.intp)
+    upper = place + 0.5 - low
+    size = int(low.max()) + 1
+    shared = np.bincount(low, 1.0 - upper, size + 1)
+    shared[1:] += np.bincount(low, upper, size)
+    # The first bin of these lies half below the lowest point.
+    return np.asarray(np.concatenate([[shared[0] + shared[1]], shared[2:]]))
 
 
 def _apart(necks: list[Neck]) -> list[Neck]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.volume.grid_operations import gaussian
+from ct_inertia.volume.grid_operations import dilated, gaussian
 from ct_inertia.volume.interior_histogram import Interior, interior
 from ct_inertia.volume.lazy_arrays import sampled
 from ct_inertia.volume.volume import Volume
@@ -28,6 +28,10 @@ _LEAST_INTERIOR = 25
 _BINS = 16
 # Layers and differences of neighbours that the noise is estimated from: its standard error is below 1 %.
 _LAYERS = 12
+# Share of a level that has one value where it is a constant, the rest being edges; and how many coarse voxels
+# beside bone are looked at: beyond the blur, which is a voxel wide.
+_CONSTANT = 0.97
+_BESIDE = 3
 _SAMPLE = 200_000
 
 
@@ -95,7 +99,8 @@ def coarse_overview(volume: Volume) -> CoarseOverview:
         Voxels that are not finite where they are not allowed; only one material.
     """
     scan = coarse_scan(volume)
-    return CoarseOverview(scan, material_levels(scan))
+    levels = material_levels(scan)
+    return CoarseOverview(scan, levels[1:] if _is_padding(scan, levels) else levels)
 
 
 def replace_non_finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
@@ -190,6 +195,22 @@ def material_levels(scan: CoarseScan) -> Array:
             next_step="Check that this is the reconstructed volume, or give {threshold}",
         )
     return levels
+
+
+def _is_padding(scan: CoarseScan, levels: Array) -> bool:
+    """Say whether the lowest level is a constant that fills the volume outside of what was scanned.
+
+    It has no noise, and most of what lies beside bone is air; air that the export has clipped lies there too.
+    """
+    if levels.size < 3:
+        return False
+    lowest = np.abs(scan.grey - np.float32(levels[0])) < np.float32(0.5 * (levels[1] - levels[0]))
+    padding = scan.grey == np.median(scan.grey[lowest])
+    if np.count_nonzero(padding) < _CONSTANT * np.count_nonzero(lowest):
+        return False
+    bone = scan.grey > np.float32(0.5 * (levels[1] + levels[-1]))
+    beside = dilated(bone, _BESIDE) & ~bone
+    return bool(np.count_nonzero(padding & beside) < 0.5 * np.count_nonzero(beside))
 
 
 def _modes(inside: Interior) -> Array:

@@ -47,6 +47,25 @@ def sd(bodies):
     return np.sqrt(np.diag(sum(bodies.moments.contributions.values())))
 
 
+def test_bubbles_of_air_in_fluid_are_no_missing_bone():
+    placed, volume = scan((0.03,) * 3, plate=False)
+    air, _, bone = placed.ear.levels
+    share = (volume.array - air) / (bone - air)
+    rng = np.random.default_rng(5)
+    place = np.stack(np.indices(share.shape), axis=-1) * 0.03
+    solid = np.argwhere(share > 0.9)
+    fluid = np.ones(share.shape)
+    for centre in solid[rng.integers(len(solid), size=12)] * 0.03:
+        fluid[np.linalg.norm(place - centre, axis=-1) < rng.uniform(0.1, 0.25)] = 0.0
+    fluid = gaussian_filter(fluid, 1.0)
+    grey = air + (bone - air) * (share + 0.3 * fluid * (1.0 - share))
+    bodies = find_bodies(Volume(np.rint(grey).astype(np.uint16), np.full(3, 0.03), np.zeros(3), np.eye(3)))
+    assert "soft_surroundings" in codes(bodies)
+    off = bodies.moments.volume_mm3 - truth(placed)["volume_m3"] * 1e9
+    assert abs(off) < 2.0 * sd(bodies)[0]
+    assert abs(off) < 0.02 * bodies.moments.volume_mm3
+
+
 @pytest.mark.parametrize("voxel_mm", [0.03, 0.05])  # of 0.05 mm, hardly any bone lies deeper than the blur
 def test_fluid_around_the_footplate_is_taken_off_and_told(voxel_mm):
     placed, volume = scan((voxel_mm,) * 3, plate=False)
