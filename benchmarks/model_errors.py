@@ -10,7 +10,8 @@ fluid, and prints how many entries lie outside their 95 % interval, K33's median
 time of a fit. causes: one error of known size an ear, 1 % noise: how often there is a warning, how often it
 is named first or among the look-alikes, and the errors of K and D in their own sd before and after it is
 corrected; before it also without the part of what the model lacks. laws: how often ``compare`` names the law
-at 3 % noise, in a wide and a narrow band, calls it undetermined or names a wrong one, and coverage. branches:
+at 3 % noise, in a wide and a narrow band, calls it undetermined or names a wrong one, coverage, and below
+which noise the right law can be told from the nearest other one in 95 %. branches:
 which law ``compare`` chooses for a ligament with two relaxation times. alarms: EARS ears without any error,
 whose height, noise, law and mass of fluid are drawn and whose law and fluid are stated: how often there is an
 alarm, and how many entries the 95 % intervals hold. couplings: the latter for even rings tilted by 1 degree,
@@ -32,6 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from fitting.budget import MODEL_ERROR
+from fitting.calibrated import calibrated
 from fitting.errors import FittingError
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
@@ -312,12 +314,15 @@ def laws(ears: int) -> None:
         "K inside 95 %",
         "D inside",
         "K33 bias / sd",
+        "nearest other law",
+        "its chi2 above",
+        "95 % named below",
         "ms",
     )
     total = np.zeros(5, dtype=int)
     for band, limits in BANDS.items():
         for place, name in enumerate(LAWS):
-            counts, off, spent = np.zeros(5, dtype=int), [], 0.0
+            counts, off, spent, fits = np.zeros(5, dtype=int), [], 0.0, []
             for number in range(ears):
                 settings = EarSettings(0.1, 0.03, law=name, band_hz=limits)
                 case = ear(settings, np.random.default_rng([156, place, number, int(limits[0])]))
@@ -326,6 +331,7 @@ def laws(ears: int) -> None:
                 spent += time.process_time() - start
                 counts[verdict(fit, name)] += 1
                 if fit is not None:
+                    fits.append(fit)
                     z = (join(fit.stiffness, fit.damping) - truth(case)) / np.sqrt(np.diag(fit.covariance))
                     if fit.law.name != name:
                         z[6:] = np.nan  # D of another law has another unit
@@ -340,6 +346,7 @@ def laws(ears: int) -> None:
                 f"{100 * inside[:, :6].mean():.1f} %",
                 f"{100 * inside[:, 6:].sum() / max(of_d.sum(), 1):.1f} %",
                 f"{np.median(np.array(off)[:, 5]):+.2f}",
+                *nearest(fits, name, 3.0),
                 f"{1e3 * spent / ears:.0f}",
             )
     print(
@@ -347,6 +354,34 @@ def laws(ears: int) -> None:
         f"{total[2]} without it, {total[3]} wrong, {total[4]} refused.\n",
         flush=True,
     )
+
+
+def nearest(fits: list[KDFit], name: str, noise: float) -> tuple[str, str, str]:
+    """Return the law nearest to the right one, its mean chi2 above it, and from which noise on both are told.
+
+    By noise alone a difference d of chi2 scatters with the standard deviation 2 sqrt(d), and it falls with
+    the square of the noise. A law is told where the difference exceeds e = 6 (likelihood ratio e^3), which is
+    so in 95 % where sqrt(d) = 1.645 + sqrt(1.645^2 + e). Laws that hold the right one as a special case are
+    told by their unknowns alone; those that were given up lie above what noise makes.
+    """
+    differences = {}
+    for other in LAWS:
+        if other == name or name in law_of(other).includes:
+            continue
+        pairs_of = [
+            [next((law.chi2 for law in fit.laws if law.law.name == one and law.ligament), np.inf)
+             for one in (other, name)]
+            for fit in fits
+        ]  # fmt: skip
+        both = np.array([pair for pair in pairs_of if np.isfinite(pair[1])]).reshape(-1, 2)
+        differences[other] = float(np.mean(both[:, 0] - both[:, 1])) if len(both) else np.inf
+    other = min(differences, key=lambda one: differences[one])
+    mean = differences[other]
+    if not np.isfinite(mean):
+        return "none", "more than noise makes", "-"
+    needed = (1.645 + np.sqrt(1.645**2 + calibrated("causes.look_alike_chi2"))) ** 2
+    level = f"{noise * np.sqrt(mean / needed):.1f} % noise" if mean > 1.0 else "no noise"
+    return other, f"{mean:.1f}", level
 
 
 def verdict(fit: KDFit | None, name: str) -> int:

@@ -46,7 +46,7 @@ class Diagnosis:
     scores : Scores
         Of ``tested``.
     refits : tuple of Refit
-        Best first; empty where nothing calls for a search.
+        Best first; where nothing calls for a search those that explain more than chance does.
     threshold : float
         Fall of chi2 that names a cause.
     sensitivities : mapping of str to ndarray, (p,)
@@ -91,6 +91,8 @@ class Diagnosis:
     @property
     def named(self) -> Refit | None:
         """The cause that the data speak for, or None; one of no size that is known is none."""
+        if not self.searched:
+            return None
         known = (refit for refit in self.refits if refit.sd < abs(refit.size) or not refit.sd)
         best = next(known, None)
         return best if best is not None and self.evidence(best) > 0.0 else None
@@ -154,14 +156,17 @@ def diagnose(
     from scipy.special import chdtri
 
     setting = setting_of(problem, ligament)
+    equations = 2 * ligament.equations.n * ligament.lines.count
     present = {term.name for term in ligament.equations.terms}
     names = tuple(name for name in CAUSES if name not in present)
     terms = tuple(term_of(name, setting) for name in names)
     tested = scores(ligament.lines, ligament.equations, ligament.joint, terms)
     scored = [place for place, name in enumerate(names) if CAUSES[name].scored]
-    p_values = tested.p_values[scored]
-    least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
-    alarm = p_values.min() * len(scored) < calibrated("causes.false_alarm")
+    families = len({CAUSES[names[place]].family or names[place] for place in scored})
+    p_values = tested.p_values[scored] * [places_of(names[place]) for place in scored]
+    level = calibrated("causes.false_alarm") / families
+    least = float(chdtri(1, level))
+    alarm = p_values.min() < level
     units = problem.with_law(ligament.law).units
     entries = len(units)
     sensitivities = {
@@ -176,7 +181,7 @@ def diagnose(
     if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
         likely = []
     elif not searched:
-        likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
+        likely = [place for place in likely if _far(names[place]) and tested.p_values[place] < _DOUBTFUL]
     shortlist = likely[: int(calibrated("causes.shortlist"))]
     laws_at = 0 if not CAUSES[names[ranked[0]]].refitted else 1
     under_laws: Sequence[Refit] = ()
@@ -205,11 +210,10 @@ def diagnose(
         refits += [] if refit is None else [refit]
     if not searched:
         searched = any(candidate.fall > least for candidate in refits)
-        refits = refits if searched else []
+        refits = [refit for refit in refits if searched or refit.fall > np.log(equations) * refit.unknowns]
         laws_at = len(shortlist)
     if len(shortlist) <= laws_at and searched and laws is not None:
-        under_laws = laws(useful_chi2(ligament, refits))
-    equations = 2 * ligament.equations.n * ligament.lines.count
+        under_laws = laws(of_use(ligament, refits))
     shown = sorted(leading)
     kept = Scores(
         tested.z[shown],
@@ -264,9 +268,9 @@ def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
     return float((tested.estimate[place] ** 2 - (tested.estimate[place] - only) ** 2) / tested.sd[place] ** 2)
 
 
-def _large(name: str) -> bool:
+def _far(name: str) -> bool:
     """Return whether a cause may be too large for its score, a linear test."""
-    return len(CAUSES[name].starts) > 1
+    return len(CAUSES[name].starts) > 1 or np.isfinite(CAUSES[name].usual)
 
 
 def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:

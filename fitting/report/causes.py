@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 
 # Relative error of the frequency axis whose effect is given.
 _FREQUENCY = 1e-3
+# Errors that are listed as those that may go unseen.
+_SHOWN = 4
 
 
 def causes_json(fit: KDFit) -> dict[str, Any]:
-    """Return the keys ``causes``, ``sensitivities`` and ``fluid`` of kd.json; null without the joint fit."""
+    """Return the keys ``causes`` to ``fluid`` of kd.json; null without the joint fit."""
     diagnosis, fluid = fit.diagnosis, fit.fluid
     if diagnosis is None or fluid is None:
-        return {"causes": None, "sensitivities": None, "fluid": None}
+        return {"causes": None, "sensitivities": None, "unseen": None, "fluid": None}
     named = diagnosis.named
     scored = zip(
         diagnosis.tested,
@@ -76,6 +78,15 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
             {"name": name, "title": title, "size": size, "unit": unit, "change_si": _by_entry(fit, change)}
             for name, title, size, unit, change in sensitivities(fit, diagnosis)
         ],
+        "unseen": [
+            {
+                "name": name,
+                "size": size,
+                "unit": unit_of(name),
+                "change_relative": dict(zip(fit.parameters, map(float, change), strict=True)),
+            }
+            for name, size, change in unseen(fit, diagnosis)
+        ],
         "fluid": {
             "option": fluid.option,
             "cochlea": fluid.cochlea,
@@ -99,6 +110,22 @@ def sensitivities(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, str, floa
     return rows
 
 
+def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
+    """Return causes that may go unseen, the worst first, with size and changes over sqrt(Xii Xjj).
+
+    The size is the one from which a cause is found in four of five measurements, or twice its usual one where
+    that is smaller.
+    """
+    found = []
+    for name, seen in diagnosis.seen_from.items():
+        if not CAUSES[name].refitted or CAUSES[name].family:
+            continue
+        size = min(seen, 2.0 * CAUSES[name].usual, CAUSES[name].only or np.inf)
+        change = diagnosis.sensitivities[name] * size / CAUSES[name].example
+        found.append((name, size, relative_effect(change, fit.stiffness, fit.damping)))
+    return sorted(found, key=lambda row: -float(np.nanmax(np.abs(row[2]))))
+
+
 def _by_entry(fit: KDFit, change: Array) -> dict[str, float | None]:
     return {
         name: float(value) if np.isfinite(value) else None
@@ -115,6 +142,8 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
             "No error of the catalogue is called for: none of the directed scores is improbable, and the "
             "residuals are those of noise and shared errors."
         )
+        if diagnosis.refits:
+            words += " Those under Refits are possible; their effect is in the intervals by its evidence."
     elif named is None:
         words = (
             "Something is wrong, but no cause of the catalogue explains it: K and D are not to be trusted."
@@ -135,6 +164,7 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
         )
         section.add(page.subheading("Refits"), page.text(ranked), _refit_table(fit, diagnosis))
     section.add(page.subheading("Scores"), _score_table(diagnosis))
+    section.add(page.subheading("What may be wrong without a word"), page.text(_unseen_words(fit, diagnosis)))
     section.add(
         page.subheading("What an error that is left out does"),
         page.text(
@@ -145,6 +175,21 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
         _sensitivity_table(fit, diagnosis),
     )
     return section
+
+
+def _unseen_words(fit: KDFit, diagnosis: Diagnosis) -> str:
+    parts = []
+    for name, size, change in unseen(fit, diagnosis)[:_SHOWN]:
+        place = int(np.nanargmax(np.abs(change)))
+        parts.append(
+            f"{title_of(name)}, {size:.2g} {unit_of(name)}".rstrip()
+            + f" ({fit.parameters[place]} {_percent(100.0 * change[place])} %)"
+        )
+    return (
+        f"Smaller errors than these may go unseen, and are in no interval unless they are stated with the "
+        f"mass matrix or the motion: {'; '.join(parts)}. A mass matrix that is wrong as a whole by a factor "
+        "puts K and D off by the same factor and is never seen."
+    )
 
 
 def _refit_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ct_inertia.volume.coarse_view import take_glance
+from ct_inertia.volume.coarse_view import coarse_overview
 from ct_inertia.volume.volume import Volume
 
 AIR, BONE, NOISE = 0.0, 1000.0, 30.0
@@ -18,7 +18,7 @@ def bone_in_air():
 
 
 def levels(grey):
-    return take_glance(Volume(grey, np.full(3, 0.05), np.zeros(3), np.eye(3))).levels
+    return coarse_overview(Volume(grey, np.full(3, 0.05), np.zeros(3), np.eye(3))).levels
 
 
 @pytest.mark.parametrize("value", [-400.0, -150.0])

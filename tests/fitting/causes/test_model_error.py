@@ -31,6 +31,10 @@ def inside(fit: KDFit, case: SimulatedEar) -> np.ndarray:
     return np.abs(off) < 1.96 * np.sqrt(np.diag(fit.covariance))
 
 
+def share_of_model(fit: KDFit) -> np.ndarray:
+    return np.diag(fit.budget.sources.get(MODEL_ERROR, 0.0 * fit.covariance)) / np.diag(fit.covariance)
+
+
 @pytest.mark.parametrize(("cause", "size", "name"), [("second_run", 5.0, "step"), ("drift", 8.0, "drift")])
 def test_intervals_hold_where_a_stiffness_changes_over_the_measurement(
     cause: str, size: float, name: str
@@ -50,7 +54,7 @@ def test_the_part_of_the_model_is_as_large_as_what_a_correction_changes() -> Non
     part = np.sqrt(np.diag(fit.budget.sources[MODEL_ERROR]))
     change = np.abs(join(fixed.stiffness - fit.stiffness, fixed.damping - fit.damping))
     assert part == pytest.approx(change, rel=0.5, abs=0.2 * np.sqrt(np.diag(fit.covariance)).max())
-    assert MODEL_ERROR not in fixed.budget.sources
+    assert np.all(share_of_model(fixed) < 0.3)
     assert sum(fit.budget.sources.values()) == pytest.approx(fit.covariance, rel=1e-9)
     before = replace(fit.ligament, plane_covariance=np.zeros((12, 12)))
     columns = fit.diagnosis.off[12:]
@@ -58,10 +62,11 @@ def test_the_part_of_the_model_is_as_large_as_what_a_correction_changes() -> Non
     assert MODEL_ERROR in json.loads(json.dumps(kd_json(fit, {})))["budget"]
 
 
-def test_a_clean_ear_has_no_such_part() -> None:
+def test_a_clean_ear_has_hardly_any_such_part() -> None:
+    """Nothing is searched for; what one of twenty scores may mean is weighed by its evidence."""
     fit, _ = fitted("", 0.0, 0)
-    assert MODEL_ERROR not in fit.budget.sources
-    assert fit.diagnosis.off.shape == (24, 0)
+    assert not fit.diagnosis.searched
+    assert np.all(share_of_model(fit) < 0.3)
 
 
 def test_causes_that_explain_as_much_share_their_weight_and_others_have_none() -> None:
