@@ -280,3 +280,19 @@ def test_bzip2(tmp_path):
     head = path.read_bytes().split(b"\n\n")[0] + b"\n\n"
     path.write_bytes(head + bz2.compress(picture().tobytes()))
     read_back(path, picture())
+
+
+@pytest.mark.parametrize("packing", ["jpegxl", "lerc", "png", "lzma", "ccitt", "jpegxr"])
+def test_tiff_in_other_packings(tmp_path, packing):
+    if packing == "ccitt":
+        bright = picture("u1") > 4
+        first, *rest = map(Image.fromarray, bright)
+        first.save(tmp_path / "a.tif", save_all=True, append_images=rest, compression="group4")
+        read_back(tmp_path / "a.tif", bright.astype(np.uint8))
+        return
+    tifffile.imwrite(tmp_path / "a.tif", picture(), compression=packing, photometric="minisblack")
+    if packing != "jpegxr":
+        read_back(tmp_path / "a.tif", picture())
+        return
+    with pytest.raises(CtInertiaError, match=r"packed by one of NONE, .*; got JPEGXR"):
+        read_volume(tmp_path / "a.tif", SPACING)
