@@ -32,9 +32,9 @@ def unsupported(*_words, **_more):
 threading.Thread.start = os.fork = missing
 ctypes.CDLL = subprocess.Popen.__init__ = unsupported
 import stapeskit as sk
-from stapeskit.records import hdf5_guard
+from stapeskit import guard
 
-hdf5_guard.sys = types.SimpleNamespace(platform="emscripten")
+guard.sys = types.SimpleNamespace(platform="emscripten")
 
 read = sk.points2dof("ldv.csv", points="points.csv", fiducials="fiducials.csv", mass="mass.json")
 fit = sk.dof2kd("paper.h5", mass="M.csv", bands=0)

@@ -1,9 +1,12 @@
-"""DICOM series and multi-frame files through SimpleITK (GDCM), slice by slice when they are asked for."""
+"""DICOM series and multi-frame files through SimpleITK (GDCM), slice by slice when they are asked for.
+
+Damaged packed pixels crash the decoders of GDCM: a process of their own unpacks such series as a whole.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -13,16 +16,22 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, settle_spacing
-from ct_inertia.readers.dicom_lengths import dicom_size
+from ct_inertia.readers.dicom_lengths import DicomSize, dicom_size
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.refusals import not_readable, several_values, unreadable
 from ct_inertia.volume.lazy_arrays import BlockArray
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
+from stapeskit.guard import Library, read_apart
 from stapeskit.warnings import Notice
 
 # Share of the usual distance of slices by which another one may differ: a missing slice doubles it.
 _UNEVEN = 0.02
+# Lossless JPEG unpacks some 50 MB a second; a slow machine takes a tenth of that.
+_PROCESSOR_S, _BYTES_PER_S = 5.0, 5e6
+# Address space, of which little is used.
+_MEMORY = 600 << 20
+_GDCM = Library("SimpleITK", "DICOM")
 _TYPES = {
     "8-bit unsigned integer": "u1",
     "8-bit signed integer": "i1",
@@ -64,8 +73,48 @@ def read(path: Path, options: ReadOptions) -> Volume:
         Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or
         colours.
     """
+    sizes = [_size(file) for file in _dicom_files(path)]
     read_one = _read_folder if path.is_dir() else _read_file
-    return read_one(path, options).mirrored(options.mirror)
+    if all(size is not None and size.native for size in sizes):
+        return _read(read_one, path, options).mirrored(options.mirror)
+    claimed = sum(size.claimed_bytes for size in sizes if size is not None)
+    check_memory(claimed, path.name)
+
+    def unpacked() -> Volume:
+        import SimpleITK as sitk
+
+        sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
+        volume = _read(read_one, path, options)
+        return replace(volume, array=np.ascontiguousarray(volume.array))
+
+    seconds = _PROCESSOR_S + claimed / _BYTES_PER_S
+    volume = read_apart(unpacked, path, "the scan", CtInertiaError, seconds, 4 * claimed + _MEMORY, _GDCM)
+    return volume.mirrored(options.mirror)
+
+
+def _read(read_one: Callable[[Path, ReadOptions], Volume], path: Path, options: ReadOptions) -> Volume:
+    try:
+        return read_one(path, options)
+    except RuntimeError as fault:
+        raise not_readable(path, "DICOM series", fault) from fault
+
+
+def _dicom_files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    return sorted(entry for entry in path.iterdir() if entry.is_file() and _is_dicom(entry))
+
+
+def _size(file: Path) -> DicomSize | None:
+    """Return what a file claims of its pixels; None of one without a preamble that is no DICOM for us."""
+    try:
+        size = dicom_size(file)
+    except CtInertiaError:
+        if _has_preamble(file):
+            raise
+        return None
+    check_memory(2 * size.claimed_bytes, file.name)
+    return size
 
 
 def _is_dicom(path: Path) -> bool:
@@ -84,8 +133,6 @@ def _read_folder(folder: Path, options: ReadOptions) -> Volume:
     """Read the series of a folder, ordered by position; rescale slope and intercept are applied."""
     import SimpleITK as sitk
 
-    for file in sorted(entry for entry in folder.iterdir() if entry.is_file() and _has_preamble(entry)):
-        check_memory(2 * dicom_size(file).claimed_bytes, file.name)
     series = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
         raise CtInertiaError.of(
@@ -131,7 +178,6 @@ def _read_file(path: Path, options: ReadOptions) -> Volume:
     """Read a file of several frames, unpacked in memory."""
     import SimpleITK as sitk
 
-    check_memory(dicom_size(path).claimed_bytes, path.name)
     head = _slice(str(path))
     if len(head.size) < 3 or head.size[2] < 2:
         raise CtInertiaError.of(

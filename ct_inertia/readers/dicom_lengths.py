@@ -41,7 +41,7 @@ class DicomSize:
     numbers : dict of str to int
         ``rows``, ``columns``, ``frames``, ``samples``, ``bits`` where the file has them.
     native : bool
-        The pixels are not packed.
+        The pixels are neither packed nor in fragments.
     pixel_bytes : int
         Bytes of the element of pixels; 0 when there is none.
     """
@@ -170,6 +170,7 @@ class _Walk:
                 got = f"an item of {length} bytes in a file of {self.size}"
                 raise header_fault(self.path, "DICOM file", got)
             if pixels:
+                self.found.native = False
                 self.found.pixel_bytes += length
             self.stream.seek(length, 1)
 

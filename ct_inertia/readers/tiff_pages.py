@@ -22,6 +22,22 @@ if TYPE_CHECKING:
 
 # Least rows that are unpacked at a time: fewer cost more calls, more waste memory on parts of a plane.
 _ROWS = 64
+# Decoders that stood 600 damaged files each; that of JPEG XR crashed, and took half a minute.
+_PACKINGS = (
+    *(
+        "NONE",
+        "ADOBE_DEFLATE",
+        "DEFLATE",
+        "LZW",
+        "PACKBITS",
+        "ZSTD",
+        "ZSTD_DEPRECATED",
+        "LZMA",
+        "PNG",
+        "LERC",
+    ),
+    *("JPEG", "JPEG2000", "JPEGXL", "CCITTRLE", "CCITTFAX3", "CCITTFAX4"),
+)
 WHITE_IS_ZERO = "white_is_zero"
 
 
@@ -219,13 +235,16 @@ def _check_pages(series: Any, files: list[Path], path: Path) -> None:
 
 
 def check_pieces(page: Any, path: Path) -> None:
-    """Refuse strips or tiles of no size.
+    """Refuse strips or tiles of no size, and packings whose decoders damaged files crash or hold up.
 
     Raises
     ------
     CtInertiaError
-        A size is no number, or below 1.
+        A size is no number, or below 1; another packing than those of `_PACKINGS`.
     """
+    if page.compression.name not in _PACKINGS:
+        wanted, step = f"packed by one of {', '.join(_PACKINGS)}", "Export it unpacked, or packed by deflate"
+        raise CtInertiaError.of("the TIFF", wanted, page.compression.name, path.name, step)
     for size in (page.tilewidth, page.tilelength) if page.is_tiled else (page.rowsperstrip,):
         if not isinstance(size, int) or size < 1:
             raise header_fault(path, "TIFF", f"strips or tiles of {size} voxels")

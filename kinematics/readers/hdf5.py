@@ -1,39 +1,7 @@
 """Read and write spectra in HDF5: a small layout of this project that any program can write.
 
-The file ``ldv.h5``:
-
-=============  =======================  ==============================================================
-name           shape                    holds
-=============  =======================  ==============================================================
-freq_hz        (freq)                   Hz, ascending
-re, im         (channel, freq) or       the value along the beam, positive towards the laser head, or one
-               (run, channel, freq)     complex data set ``value`` (compound with two fields)
-direction      (channel, 3)             unit vectors towards the laser head
-position_mm    (channel, 3)             optional: else from --points
-sd             as re, or (channel)      optional: of the real (= imaginary) part, in the unit of the value
-coherence      as re                    optional
-n_avg          scalar or (channel)      optional
-body, point    (channel) texts          data sets, or attributes of the file with semicolons between them
-run            (run) texts              the same, optional
-=============  =======================  ==============================================================
-
-Attributes of the file: ``schema = "stapeskit.ldv/1"``, ``unit`` (``m/s``, ``nm``, ``(m/s)/V``, ...),
-``amplitude`` (``peak`` or ``rms``), ``convention`` (``+`` for e^{+iwt}, default, or ``-``). MATLAB writes
-dimensions in reverse; that is recognised by the length of freq_hz, and where both orders would fit the
-attribute ``dims`` says which: ``channel,freq`` or ``freq,channel``, as h5dump shows them.
-
-In MATLAB (v: channels x F, complex)::
-
-    h5create('ldv.h5', '/freq_hz', numel(f));      h5write('ldv.h5', '/freq_hz', f(:));
-    h5create('ldv.h5', '/re', size(v));            h5write('ldv.h5', '/re', real(v));
-    h5create('ldv.h5', '/im', size(v));            h5write('ldv.h5', '/im', imag(v));
-    h5create('ldv.h5', '/direction', size(d));     h5write('ldv.h5', '/direction', d);
-    h5create('ldv.h5', '/position_mm', size(p));   h5write('ldv.h5', '/position_mm', p);
-    h5writeatt('ldv.h5', '/', 'schema', 'stapeskit.ldv/1');
-    h5writeatt('ldv.h5', '/', 'unit', 'm/s');
-    h5writeatt('ldv.h5', '/', 'amplitude', 'peak');
-    h5writeatt('ldv.h5', '/', 'body', strjoin(body, ';'));
-    h5writeatt('ldv.h5', '/', 'point', strjoin(point, ';'));
+The layout, and how MATLAB writes it, stand in docs/vibrometer_files.md. MATLAB writes dimensions in reverse:
+that is recognised by the length of freq_hz, and where both orders would fit by the attribute ``dims``.
 
 Other HDF5 files are read when kinematics.readers.matlab.spectra knows their names and shapes, or as
 a mapping says.

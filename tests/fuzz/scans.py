@@ -291,6 +291,25 @@ def _damaged_dicom(rng: random.Random) -> Case:
     return _case(rng, f"elements of {chosen}", name, {**files, chosen: bytes(data)})
 
 
+def _damaged_jpeg(rng: random.Random) -> Case:
+    """Change the packed pixels of a DICOM slice: markers, lengths, tables, or a piece of them."""
+    name, files = _any(rng, lambda name, _: name == "dicom_jpeg")
+    chosen = rng.choice([k for k in files if k.endswith(".dcm")])
+    data = bytearray(files[chosen])
+    start = data.rindex(b"\xff\xd8")
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randrange(start, rng.choice((min(start + 60, len(data) - 4), len(data) - 4)))
+        match rng.randrange(4):
+            case 0:
+                data[at : at + 2] = struct.pack(">H", rng.choice((0, 1, 2, 3, 0x7FFF, 0xFFFF)))
+            case 1:
+                count = min(rng.randrange(1, 40), len(data) - at)
+                data[at : at + count] = rng.randbytes(count)
+            case _:
+                data[at] = rng.choice((0, 1, 2, 8, 16, 0xC3, 0xC4, 0xD9, 0xFF, rng.randrange(256)))
+    return _case(rng, f"pixels of {chosen}", name, {**files, chosen: bytes(data)})
+
+
 @cache
 def _bombs() -> dict[str, bytes]:
     zeros = bytes(_BOMB)
@@ -331,5 +350,6 @@ _MAKERS = (
     *(_damaged_zarr,) * 4,
     *(_damaged_chunk,) * 4,
     *(_damaged_dicom,) * 2,
+    _damaged_jpeg,
     *(_bomb,) * 1,
 )

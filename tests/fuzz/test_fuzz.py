@@ -6,8 +6,8 @@ import random
 
 import pytest
 
+from stapeskit import guard
 from stapeskit.faults import Fault, StapeskitError
-from stapeskit.records import hdf5_guard
 from tests.fuzz import targets
 from tests.fuzz.case import Case
 from tests.fuzz.corpus import saved
@@ -70,8 +70,8 @@ def test_vibrometer_files_are_sound_before_they_are_damaged(tmp_path):
 
 
 def test_what_was_found_stays_cured(tmp_path, monkeypatch):
-    monkeypatch.setattr(hdf5_guard, "_PROCESSOR_S", 0.1)
-    monkeypatch.setattr(hdf5_guard, "_CLOCK", 3.0)
+    monkeypatch.setattr(guard, "_PROCESSOR_S", 0.1)
+    monkeypatch.setattr(guard, "_CLOCK", 3.0)
     for name, case in saved():
         found = run(case, tmp_path / name)
         assert found["kind"] in ("done", "refused"), (name, found)

@@ -11,7 +11,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.readers.recording import from_parts
 from stapeskit.faults import StapeskitError
-from stapeskit.records.hdf5_guard import read_apart
+from stapeskit.guard import read_apart
 
 Result = TypeVar("Result")
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -1,21 +1,4 @@
-"""The meaning of the variables of a MATLAB file: read from a small TOML file, or guessed from their names.
-
-The file beside ``scan.mat`` (``--mapping FILE``, or ``scan.mat.toml`` found by itself)::
-
-    frequency = "f"            # F numbers, Hz
-    position = "xyz"           # points x 3 (left out: from --points)
-    position_unit = "m"        # m, mm or um (left out: by the ending _mm of the name, or --length-unit)
-    points = "names"           # names or numbers of the points (left out: 1, 2, 3, ...)
-    amplitude = "peak"         # or "rms" (left out: --amplitude)
-    convention = "+"           # e^{+iwt}; "-" for e^{-iwt}, which is conjugated
-    each = ""                  # name of a struct array or cell array with one element a point, if any
-
-    [[signal]]                 # one for every beam
-    value = "amp_z"            # points x F, complex; or value_re and value_im
-    direction = "z"            # x, y, z, -x, -y, -z, three numbers, or a variable of points x 3
-    unit = "m/s"               # left out: YUnit of the struct named by usd
-    usd = "usd_z"
-    coherence = "coh_z"        # optional: coherence, sd (unit of the value), n_avg (a number), run, body
+"""The meaning of the variables of a MATLAB file: by a mapping (docs/vibrometer_files.md), or by their names.
 
 Names with dots reach into structs: ``dat.N1.f``.
 """
@@ -31,9 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError
-from kinematics.readers.mapping_file import mapping_document, unknown_keys
-from stapeskit.faults import Fault, raise_all
+from kinematics.readers.mapping_file import read_mapping_file
 from stapeskit.frames import axis_vector
 
 FREQUENCIES = (
@@ -76,6 +57,7 @@ _POINTS = (
 )
 _COHERENCES = ("coh", "coherence", "gamma2")
 _COUNTS = ("n_avg", "navg", "averages", "n_averages")
+_CHOICES = {"amplitude": ("peak", "rms"), "convention": ("+", "-"), "position_unit": ("m", "mm", "um")}
 _BEAM = re.compile(r"^(?P<stem>.+?)_?(?P<axis>[xyzXYZ])$")
 
 
@@ -120,44 +102,11 @@ def read_mapping(path: Path) -> Layout:
     KinematicsError
         No TOML, an unknown key, a value of the wrong kind, or no frequency or signal.
     """
-    path = Path(path)
-    document = mapping_document(path)
-    faults: list[Fault] = []
-    signals = document.pop("signal", [])
-    if not isinstance(signals, list) or not all(isinstance(signal, dict) for signal in signals):
-        faults.append(Fault("signal", "tables [[signal]]", "something else", path.name))
-        signals = []
-    layout = _checked(Layout, document, path.name, faults)
-    signal_tables = tuple(
-        _checked(Signal, entry, f"{path.name}, signal {k}", faults) for k, entry in enumerate(signals, 1)
-    )
-    if not signal_tables:
-        faults.append(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
-    for number, entry in enumerate(signal_tables, 1):
-        if not entry.value and not (entry.value_re and entry.value_im):
-            want = "given as value, or as value_re and value_im"
-            faults.append(Fault("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
-    if not document.get("frequency"):
-        faults.append(Fault("frequency", "the name of a variable", "none", path.name))
-    for key, values in (("amplitude", ("peak", "rms")), ("convention", ("+", "-"))):
-        if document.get(key, values[0]) not in values:
-            faults.append(Fault(key, " or ".join(values), document[key], path.name))
-    if document.get("position_unit", "m") not in ("m", "mm", "um"):
-        faults.append(Fault("position_unit", "m, mm or um", document["position_unit"], path.name))
-    raise_all(KinematicsError, faults)
-    return Layout(**{**{f.name: getattr(layout, f.name) for f in fields(Layout)}, "signal": signal_tables})
-
-
-def _checked(kind: Any, entries: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
-    known = {entry.name for entry in fields(kind)} - {"signal"}
-    faults += unknown_keys(entries, known, where)
-    good = {}
-    for key, value in entries.items():
-        if key in known - {"direction", "n_avg"} and not isinstance(value, str):
-            faults.append(Fault(key, "a text in quotes", value, where))
-        elif key in known:
-            good[key] = value
-    return kind(**good)
+    keys = {entry.name: _CHOICES.get(entry.name, ()) for entry in fields(Layout) if entry.name != "signal"}
+    texts = [entry.name for entry in fields(Signal) if entry.name not in ("direction", "n_avg")]
+    pairs = (("value",), ("value_re", "value_im"))
+    document = read_mapping_file(Path(path), keys, texts, pairs, ("frequency",))
+    return Layout(**document | {"signal": tuple(Signal(**entry) for entry in document["signal"])})
 
 
 def layout_of(space: Mapping[str, Any]) -> Layout | None:

@@ -1,21 +1,4 @@
-"""Which column of a wide table is what: ``FILE.csv.toml``, or ``--mapping FILE``.
-
-::
-
-    frequency = "f"            # name of a column; with its unit in brackets or without
-    frequency_unit = "kHz"     # left out: as in the header, else Hz
-    amplitude = "peak"         # or "rms" (left out: --amplitude)
-    convention = "+"           # e^{+iwt}; "-" for e^{-iwt}, which is conjugated
-
-    [[signal]]                 # one for every beam; {point} in the names stands for the name of each point
-    magnitude = "ch{point} M"  # with phase; or value_re and value_im
-    phase = "ch{point} P"
-    phase_unit = "rad"         # left out: as in the header, else degrees
-    unit = "mm/s"              # left out: as in the header
-    direction = "z"            # x, y, z, -x, -y, -z, or three numbers (left out: --beam)
-    point = "3"                # where the names have no {point} (left out: the name of the file)
-    coherence = "C{point}"     # optional: coherence, sd (unit of the value), n_avg (a number), run, body
-"""
+"""What the columns of a wide table are: ``FILE.csv.toml``, ``--mapping FILE`` (docs/vibrometer_files.md)."""
 
 from __future__ import annotations
 
@@ -26,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.mapping_file import mapping_document, unknown_keys
+from kinematics.readers.mapping_file import read_mapping_file
 from kinematics.readers.wide.columns import Beam
 from stapeskit.faults import Fault, raise_all
 
@@ -55,31 +38,16 @@ def read_mapping(path: Path) -> dict[str, Any]:
     KinematicsError
         No TOML, an unknown key, or a value of the wrong kind; all faults together.
     """
-    document = mapping_document(path)
-    signals = document.get("signal")
-    if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
-        raise KinematicsError.of("a mapping", "of one [[signal]] at least", "none", path.name)
-    faults = unknown_keys(document, {*_FILE, "signal"}, path.name)
-    for key, values in _FILE.items():
-        value = document.get(key, values[0] if values else "")
-        if not isinstance(value, str) or (values and value not in values):
-            faults.append(Fault(key, " or ".join(values) or "the name of a column", value, path.name))
-    for number, entry in enumerate(signals, 1):
-        where = f"{path.name}, signal {number}"
-        faults += unknown_keys(entry, {*_PARTS, *_TEXTS, "direction", "n_avg"}, where)
-        faults += [
-            Fault(key, "a text in quotes", entry[key], where)
-            for key in (*_PARTS, *_TEXTS)
-            if not isinstance(entry.get(key, ""), str)
-        ]
-        count = entry.get("n_avg", 1)
-        if isinstance(count, bool) or not isinstance(count, int | float):
-            faults.append(Fault("n_avg", "a number of averages", count, where))
-        if not {"value_re", "value_im"} <= set(entry) and not {"magnitude", "phase"} <= set(entry):
-            want = "given as magnitude and phase, or as value_re and value_im"
-            faults.append(Fault("the columns of a signal", want, ", ".join(entry) or "none", where))
+    pairs = (("magnitude", "phase"), ("value_re", "value_im"))
+    document = read_mapping_file(path, _FILE, (*_PARTS, *_TEXTS), pairs)
+    counts = [(number, entry.get("n_avg", 1)) for number, entry in enumerate(document["signal"], 1)]
+    faults = [
+        Fault("n_avg", "a number of averages", count, f"{path.name}, signal {number}")
+        for number, count in counts
+        if isinstance(count, bool) or not isinstance(count, int | float)
+    ]
     raise_all(KinematicsError, faults)
-    return dict(document)
+    return document
 
 
 def mapped_beams(signals: Sequence[Mapping[str, Any]], names: Sequence[str], file: str) -> list[Beam]:

@@ -98,6 +98,7 @@ CASES = {
     "a.raw": Case(f.raw, "map", ALL, {"header": 12}, True, raw={"header_bytes": 12}),
     "a_big.raw": Case(f.raw, "map", ALL, {"big": True}, True, raw={"byte_order": "big"}),
     "dicom": Case(f.dicom, "blocks", ("i2", "u2", "u1"), anatomical=True),
+    "dicom_jpeg": Case(f.dicom, "whole", ("u2", "u1"), {"packed": True}, anatomical=True),
     "frames.dcm": Case(f.frames, "whole", ("u1", "u2"), anatomical=True),
     "v04.zarr": Case(f.ome_zarr, "blocks", ALL),
     "v04_mm.zarr": Case(f.ome_zarr, "blocks", ("u2",), {"unit": "millimeter"}),

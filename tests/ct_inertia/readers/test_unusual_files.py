@@ -1,5 +1,6 @@
 """Files that are unusual and right: made after the descriptions of their formats, read as they are meant."""
 
+import bz2
 import gzip
 import os
 import struct
@@ -7,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+import SimpleITK as sitk
 import tifffile
 import zarr
 from PIL import Image
@@ -213,3 +215,84 @@ def test_a_folder_may_hold_names_that_are_no_utf_8(tmp_path):
     (tmp_path / "scan" / os.fsdecode(b"Pr\xe4parat.txt")).write_text("a note in Latin-1")
     assert content_hash(tmp_path / "scan") != before
     read_back(tmp_path / "scan", picture())
+
+
+def nifti_2(array, spacing, order="<"):
+    """A header of NIfTI-2 (nifti2.h) with a quaternion, and its voxels."""
+    head = bytearray(544)
+    struct.pack_into(order + "i", head, 0, 540)
+    head[4:12] = b"n+2\0\r\n\x1a\n"
+    struct.pack_into(order + "2h", head, 12, 512, 16)
+    struct.pack_into(order + "8q", head, 16, 3, *array.shape[::-1], 1, 1, 1, 1)
+    struct.pack_into(order + "8d", head, 104, 1.0, *spacing, 0, 0, 0, 0)
+    struct.pack_into(order + "q", head, 168, 544)
+    struct.pack_into(order + "2i", head, 344, 1, 0)
+    struct.pack_into(order + "6d", head, 352, *QUATERNION, 1.0, 2.0, 3.0)
+    struct.pack_into(order + "i", head, 500, 2)
+    return bytes(head) + array.astype(array.dtype.newbyteorder(order)).tobytes()
+
+
+QUATERNION = (0.0, 0.0, np.sin(np.radians(15.0)))
+# A turn of 30 degrees about z in RAS, seen in LPS: nifti1.h, method 2.
+TURN = np.array([[-np.cos(np.pi / 6), 0.5, 0.0], [-0.5, -np.cos(np.pi / 6), 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_nifti_2_placed_by_a_quaternion(tmp_path, order):
+    (tmp_path / "a.nii").write_bytes(nifti_2(picture(), SPACING, order))
+    volume = read_volume(tmp_path / "a.nii")
+    assert np.array_equal(np.asarray(volume.array), picture())
+    assert volume.spacing_mm == pytest.approx(SPACING)
+    assert volume.origin_mm == pytest.approx([-1.0, -2.0, 3.0])
+    assert volume.direction == pytest.approx(TURN)
+    assert volume.handedness_confirmed
+
+
+def test_nifti_1_placed_by_a_quaternion_as_other_programs_place_it(tmp_path):
+    content = bytearray(f.nifti(tmp_path / "a.nii", picture()).read_bytes())
+    struct.pack_into("<2h", content, 252, 1, 0)
+    struct.pack_into("<6f", content, 256, *QUATERNION, 1.0, 2.0, 3.0)
+    for name, sides in (("a.nii", 1.0), ("b.nii", -1.0)):
+        struct.pack_into("<f", content, 76, sides)
+        (tmp_path / name).write_bytes(content)
+    volume, image = read_volume(tmp_path / "a.nii"), sitk.ReadImage(str(tmp_path / "a.nii"))
+    assert volume.direction == pytest.approx(TURN)
+    assert volume.direction.ravel() == pytest.approx(image.GetDirection(), abs=1e-6)
+    assert volume.origin_mm == pytest.approx(image.GetOrigin())
+    with pytest.raises(CtInertiaError, match="right-handed"):
+        read_volume(tmp_path / "b.nii")
+
+
+def test_zarr_chunks_with_exchanged_axes(tmp_path):
+    group = zarr.open_group(tmp_path / "a.zarr", mode="w", zarr_format=3)
+    turned = zarr.codecs.TransposeCodec(order=(2, 0, 1))
+    array = group.create_array("0", shape=(7, 6, 5), dtype="u2", chunks=(4, 3, 2), filters=[turned])
+    array[...] = picture()
+    axes = [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"]
+    scale = [{"type": "scale", "scale": SPACING[::-1].tolist()}]
+    datasets = [{"path": "0", "coordinateTransformations": scale}]
+    group.attrs["ome"] = {"version": "0.5", "multiscales": [{"axes": axes, "datasets": datasets}]}
+    assert read_back(tmp_path / "a.zarr", picture()).spacing_mm == pytest.approx(SPACING)
+
+
+def test_bzip2(tmp_path):
+    path = f.nrrd(tmp_path / "a.nrrd", picture(), encoding="bzip2")
+    head = path.read_bytes().split(b"\n\n")[0] + b"\n\n"
+    path.write_bytes(head + bz2.compress(picture().tobytes()))
+    read_back(path, picture())
+
+
+@pytest.mark.parametrize("packing", ["jpegxl", "lerc", "png", "lzma", "ccitt", "jpegxr"])
+def test_tiff_in_other_packings(tmp_path, packing):
+    if packing == "ccitt":
+        bright = picture("u1") > 4
+        first, *rest = map(Image.fromarray, bright)
+        first.save(tmp_path / "a.tif", save_all=True, append_images=rest, compression="group4")
+        read_back(tmp_path / "a.tif", bright.astype(np.uint8))
+        return
+    tifffile.imwrite(tmp_path / "a.tif", picture(), compression=packing, photometric="minisblack")
+    if packing != "jpegxr":
+        read_back(tmp_path / "a.tif", picture())
+        return
+    with pytest.raises(CtInertiaError, match=r"packed by one of NONE, .*; got JPEGXR"):
+        read_volume(tmp_path / "a.tif", SPACING)

@@ -196,11 +196,13 @@ def skyscan(path, array):
     return path
 
 
-def dicom(path, array, series="1", **tags):
+def dicom(path, array, series="1", packed=False, **tags):
     before = locale.setlocale(locale.LC_ALL)  # the DICOM writer sets it to "C"
     path.mkdir(exist_ok=True)
     writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
+    writer.SetUseCompression(packed)
+    writer.SetCompressor("JPEG")
     for k, image in enumerate(array):
         slice_ = sitk.GetImageFromArray(image[None])
         slice_.SetSpacing(SPACING.tolist())

@@ -14,9 +14,9 @@ import pytest
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5 import read
+from stapeskit import guard
 from stapeskit.faults import Fault, StapeskitError
-from stapeskit.records import hdf5_guard
-from stapeskit.records.hdf5_guard import read_apart
+from stapeskit.guard import read_apart
 from stapeskit.records.motion_files import read_motion, write_motion
 from tests.fitting.cases import paper_motion
 
@@ -62,7 +62,7 @@ def spin() -> None:
     "hold_up", [spin, lambda: time.sleep(60.0), lambda: os.kill(os.getpid(), signal.SIGSEGV), os.abort]
 )
 def test_what_holds_up_or_crashes_the_library_is_refused(hold_up, path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(hdf5_guard, "_CLOCK", 2.0)
+    monkeypatch.setattr(guard, "_CLOCK", 2.0)
     with pytest.raises(KinematicsError) as found:
         read_apart(hold_up, path, "an HDF5 file", KinematicsError, processor_s=0.1)
     (fault,) = found.value.faults
@@ -85,7 +85,7 @@ def test_errors_pass_as_they_are(path: Path) -> None:
     assert refused.value.faults == (Fault("a", "b", "c"), Fault("d"))
     with pytest.raises(ZeroDivisionError) as bug:
         read_apart(lambda: 1 / 0, path, "a file")
-    assert "test_hdf5_guard.py" in bug.value.__notes__[0]
+    assert "test_guard.py" in bug.value.__notes__[0]
 
 
 def test_errors_of_the_library_become_a_refusal(path: Path) -> None:
@@ -99,8 +99,8 @@ def test_errors_of_the_library_become_a_refusal(path: Path) -> None:
 def test_motion_files_are_read_apart(name: str, tmp_path: Path, monkeypatch) -> None:
     motion = paper_motion(0.05, 0, lines=3)
     write_motion(tmp_path, "dof", replace(motion, n_dof=np.full(motion.chi2.shape, 6)))
-    monkeypatch.setattr(hdf5_guard, "_PROCESSOR_S", 0.1)
-    monkeypatch.setattr(hdf5_guard, "_CLOCK", 1.0)
+    monkeypatch.setattr(guard, "_PROCESSOR_S", 0.1)
+    monkeypatch.setattr(guard, "_CLOCK", 1.0)
     monkeypatch.setattr(h5py.File, "__init__", lambda *_: time.sleep(60.0))
     with pytest.raises(StapeskitError) as found:
         read_motion(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Damaged HDF5 files can hold up or crash the library that reads them: a child process reads them."""
+"""Damaged files can hold up or crash the libraries of HDF5 and DICOM: a child process reads them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, TypeVar
 
@@ -30,12 +32,25 @@ _MEMORY, _PACKING = 256 << 20, 40
 _STEP = "It is damaged: copy or export it again"
 
 
+@dataclass(frozen=True)
+class Library:
+    """A library that damaged files may bring down: its name, and its module, loaded before the fork."""
+
+    module: str
+    name: str
+
+
+HDF5 = Library("h5py", "HDF5")
+
+
 def read_apart(
     read: Callable[[], Result],
     path: Path,
     wanted: str,
     error: type[StapeskitError] = StapeskitError,
     processor_s: float | None = None,
+    memory: int | None = None,
+    library: Library = HDF5,
 ) -> Result:
     """Return what ``read`` returns in a forked process with limits on processor time and memory.
 
@@ -52,6 +67,10 @@ def read_apart(
         The class of the error.
     processor_s : float, optional
         Limit on the processor time; by default 3 s and 0.2 s for each MB of the file.
+    memory : int, optional
+        Limit on the memory that is taken for it, bytes; by default 256 MB and 40 times the size of the file.
+    library : Library
+        What reads.
 
     Raises
     ------
@@ -60,8 +79,7 @@ def read_apart(
     """
     if not hasattr(os, "fork") or sys.platform == "emscripten":
         return read()
-    import h5py  # noqa: F401  (once, not in every child)
-
+    import_module(library.module)  # once, not in every child
     size = Path(path).stat().st_size
     limit_s = processor_s or _PROCESSOR_S + _PROCESSOR_S_PER_MB * size / 1e6
     reader, writer = os.pipe()
@@ -70,7 +88,7 @@ def read_apart(
         child = os.fork()
     if child == 0:
         os.close(reader)
-        _work(read, writer, limit_s, _PACKING * size + _MEMORY)
+        _work(read, writer, limit_s, _PACKING * size + _MEMORY if memory is None else memory)
     os.close(writer)
     try:
         answer = _received(reader, _CLOCK * limit_s)
@@ -82,7 +100,9 @@ def read_apart(
         late = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXCPU)
         got = f"stuck after {limit_s:.3g} s" if late else "brought down"
         name = Path(path).name
-        raise error(Fault(wanted, "readable", f"one by which the HDF5 library is {got}", name, _STEP))
+        raise error(
+            Fault(wanted, "readable", f"one by which the {library.name} library is {got}", name, _STEP)
+        )
     value, fault = answer
     if fault is not None:
         raise fault
