@@ -37,6 +37,7 @@ from fitting.calibrated import calibrated
 from fitting.errors import FittingError
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
+from fitting.model.laws import law_of
 from fitting.model.parameter_vector import entry_names, join, pairs
 from fitting.options import CORRECT, KDOptions
 

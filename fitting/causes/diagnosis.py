@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.causes.catalogue import CAUSES, Setting, term_of
+from fitting.causes.catalogue import CAUSES, Setting, places_of, term_of
 from fitting.causes.model_error import unexplained_error
 from fitting.causes.refits import Refit, rarity_penalty, refit_with, useful_chi2
 from fitting.causes.score_tests import Scores, scores
@@ -213,7 +213,7 @@ def diagnose(
         refits = [refit for refit in refits if searched or refit.fall > np.log(equations) * refit.unknowns]
         laws_at = len(shortlist)
     if len(shortlist) <= laws_at and searched and laws is not None:
-        under_laws = laws(of_use(ligament, refits))
+        under_laws = laws(useful_chi2(ligament, refits))
     shown = sorted(leading)
     kept = Scores(
         tested.z[shown],

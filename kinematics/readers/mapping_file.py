@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import Fault
+from stapeskit.faults import Fault, raise_all
 from stapeskit.json_toml import parse_toml
 
 
