@@ -78,7 +78,7 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
         if not any(np.any(_usable(body, place)) for place in places):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
-            faults.append(Fault(thing, "numbers in some rows at least", got, file, step))
+            faults.append(Fault(thing, "numbers in at least one row", got, file, step))
             continue
         if body.sd is not None and not body.relative:
             continue

@@ -126,7 +126,7 @@ class _Fitted:
 def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
     if not steps:
         step = "Give the steps as a column freq_hz or a table"
-        raise KinematicsError.of("a stepped sine", "of one step at least", "none", where, step)
+        raise KinematicsError.of("a stepped sine", "of at least one step", "none", where, step)
     start = f"{where}, " if where else ""
     return [(step, f"{start}step {k} at {step.freq_hz:g} Hz") for k, step in enumerate(steps, start=1)]
 

@@ -196,7 +196,7 @@ def test_a_mapping_of_elements(file, tmp_path):
     [
         ("frequency = 3\n", "frequency must be a text in quotes"),
         ('frequenzy = "x"\n', "Did you mean frequency"),
-        ('frequency = "x"\n', "of one \\[\\[signal\\]\\] at least"),
+        ('frequency = "x"\n', "of at least one \\[\\[signal\\]\\]"),
         ("= 3", "a mapping must be a TOML file"),
         (
             'frequency = "x"\namplitude = "pk"\n[[signal]]\nvalue = "y"\n',
