@@ -246,7 +246,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
 
 
 def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> list[Notice]:
-    """Say what the noise of the reference does to the estimate, and when averages are few."""
+    """Return the warnings about the noise of the reference and about few averages."""
     more = ""
     if how.estimator == "h1":
         low = 100.0 * float(np.median(share))

@@ -138,7 +138,7 @@ def _check_lead(fit: SineFit, lead: int, place: str) -> None:
 
 
 def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
-    """Put the steps together, those at one frequency averaged."""
+    """Join the steps, averaging those at one frequency."""
     groups: dict[float, list[_Fitted]] = {}
     for fit in fits:
         groups.setdefault(fit.nominal, []).append(fit)

@@ -203,7 +203,7 @@ def _binary(
 
 
 def values_size(head: tuple[str, ...], where: str) -> tuple[int, ...]:
-    """Return how many bytes the values of a 58b take: two are possible where double values have uneven steps.
+    """Return the possible sizes of the values of a 58b, bytes: two where double values have uneven steps.
 
     Notes
     -----
