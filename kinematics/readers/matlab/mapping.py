@@ -132,7 +132,7 @@ def read_mapping(path: Path) -> Layout:
         _checked(Signal, entry, f"{path.name}, signal {k}", faults) for k, entry in enumerate(signals, 1)
     )
     if not signal_tables:
-        faults.append(Fault("a mapping", "of at least one [[signal]]", "none", path.name))
+        faults.append(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
     for number, entry in enumerate(signal_tables, 1):
         if not entry.value and not (entry.value_re and entry.value_im):
             want = "given as value, or as value_re and value_im"

@@ -58,7 +58,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
     document = mapping_document(path)
     signals = document.get("signal")
     if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
-        raise KinematicsError.of("a mapping", "of at least one [[signal]]", "none", path.name)
+        raise KinematicsError.of("a mapping", "of one [[signal]] at least", "none", path.name)
     faults = unknown_keys(document, {*_FILE, "signal"}, path.name)
     for key, values in _FILE.items():
         value = document.get(key, values[0] if values else "")

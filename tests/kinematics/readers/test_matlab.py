@@ -196,7 +196,7 @@ def test_a_mapping_of_elements(file, tmp_path):
     [
         ("frequency = 3\n", "frequency must be a text in quotes"),
         ('frequenzy = "x"\n', "Did you mean frequency"),
-        ('frequency = "x"\n', "of at least one \\[\\[signal\\]\\]"),
+        ('frequency = "x"\n', "of one \\[\\[signal\\]\\] at least"),
         ("= 3", "a mapping must be a TOML file"),
         (
             'frequency = "x"\namplitude = "pk"\n[[signal]]\nvalue = "y"\n',
