@@ -172,7 +172,7 @@ def _matrix(body: MassProperties, footplate: FootplateFrame, voxel_size_sd: floa
 
 
 def _no_plate(bodies: Bodies | None) -> tuple[Notice, ...]:
-    """Say that a scan shows no plate; a surface of the stapes alone cannot."""
+    """Return the warning that a scan shows no plate; a surface of the stapes alone never does."""
     if bodies is None:
         return ()
     text = (

@@ -136,7 +136,7 @@ class MassOptions(OptionTable):
         Rule(
             lambda v: v.coat_um is not None and 0.0 < v.coat_um[0] < _LEAST_COAT_UM,
             "{coat}",
-            f"0, or a thickness in um, {_LEAST_COAT_UM:g} at least",
+            f"0, or a thickness of at least {_LEAST_COAT_UM:g} um",
             next_step="Multiply a thickness in mm by 1000",
             shows="coat_um",
         ),

@@ -321,7 +321,7 @@ def _result(
     known: Identifiability,
     off: Array,
 ) -> KDFit:
-    """Put a result together: matrices, uncertainty, modes, axes, verdicts."""
+    """Assemble a result: matrices, uncertainty, modes, axes, warnings."""
     scaled, ligament = best.estimate.parameters, best.ligament
     stiffness, damping = split(scaled * problem.units, problem.n)
     if ligament is not None:

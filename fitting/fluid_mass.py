@@ -1,5 +1,4 @@
-"""Whether a mass of fluid on the piston deflection is part of the model: never silently, and only by
-evidence."""
+"""Decide by evidence whether a mass of fluid on the piston deflection is part of the model."""
 
 from __future__ import annotations
 

@@ -218,7 +218,7 @@ class Measurement:
             shape = f"of shape {(len(self.runs), len(self.freq_hz))}"
             faults.append(Fault("the noise of the reference", shape, self.common_sd.shape))
         if not self.bodies:
-            faults.append(Fault("a measurement", "of one body at least", "none"))
+            faults.append(Fault("a measurement", "of at least one body", "none"))
         if self.takes and tuple(take.name for take in self.takes) != self.runs:
             faults.append(Fault("runs", "the names of the takes", self.runs))
         raise_all(KinematicsError, faults)

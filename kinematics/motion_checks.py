@@ -55,7 +55,7 @@ def check_determined(motion: RigidMotion) -> None:
     for number, body in enumerate(motion.bodies):
         if not np.any(np.isfinite(motion.q[:, number].real)):
             step = f"Measure more channels at the same frequencies, or fit fewer with {named('dof')}"
-            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
+            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line or more"
             faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
     raise_all(KinematicsError, faults)
 

@@ -169,7 +169,7 @@ def _plain(text: object) -> str:
 
 
 def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
-    """Note what must be copied for a study, and return the text of its study file at the new place."""
+    """Collect the files to copy for a study; return the text of its study file with the new paths."""
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     for table in TABLES:
         folder = _FOLDERS.get(table, "")
@@ -193,7 +193,7 @@ def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> st
 
 
 def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> Path:
-    """Note a file, or a header with the files that it names, to be copied; return its new place."""
+    """Add a file, or a header with the files that it names, to the copies; return its new path."""
     data = [file for file in data_files(source) if file.is_relative_to(source.parent)]
     if data:
         # A header names its data files: all keep their names, in a folder of the ear.

@@ -170,7 +170,7 @@ def _stage(
 
 
 def _reason(old: StageRecord | None, now: Mapping[str, str], work: Workspace) -> str:
-    """Say why a stage must run, or return nothing."""
+    """Return why a stage must run; empty when it need not."""
     if old is None:
         return "not made before"
     changes = old.changes(now)
@@ -193,7 +193,7 @@ def _report(
     runs: list[StageRun],
     progress: Progress,
 ) -> None:
-    """Put the report together when anything in it changed."""
+    """Write the report when anything in it changed."""
     from pipeline.report import write_report
 
     with progress.step("report") as step:

@@ -111,7 +111,7 @@ def outputs_written() -> None:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Hold interruptions back until the block has ended."""
+    """Defer interruptions until the block has ended."""
     caught: list[int] = []
     with _State.placing:
         replaced: dict[int, Any] = {}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -150,11 +150,14 @@ def displaced(mass, rng):
 
 @pytest.mark.parametrize("command", ["ct2mass", "points2dof", "dof2kd", "scan2kd"])
 def test_help_appears_at_once(command, tmp_path):
+    def processor_s():
+        return os.times().children_user + os.times().children_system
+
     least = np.inf
-    for _ in range(5):  # the machine may be at other work
-        started = time.perf_counter()
+    for _ in range(3):  # processor time: the machine may be at other work
+        started = processor_s()
         done = run(command, "--help", cwd=tmp_path)
-        least = min(least, time.perf_counter() - started)
+        least = min(least, processor_s() - started)
         assert done.returncode == 0
         assert "usage" in done.stdout
         if least < 0.3:

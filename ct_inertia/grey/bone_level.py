@@ -211,5 +211,5 @@ def _scatter(values: Array, places_mm: Array) -> float:
 
 
 def as_levels(air: Air, bone: Bone, plastic: float | None) -> Levels:
-    """Put the levels together."""
+    """Return all levels as one value."""
     return Levels(air.level, bone.level, plastic, air.noise, air.sd, bone.sd, bone.found_by)

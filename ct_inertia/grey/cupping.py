@@ -53,7 +53,7 @@ def find_cupping(
     sloping: bool,
     least: float = LEAST_RMS,
 ) -> Cupping | None:
-    """Look for cupping in the grey values (n,) of pure bone at places (n, 3); None where there is none.
+    """Search for cupping in the grey values (n,) of pure bone at places (n, 3); None where there is none.
 
     Parameters
     ----------

@@ -324,7 +324,7 @@ def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
 
 
 def _facing(normals: Array) -> float:
-    """Return the number of edges that face the direction which fewest of normals (n, 3) face."""
+    """Return the number of normals (n, 3) along the direction that has fewest of them."""
     return float(np.linalg.eigvalsh(normals.T @ normals)[0])
 
 

@@ -241,7 +241,7 @@ class ThroughBone:
     at_neck: bool
 
     def notices(self, volume_mm3: float) -> list[Notice]:
-        """Say that the stapes was cut off other bone, and when little shows where it ends."""
+        """Return the warnings about a cut through bone, and about a weakly determined end of the stapes."""
         if self.place_mm is None or self.area_mm2 < _LEAST_CUT_MM2:
             return []
         text = (

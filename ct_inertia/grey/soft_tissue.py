@@ -169,7 +169,7 @@ def _seen(
     levels: tuple[Air, float, float | None],
     sigma_mm: float,
 ) -> bool:
-    """Look at the collar around the stapes, cell by cell, for grey values that blur does not explain."""
+    """Search a collar around the stapes, cell by cell, for grey values that the blur does not explain."""
     (distance_mm, away_mm), (air, bone, between) = distances_mm, levels
     # Distances are from the first voxel above ``between``: the surface at the middle level lies beside it.
     start = 0.5 if between is None else float(np.clip((between - air.level) / (bone - air.level), 0.02, 0.98))

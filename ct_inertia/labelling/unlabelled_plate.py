@@ -36,7 +36,7 @@ class FoundPlate:
 def plate_beside(
     volume: Volume, stapes: NDArray[np.bool_], offset: NDArray[np.int64], guess: Guess
 ) -> FoundPlate | None:
-    """Look for a plate beside a labelled stapes.
+    """Search for a plate beside a labelled stapes.
 
     Parameters
     ----------

@@ -158,7 +158,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
 
 
 def not_stated(contributions: Mapping[str, Any], way: str) -> list[Notice]:
-    """Say that the leading way to the mass has no standard deviation."""
+    """Return the warning that the mass in use has no standard deviation."""
     if way in contributions:
         return []
     thing, option = {

@@ -103,7 +103,7 @@ class MassProperties:
 
 
 def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None) -> MassProperties:
-    """Give a body of uniform density its mass properties.
+    """Compute the mass properties of a body of uniform density.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
 
 
 def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProperties:
-    """Give a body of uniform density and known mass its mass properties.
+    """Compute the mass properties of a body of uniform density and known mass.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class Published:
 
 
 def _by_range(quantity: str, mean: float, low: float, high: float, n: int, reference: str) -> Published:
-    """Take the standard deviation from the range of n values."""
+    """Estimate the standard deviation from the range of n values."""
     return Published(quantity, mean, round((high - low) / _RANGE_OF[n], 3), n, reference)
 
 

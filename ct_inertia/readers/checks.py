@@ -227,7 +227,7 @@ def check_positive(size: Sequence[int], name: str) -> None:
 
 
 def density_notice(name: str, scaling: float, slope: float, intercept: float, unit: str) -> list[Notice]:
-    """Say how a header turns grey values into mineral density, as two points for a calibration file."""
+    """Return the warning with the density line of a header, as two points for a calibration file."""
     if not (scaling > 0.0 and slope > 0.0 and np.isfinite(intercept)):
         return []
     low, high = 0.0, 2.0 * scaling

@@ -81,7 +81,7 @@ def white_is_zero(page: Any) -> bool:
 
 
 def turned_notice(path: Path) -> Notice:
-    """Say that bright and dark were exchanged."""
+    """Return the warning that bright and dark were exchanged."""
     text = (
         f"{path.name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
         f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 less "

@@ -112,7 +112,7 @@ def _framing(scene: Scene) -> tuple[list[Array], float]:
 
 
 def draw_scene(scene: Scene) -> Figure:
-    """Lay three views of a scene side by side with axes, scale, anatomical names and a legend.
+    """Draw three views of a scene side by side with axes, scale, anatomical names and a legend.
 
     Raises
     ------

@@ -62,7 +62,7 @@ def _scan_ends(begins: NDArray[np.bool_], ends: NDArray[np.bool_]) -> list[_Scan
 def cropped_separation(
     share: Share, bone: Mask, spacing_mm: Array, begins: NDArray[np.bool_], ends: NDArray[np.bool_]
 ) -> Separation | None:
-    """Part a body at the least section before the ends of the scan; None where there is no such section.
+    """Split a body at its smallest section before the border of the scan; None where there is none.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ def box_around(
 
 
 def extract_stapes(volume: Volume, sight: CoarseSegmentation, plate: Callable[[], PlateRegion | None]) -> Cut:
-    """Take the piece of bone that the coarse view chose, on a working grid.
+    """Extract the piece of bone that the coarse view chose, on a working grid.
 
     Connected bone that holds other pieces too is flooded from the cores of the pieces, on a finer grid
     where the scan has one.

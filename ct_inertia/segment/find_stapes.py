@@ -115,7 +115,7 @@ def find_stapes(
 
 
 def _better(parted: CoarseSegmentation, whole: Piece) -> bool:
-    """Say whether a part is a likelier stapes than the whole.
+    """Return whether a part is a likelier stapes than the whole.
 
     What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
     other parting cuts it either, unless the part is likelier by what two bodies may differ.
@@ -213,7 +213,7 @@ def _at_own_level(
 def _takes_in(
     later: CoarseSegmentation, doubtful: tuple[CoarseSegmentation, CoarseSegmentation] | None
 ) -> bool:
-    """Say whether a later reading of the levels shows more of the bone that an earlier one found.
+    """Return whether a later reading of the levels shows more of the bone that an earlier one found.
 
     A body of the usual size and shape that is whole but for the number of its holes stands, unless it is part
     of a larger one: what lies around it is no more than its own blur, and what shows elsewhere is plastic. So
@@ -248,7 +248,7 @@ def _picked(
 
 
 def _parted(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -> CoarseSegmentation | None:
-    """Part the larger pieces where they touch, and choose the likeliest stapes among the parts.
+    """Split the larger pieces where bones touch, and choose the likeliest stapes among the parts.
 
     A part without a hole, such as a stapes with one crus or a broken one, must be of usual size and shape.
     """
@@ -293,12 +293,12 @@ def _parted(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -
 
 
 def _complete(whole: Piece) -> bool:
-    """Say whether a body looks like a whole stapes, be it large or with something grown on."""
+    """Return whether a body looks like a whole stapes, be it large or with something grown on."""
     return whole.arched and whole.surrounds < MOST_SURROUNDED
 
 
 def _cuts_the_stapes(way: SplitPiece, chosen: CoarseSegmentation) -> bool:
-    """Say whether a parting of a complete body has cut the stapes itself.
+    """Return whether a parting of a complete body has cut the stapes itself.
 
     Beside a body with the arch of a stapes that surrounds no other bone only the incus can be, and it is no
     stapes: the parting has more bones than these two, or two that can be the stapes.

@@ -64,7 +64,7 @@ def segment_at_local_threshold(
 
 
 def takes_soft_for_bone(sight: CoarseSegmentation) -> bool:
-    """Say whether the material that was taken for bone lies below the middle level of the body's own bone.
+    """Return whether the material that was taken for bone lies below the middle level of the body's own bone.
 
     No bone is half as dense as another: the body holds plastic, or fluid that fills its gaps.
     """

@@ -23,7 +23,7 @@ _SHOWN = 4
 
 
 def not_found_error(scan: CoarseScan, tried: Sequence[CoarseSegmentation], seeded: bool) -> Fault:
-    """Say why no stapes was found, naming a wrong voxel size or inverted grey values when it is that."""
+    """Return the error that no stapes was found, with its cause: wrong voxel size, inverted grey values."""
     wrong_size = _by_size(tried)
     if wrong_size:
         return wrong_size

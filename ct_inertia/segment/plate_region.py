@@ -87,7 +87,7 @@ def find_plate(sight: CoarseSegmentation) -> PlateRegion | None:
 
 
 def _immersing(plastic: NDArray[np.bool_], sight: CoarseSegmentation, thin: int, rim: int) -> bool:
-    """Say whether plastic lies around the stapes on nearly all sides where no other bone does."""
+    """Return whether plastic lies around the stapes on nearly all sides where no other bone does."""
     reach, piece = rim + _COLLAR, sight.stapes
     box = tuple(
         slice(max(0, int(low) // thin - reach), int(high) // thin + reach + 1)

@@ -1,4 +1,4 @@
-"""Part bones that touch, near one piece of the coarse view, and hand the parts back to that view."""
+"""Split one piece of the coarse segmentation where bones touch, on a finer grid, and return its parts."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class CoarseGrid:
 
 
 def split_piece(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[SplitPiece]:
-    """Part one piece of the coarse view, on a finer grid, in every way that narrow gaps suggest.
+    """Split one piece of the coarse view, on a finer grid, in every way that narrow gaps suggest.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _every_way(
     whole: Piece,
     ends: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
 ) -> Iterator[Separation]:
-    """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
+    """Split a likely stapes at a neck near its end, and every piece along narrow gaps."""
     if whole.arched and whole.surrounds < MOST_SURROUNDED:
         cut = None if ends is None else cropped_separation(held[0], bone, spacing_mm, *ends)
         if cut is not None:

@@ -1,4 +1,4 @@
-"""Part bones that touch in the image: along the narrow gaps between them, and across what bridges a gap."""
+"""Separate bones that touch in the image: along narrow gaps, and across bridges over a gap."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Separation:
 def separate_bones(
     held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array
 ) -> Iterator[Separation]:
-    """Part bone along its narrow gaps, from gaps without bridges to wide bridges.
+    """Separate bone along its narrow gaps, from gaps without bridges to wide bridges.
 
     Parameters
     ----------

@@ -1,5 +1,4 @@
-"""The problem of three degrees of freedom that belongs to a joint fit, with its corrections in motion and
-mass."""
+"""The corrected problem of three degrees of freedom that belongs to a joint fit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Which cause the data speak for: scores make a shortlist, full refits name one, look-alikes are named with
-it.
+"""Find the cause of a misfit: scores make a shortlist, full refits choose one and list those alike.
 
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
 misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the

@@ -44,8 +44,7 @@ def improve(problem: Problem, lines: Lines, current: Estimate) -> Estimate:
 
 
 def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
-    """Return K and D, and a mass of fluid on the first deflection, that the equations suggest, scaled; and
-    the sum of squares that they leave, in units of their noise.
+    """Return a start with a mass of fluid on the first deflection: scaled K and D, the mass, and chi2.
 
     Parameters
     ----------

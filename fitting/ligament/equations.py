@@ -53,8 +53,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Equations:
-    """Equations of motion and their unknowns: K, D, the law's, Y, shapes, terms, and after them the shared
-    errors.
+    """Equations of motion and their unknowns: K, D, the law's, Y, shapes, terms, then shared errors.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ def plan_page(expectation: Expectation, provenance: Mapping[str, Any]) -> Page:
 
 
 def _limits(planned: Option) -> Section:
-    """Say for each diagonal entry how much every source adds, largest first."""
+    """List the share of every source for each diagonal entry, largest first."""
     fit = planned.fit
     names = entry_names(len(fit.dof))
     shown = [name for name in names if name[1] == name[2]]

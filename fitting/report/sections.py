@@ -313,7 +313,7 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
 
 
 def _numbering(dof: Sequence[str]) -> str:
-    """Say what the names of entries in tables, figures and kd.json mean."""
+    """Explain the names of entries in tables, figures and kd.json."""
     numbered = ", ".join(f"{place} {name}" for place, name in enumerate(dof, 1))
     return f"Entries are numbered below and in kd.json, {numbered}: K11 is K({dof[0]})."
 
@@ -343,7 +343,7 @@ def _budget(fit: KDFit) -> Section:
 
 
 def _leading(fit: KDFit, shares: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Say for each diagonal entry which source leads."""
+    """Name the largest source of error of each diagonal entry."""
     if len(shares) == 1:
         return [f"All of it is {source_words(next(iter(shares)))}: no other source was stated."]
     led: dict[str, list[str]] = {}

@@ -87,7 +87,7 @@ class FrequencyDependence:
         return "may not hold" if self.p_value < _DOUBTFUL else "holds"
 
     def words(self) -> str:
-        """Say between which factors K and D vary."""
+        """Describe between which factors K and D vary."""
         parts = []
         for name, factor, sd in (
             ("K", self.stiffness, self.stiffness_sd),

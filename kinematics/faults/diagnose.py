@@ -179,7 +179,7 @@ class _Diagnose:
         return search if white is data else self.searched(white, share)
 
     def after(self, data: Packed, culprit: Finding, findings: list[Finding]) -> Search:
-        """Search data without a finding, their noise as it shows without the culprits."""
+        """Search again without a finding, with the noise estimated without the faulty channels."""
         left = apply_finding(data, culprit)
         if culprit.kind == "noise" or (self.known and left.whiten is None):
             return self.searched(left, _NEXT)
@@ -246,7 +246,7 @@ class _Diagnose:
         return bending
 
     def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
-        """Judge every finding again, the others gone."""
+        """Test every finding again without the others."""
         confirmed: list[Finding] = []
         for number, finding in enumerate(findings):
             others = data
@@ -279,7 +279,7 @@ class _Diagnose:
         return first.freedom >= _MANY or _own_course(first, findings[0].channels[0], scale)
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
-        """Return that the positions are off by more than stated, when that explains the misfit better."""
+        """Return the finding that positions are off by more than stated, if it explains more."""
         if not _LEAST_POINTS <= len(first.points) <= _MOST_POINTS or first.freedom < 0.5:
             return None
         lever = first.data.source.beams.lever_m

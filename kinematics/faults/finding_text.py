@@ -40,7 +40,7 @@ def channel_list(channels: Sequence[int], body: BodyChannels) -> str:
 
 
 def _parallel(body: BodyChannels) -> bool:
-    """Tell whether all beams of a body are parallel."""
+    """Return whether all beams of a body are parallel."""
     return bool(np.all(np.abs(body.directions @ body.directions[0]) > _ALONG))
 
 

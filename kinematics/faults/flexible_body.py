@@ -60,7 +60,7 @@ def no_structure(channels: int) -> Structure:
 
 
 def structure_of(state: State, scale: float = 1.0) -> Structure:
-    """Look for patterns in whitened residuals.
+    """Search for patterns in whitened residuals.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ class Source:
 
     @classmethod
     def of(cls, fit: LineFit, body: BodyChannels, freq_hz: Array, known: bool, spread: float = 1.0) -> Source:
-        """Take the readings of a fit; of noise that is not known, its proportions and course are used."""
+        """Collect the readings of a fit; unknown noise enters by proportions and course over frequency."""
         course = None if known else noise_course(fit, freq_hz)
         noise = fit.noise if known else LineNoise(fit.noise.stated, course)
         lines = np.flatnonzero(fit.solution.good)

@@ -38,7 +38,7 @@ class Screened:
 
 
 def is_whole(body: BodyChannels) -> bool:
-    """Tell, in one pass without a copy, whether all values and sd are finite and no value is exactly zero.
+    """Return, in one pass without a copy, whether all values and sd are finite and no value is exactly zero.
 
     Such a body has nothing to be screened for.
     """
@@ -78,7 +78,7 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
         if not any(np.any(_usable(body, place)) for place in places):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
-            faults.append(Fault(thing, "numbers in some rows at least", got, file, step))
+            faults.append(Fault(thing, "numbers in at least one row", got, file, step))
             continue
         if body.sd is not None and not body.relative:
             continue
@@ -95,7 +95,7 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
 
 
 def _usable(body: BodyChannels, place: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which values (freq,) of a run and channel are numbers, as are their sd."""
+    """Return which values (freq,) of a run and channel are numbers, as are their sd."""
     there = np.isfinite(body.displacement[place])
     return there if body.sd is None else np.asarray(there & np.isfinite(body.sd[place]))
 
@@ -152,7 +152,7 @@ def screen_values(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...
 
 
 def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:
-    """Tell whether the other channels predict motion along the beams that read zero."""
+    """Return whether the other channels predict motion along the beams that read zero."""
     live = [c for c in range(len(body.points)) if c not in dead]
     names = tuple(name for name in DOF_NAMES if name in dof)
     arms, directions = body.positions_mm * 1e-3, body.directions

@@ -94,7 +94,7 @@ class Search:
         self.structure = self._structure()
 
     def _structure(self) -> Structure:
-        """Look for patterns that several points share; noise within a point is none, however correlated."""
+        """Search for patterns that several points share; noise within a point is none, however correlated."""
         structure = structure_of(self.state, self.scale)
         if self.data.whiten is None or structure.p_value == 1.0:
             return structure

@@ -57,7 +57,7 @@ def unit_slips(measurement: Measurement) -> list[Notice]:
 
 
 def _velocities(measurement: Measurement) -> Iterator[str]:
-    """Hold velocities and their stated noise against what moves ears and what vibrometers resolve.
+    """Compare velocities and their stated noise with the motion of ears and the resolution of vibrometers.
 
     A factor that all readings have leaves no trace in them but their size.
     """
@@ -169,7 +169,7 @@ def _phases(measurement: Measurement) -> Iterator[str]:
 
 
 def _decibels(measurement: Measurement) -> Iterator[str]:
-    """Hold the readings against a rigid motion as they are, and taken as decibels."""
+    """Compare the fit of a rigid motion to the readings as they are and as decibels."""
     step = max(1, len(measurement.freq_hz) // _TRIED_LINES)
     rate = (2j * np.pi * measurement.freq_hz[::step]) ** measurement.order
     for body in measurement.bodies:

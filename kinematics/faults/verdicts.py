@@ -155,7 +155,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
 
 
 def _bent(body: BodyChannels, diagnosis: Diagnosis) -> str:
-    """Say from where on a body is not rigid, and where it bends most."""
+    """Describe from which frequency on a body is not rigid, and where it bends most."""
     structure = diagnosis.structure
     text = "" if np.isnan(structure.begins_hz) else f", from about {structure.begins_hz:.3g} Hz on"
     if not np.any(structure.pattern > 0.0):

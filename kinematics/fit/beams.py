@@ -188,7 +188,7 @@ def _axis_name(vector: Array) -> str:
 
 
 def _described(motion: Array, dof: Sequence[str]) -> str:
-    """Say in words what a small motion (6,) about the reference point is."""
+    """Describe what a small motion (6,) about the reference point is."""
     v, omega = motion[:3], motion[3:]
     turn = float(np.linalg.norm(omega))
     if turn == 0.0:

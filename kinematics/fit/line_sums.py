@@ -66,7 +66,7 @@ class Solution:
         self.used = np.zeros(self.channels, dtype=np.int64)
 
     def take(self, lines: NDArray[np.intp], few: Solution) -> None:
-        """Put in the solution of a few lines (n,), which were in no sum before."""
+        """Add the solution of a few lines (n,) that no sum contains yet."""
         for name in ("z", "inverse"):
             getattr(self, name)[:, lines] = getattr(few, name)
         for name in ("good", "count", "misfit", "explained"):

@@ -99,7 +99,7 @@ def _digits(value: float) -> str:
 
 
 def _entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> str:
-    """Say how much of a motion enters the fitted ones, per unit of it."""
+    """Describe how much of a motion enters the fitted ones, per unit of it."""
     column, parts = DOF_NAMES.index(name), []
     for row in rows:
         value, turns = abs(leak[row, column]), dof[row] in DOF_NAMES[3:]

@@ -50,7 +50,7 @@ def assemble(
     options: InputOptions | None = None,
     frame: str = "vibrometer",
 ) -> Measurement:
-    """Put the recordings of one or several files together.
+    """Assemble the recordings of one or several files to one measurement.
 
     Parameters
     ----------

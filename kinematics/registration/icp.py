@@ -74,7 +74,7 @@ def fit_to_surface(
     source: str = "vibrometer",
     surface_sd_mm: float | None = None,
 ) -> SurfaceFit:
-    """Lay measured points on a surface of the scan: nearest planes, robust, never a reflection.
+    """Fit measured points to a surface of the scan: nearest planes, robust, never a reflection.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def _finished(
     source: str,
     notices: list[Notice],
 ) -> SurfaceFit:
-    """Judge a refined fit and give it its covariance."""
+    """Check a refined fit and compute its covariance."""
     used = fit.used
     if np.mean(fit.near) < _LEAST_SHARE_NEAR or np.sum(used) < 4 or fit.scale > 0.05 * surface.diagonal_mm:
         _refuse_off(fit, cloud, surface)

@@ -1,4 +1,4 @@
-"""Lay points on a surface from a start: nearest planes, robust weights, edges left out."""
+"""Fit points to a surface from a start: nearest planes, robust weights, edges left out."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def _offsets(surface: TriangleSurface, placed: Array) -> tuple[Array, Array, Arr
 def _at_edge(
     surface: TriangleSurface, cloud: Cloud, rotation: Array, shift: Array, width: Array
 ) -> NDArray[np.bool_]:
-    """Tell which points lie so near an edge that noise could have put them on either side of it."""
+    """Return which points lie so near an edge that noise could have put them on either side of it."""
     near, _, triangle = surface.closest(cloud.points_mm @ rotation.T + shift)
     reach = np.maximum(3.0 * width, min(1.5 * surface.edge_mm, 0.02 * surface.diagonal_mm))
     return surface.near_edge(near, surface.normals(triangle), reach)

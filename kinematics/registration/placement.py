@@ -216,8 +216,7 @@ def place_on_surface(fit: Registration, mass: MassRecord) -> Placement:
 
 
 def scan_guess(placement: Placement, mass: MassRecord) -> tuple[RigidTransform, Array]:
-    """Return scan_from_vibrometer of a placement and the covariance of its displacement, without the
-    footplate frame's error, which does not enter there."""
+    """Return scan_from_vibrometer and its covariance, to which the footplate frame does not contribute."""
     keep = [k for k, name in enumerate(placement.names) if not name.startswith("footplate_frame")]
     slopes = placement.derivative[:, keep]
     covariance = slopes @ placement.covariance[np.ix_(keep, keep)] @ slopes.T

@@ -286,7 +286,7 @@ def _size(shift: Array, covariance: Array) -> tuple[float, float]:
 
 
 def _told(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
-    """Put the verdict into words."""
+    """Return the verdict in words."""
     if check.p_value >= _UNLIKELY:
         return check
     if alone:

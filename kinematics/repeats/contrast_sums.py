@@ -75,7 +75,7 @@ class ContrastSums:
     def compared(
         self, own: float, rest: float, stated: bool, doubt: float = 0.0
     ) -> tuple[float | None, float]:
-        """Return the p-value of the energy and the noise per complex value it was compared with.
+        """Return the p-value of the energy of the contrast, and the noise per complex value in that test.
 
         Parameters
         ----------

@@ -141,7 +141,7 @@ class Shapes:
 
 
 def shapes_of(stack: Stack) -> Shapes:
-    """Part takes into one shape and their gains.
+    """Decompose takes into one common shape and a gain of each.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def _white(value: ComplexArray, whole: NDArray[np.bool_], take: Array, channel: 
 
 
 def _noise_scales(sd: Array, used: NDArray[np.bool_], doubted: bool) -> tuple[Array, Array]:
-    """Part the noise into one factor for each take (n, take) and one for each channel (channel, n).
+    """Factorise the noise into one factor for each take (n, take) and one for each channel (channel, n).
 
     The factors of takes are averaged over neighbouring lines where the noise is ``doubted``: an error in one
     would make all channels of a line louder.

@@ -150,7 +150,7 @@ def _inputs(result: Points2Dof) -> list[Markup]:
 
 
 def _noise_words(body: object) -> str:
-    """Tell where the standard deviations of a body came from."""
+    """Return where the standard deviations of a body came from."""
     sd, relative = getattr(body, "sd", None), getattr(body, "relative", False)
     if sd is None:
         return "not stated, estimated from the residuals"

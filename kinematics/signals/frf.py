@@ -88,7 +88,7 @@ class Welch:
         if not 0.0 <= self.overlap <= 0.95:
             faults.append(Fault("the overlap", "between 0 and 0.95", self.overlap))
         if self.segment < 8:
-            faults.append(Fault("a segment", "of 8 samples at least", self.segment))
+            faults.append(Fault("a segment", "of at least 8 samples", self.segment))
         if self.noise_ratio is not None and not (np.isfinite(self.noise_ratio) and self.noise_ratio > 0.0):
             faults.append(Fault("the noise ratio", "positive", self.noise_ratio))
         raise_all(KinematicsError, faults)
@@ -186,7 +186,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     if sum(counts) < _FEWEST:
         step = "Take shorter segments (a coarser resolution) or record longer"
         got = f"{sum(counts)} of {how.segment} samples"
-        raise KinematicsError.of("the records", f"{_FEWEST} segments long at least", got, where, step)
+        raise KinematicsError.of("the records", f"at least {_FEWEST} segments long", got, where, step)
     first = 1 if how.window == "none" else 2
     lines = slice(first, (how.segment + 1) // 2)
     freq = np.arange(how.segment)[lines] * sample_rate_hz / how.segment
@@ -246,7 +246,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
 
 
 def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> list[Notice]:
-    """Say what the noise of the reference does to the estimate, and when averages are few."""
+    """Return the warnings about the noise of the reference and about few averages."""
     more = ""
     if how.estimator == "h1":
         low = 100.0 * float(np.median(share))
@@ -344,7 +344,7 @@ def checked_records(records: Records, sample_rate_hz: float, where: str) -> list
         No record, records of different channels, or what check_signals says.
     """
     if not records:
-        raise KinematicsError.of("the records", "one at least", "none", where)
+        raise KinematicsError.of("the records", "at least one", "none", where)
     arrays = []
     for reference, responses in records:
         x, y = np.asarray(reference, dtype=float), np.asarray(responses, dtype=float)

@@ -165,7 +165,7 @@ def _raised(freedom: Array | float) -> Array | float:
 
 
 def common_notice(common_sd: Array, more: str = "") -> list[Notice]:
-    """Say how loud the noise of the reference is, when it is seen."""
+    """Return the warning about the noise of the reference, when it is significant."""
     if not np.any(common_sd > 0.0):
         return []
     text = (

@@ -108,7 +108,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     if np.any(counts < 2):
         got = f"{int(np.min(counts))} blocks of {samples} samples after {how.skip} skipped periods"
         step = "Record more periods, or skip fewer"
-        raise KinematicsError.of("a record", "two blocks of periods long at least", got, where, step)
+        raise KinematicsError.of("a record", "at least two blocks of periods long", got, where, step)
     means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
     lines = _excited(stacks, means, how.threshold, where)
     freq = (lines + 1) * sample_rate_hz / samples

@@ -126,7 +126,7 @@ class _Fitted:
 def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
     if not steps:
         step = "Give the steps as a column freq_hz or a table"
-        raise KinematicsError.of("a stepped sine", "of one step at least", "none", where, step)
+        raise KinematicsError.of("a stepped sine", "of at least one step", "none", where, step)
     start = f"{where}, " if where else ""
     return [(step, f"{start}step {k} at {step.freq_hz:g} Hz") for k, step in enumerate(steps, start=1)]
 
@@ -138,7 +138,7 @@ def _check_lead(fit: SineFit, lead: int, place: str) -> None:
 
 
 def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
-    """Put the steps together, those at one frequency averaged."""
+    """Join the steps, averaging those at one frequency."""
     groups: dict[float, list[_Fitted]] = {}
     for fit in fits:
         groups.setdefault(fit.nominal, []).append(fit)

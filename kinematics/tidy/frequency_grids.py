@@ -119,7 +119,7 @@ def check_bodies(names: Sequence[str], where: str = "") -> None:
     """
     if len(names) > _MOST_BODIES:
         step = "Check which column names the body and which the point"
-        raise KinematicsError.of("the bodies", f"{_MOST_BODIES} at most", len(names), where, step)
+        raise KinematicsError.of("the bodies", f"at most {_MOST_BODIES}", len(names), where, step)
 
 
 def check_filled(shape: tuple[int, int, int], readings: int, where: str = "") -> None:

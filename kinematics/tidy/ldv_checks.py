@@ -40,7 +40,7 @@ def check_frequencies(table: Table, faults: list[Fault]) -> NDArray[np.bool_]:
     if not np.all(usable):
         high = (freq > HIGHEST_HZ) & (freq < np.inf)
         step = "Give the frequency in Hz"
-        want = f"{HIGHEST_HZ:g} Hz at most"
+        want = f"at most {HIGHEST_HZ:g} Hz"
         each(high, "freq_hz", want, lambda row: _cell(float(freq[row])), table, faults, step)
         low = (freq > 0.0) & (freq < LOWEST_HZ)
         want = f"{LOWEST_HZ:g} Hz or more"
@@ -90,7 +90,7 @@ def check_values(table: Table, columns: Columns, faults: list[Fault]) -> None:
             step = "Leave the column out to have the noise estimated from the residuals"
             got = "NaN or empty cells throughout"
             where = f"{table.file}, lines {table.lines[0]} to {table.lines[-1]}, {columns.sd}"
-            faults.append(Fault(columns.sd, "a number in some row at least", got, where, step))
+            faults.append(Fault(columns.sd, "a number in at least one row", got, where, step))
     if "n_avg" in columns.extra:
         values = numbers["n_avg"]
         check((values < 1.0) | np.isinf(values), "n_avg", "1 or more")

@@ -215,7 +215,7 @@ def _lines(
 
 
 def _duplicates(whole: Index, rows: Index, table: Table, faults: list[Fault]) -> None:
-    """Note the rows whose place, numbered by ``whole``, another one has already."""
+    """Add the faults of duplicate rows; ``whole`` numbers the places."""
     seen = np.zeros(int(whole.max()) + 1, dtype=bool)
     seen[whole] = True
     if int(np.count_nonzero(seen)) == len(whole):

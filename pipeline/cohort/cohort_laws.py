@@ -268,7 +268,7 @@ def cohort_laws(
         notices.append(Notice("cohort_too_small", text))
         return CohortLaws(tuple(ears), excluded, None, (), None, tuple(notices))
     table = log_table(used, covariates_of(used, covariates))
-    family = _planned(table, planned)
+    family = primary_family(table, planned)
     laws = [
         _law(table, response, predictor, (response, predictor) in family)
         for response in table.responses
@@ -305,7 +305,7 @@ def planned_law(text: str) -> tuple[str, str]:
     return response.strip(), predictor.strip()
 
 
-def _planned(table: LogTable, planned: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
+def primary_family(table: LogTable, planned: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
     """Return the planned laws by full names; those of the default that the ears lack are left out."""
     faults, family = list[Fault](), set[tuple[str, str]]()
     if len(set(planned)) > MOST_PLANNED:

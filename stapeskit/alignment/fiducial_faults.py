@@ -163,7 +163,7 @@ def fault_notices(
     names: Sequence[str],
     stated: bool,
 ) -> list[Notice]:
-    """Judge what the fiducials leave and name the fault that explains it best.
+    """Test the residuals of the fiducials and name the fault that explains them best.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def _significant(explanation: Explanation, energy: float, free: int) -> bool:
 
 
 def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str], rotation: Array) -> str:
-    """Say in words what explains the misfit."""
+    """Describe what explains the misfit."""
     same = [explanation for explanation in alike if explanation.kind == first.kind]
     if first.kind == "scaled":
         return (

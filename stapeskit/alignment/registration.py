@@ -231,7 +231,7 @@ def _check_pairs(a: Array, b: Array) -> None:
         if spread[1] < 1e-3 * spread[0] or spread[0] == 0.0:
             raise StapeskitError.of(
                 "fiducials",
-                "spread over a plane at least",
+                "spread over a plane, not along a line",
                 "points on one line",
                 next_step="Add a fiducial off the line",
             )

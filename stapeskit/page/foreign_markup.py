@@ -1,4 +1,4 @@
-"""Look whether stored HTML can be of this program: nothing in it loads, sends or runs foreign code."""
+"""Check that stored HTML can come from this program: nothing in it loads, sends or runs foreign code."""
 
 from __future__ import annotations
 

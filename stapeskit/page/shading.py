@@ -68,7 +68,7 @@ class Shaded:
     extent: tuple[float, float, float, float]
 
     def hides(self, flat: Array, margin_mm: float) -> NDArray[np.bool_]:
-        """Tell which points (n, 3), as (right, up, nearness), lie behind the surface, with a margin."""
+        """Return which points (n, 3), as (right, up, nearness), lie behind the surface, with a margin."""
         left, right, bottom, top = self.extent
         rows, columns = self.depth.shape
         column = np.clip(((flat[:, 0] - left) / (right - left) * columns).astype(int), 0, columns - 1)
@@ -78,7 +78,7 @@ class Shaded:
 
 
 def shade(vertices_mm: Array, faces: Faces, view: View, pixels: int = 380) -> Shaded:
-    """Draw a closed surface with one light from the upper left.
+    """Draw a closed surface lit from the upper left.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class Checked:
     poses: dict[str, Array] = field(default_factory=dict)
 
     def fault(self, thing: str, expected: str, got: object) -> None:
-        """Note one fault."""
+        """Add one fault to the list."""
         self.faults.append(Fault(thing, expected, got, self.file, MADE_BY))
 
     def get(self, path: str, optional: bool = False) -> Any:

@@ -287,8 +287,8 @@ def test_bodies_that_hold_nothing_are_refused(tmp_path):
     path = tmp_path / "ldv.csv"
     made = scene(3, lines=6)
     for spread, value, match in (
-        (False, "nan", "values of body base must be numbers in some rows.*NaN cells throughout"),
-        (True, "", "values of body stapes must be numbers in some rows"),
+        (False, "nan", "values of body base must be numbers in at least one row.*NaN cells throughout"),
+        (True, "", "values of body stapes must be numbers in at least one row"),
         (False, "0", "values of body stapes must be other than zero.*zeros throughout.*Give an sd column"),
     ):
         path.write_text(recording_of(made, spread)(value))

@@ -88,7 +88,7 @@ def _evidence(size: Array, count: int) -> float:
 
 
 def likely_outliers(fit: LineFit, course: Array | None) -> bool:
-    """Tell, from a plain fit and part of its lines, whether single values lie farther off than noise does.
+    """Test, by a plain fit and part of its lines, whether single values deviate more than noise does.
 
     ``course`` (freq,) is that of noise which is not stated; see ``noise_course``.
     """
@@ -105,7 +105,7 @@ def likely_outliers(fit: LineFit, course: Array | None) -> bool:
 
 
 def _in_runs(far: NDArray[np.bool_]) -> bool:
-    """Tell whether outliers follow each other along the lines, as faults that scale with the motion do."""
+    """Return whether outliers follow each other along the lines, as faults that scale with the motion do."""
     beside = np.zeros_like(far)
     beside[:, 1:] |= far[:, :-1]
     beside[:, :-1] |= far[:, 1:]

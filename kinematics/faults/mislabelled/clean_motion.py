@@ -211,7 +211,7 @@ class _Sums:
         return int(np.sum(self.weight[kept] > 0.0)) - self.side.size
 
     def determined(self, out: list[int]) -> bool:
-        """Tell whether the motion is still well determined without some channels."""
+        """Return whether the motion is still well determined without some channels."""
         gram = self._without(out)[0]
         weakest = np.linalg.eigvalsh(gram)[:, 0]
         return bool(np.median(weakest / np.linalg.eigvalsh(self.gram)[:, -1]) > _HELD**2)

@@ -77,7 +77,7 @@ class Ligament:
     misfit: dict[Label, float]
 
     def rather(self, kind: str, share: float) -> bool:
-        """Tell whether a label leaves less than a share of what the given ones leave."""
+        """Return whether a label leaves less than a share of what the given ones leave."""
         return self.misfit[Label(kind)] < share * self.right
 
     @property

@@ -111,7 +111,7 @@ def _scale(rough: Array, sd: Array) -> Array:
 
 
 def column_offset(freq_hz: Array, measured: Sequence[NDArray[np.bool_]], names: Sequence[str]) -> str:
-    """Say that the frequencies of one body are those of another plus, or times, one number; or nothing.
+    """Describe an offset or a factor between the frequencies of two bodies; empty without one.
 
     Parameters
     ----------

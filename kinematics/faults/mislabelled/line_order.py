@@ -1,4 +1,4 @@
-"""Lines of a body in the order of text, "1000, 10000, 200", where numbers were sorted as words."""
+"""Lines of a body that were sorted as text: "1000, 10000, 200"."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tell e^{+iwt} from e^{-iwt} data, and a body with the wrong sign, by physics: a ligament gives no power."""
+"""Detect e^{-iwt} data and a body with the wrong sign by physics: a ligament gives no power."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def phase_notice(
 def _relabelled(
     motion: RigidMotion, mass: MassRecord | None, structure: str, base: str, ligament: Ligament
 ) -> Notice:
-    """Say which labels make one passive ligament of the data."""
+    """Describe which labels make the data those of a passive ligament."""
     label = ligament.best
     left = (
         f"no ligament joins {structure} and {base} as they are labelled (misfit "

@@ -108,7 +108,7 @@ def matlab_tree(node: Any, file: Any, where: str, depth: int = 0) -> Any:
     import h5py
 
     if depth > _DEEPEST:
-        raise KinematicsError.of("structs", f"nested {_DEEPEST} deep at most", "deeper", where)
+        raise KinematicsError.of("structs", f"nested at most {_DEEPEST} deep", "deeper", where)
     if isinstance(node, h5py.Group):
         if not all(isinstance(name, str) for name in node):
             raise KinematicsError.of("the names in the file", "text in UTF-8", "others", where)

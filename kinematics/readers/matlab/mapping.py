@@ -110,7 +110,7 @@ def read_mapping(path: Path) -> Layout:
 
 
 def layout_of(space: Mapping[str, Any]) -> Layout | None:
-    """Tell from names and shapes which variable is what; None when frequency or values are not found."""
+    """Recognise variables by names and shapes; None when frequency or values are not found."""
     low = {name.lower(): name for name in reversed(list(space))}
     frequency = next((low[name] for name in FREQUENCIES if name in low and _is_axis(space[low[name]])), "")
     if not frequency:

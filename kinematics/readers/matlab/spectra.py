@@ -111,7 +111,7 @@ def _joined(blocks: list[Recordings], name: str) -> Recordings:
 
 
 def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> list[Recordings]:
-    """Look for known layouts here, then in structs, then in struct arrays and cells of structs."""
+    """Search for known layouts here, then in structs, then in struct arrays and cells of structs."""
     layout = layout_of(space)
     if layout is not None:
         return [_from_layout(space, layout, where, tree)]

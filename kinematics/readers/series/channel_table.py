@@ -105,7 +105,7 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
             )
         seen[key] = channel.where
     if not faults and not any(channel.role == "response" for channel in channels):
-        faults.append(Fault("the channel table", "with one response at least", "none", table.file))
+        faults.append(Fault("the channel table", "a table of at least one response", "none", table.file))
     raise_all(KinematicsError, faults)
     return tuple(channel for channel in channels if channel.role != "ignore")
 

@@ -179,7 +179,7 @@ def sampling_rate(time: Array, where: Place | str) -> float:
         Fewer than two times, or such that are not finite, do not ascend, are too close or not evenly spaced.
     """
     if len(time) < 2 or not np.all(np.isfinite(time)) or not time[-1] > time[0]:
-        raise KinematicsError.of("time_s", "ascending and finite, two samples at least", "others", where)
+        raise KinematicsError.of("time_s", "at least two finite, ascending times", "others", where)
     with np.errstate(over="ignore", invalid="ignore"):
         step = (time[-1] - time[0]) / (len(time) - 1)
         apart = np.arange(len(time), dtype=float)
@@ -336,7 +336,7 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
         reason = str(fault).splitlines()[0][:120] if str(fault) else type(fault).__name__
         raise KinematicsError.of(path.name, "a readable WAV file", reason, "", step) from fault
     if len(data) < _FEWEST:
-        want = f"of {_FEWEST} samples at least"
+        want = f"of at least {_FEWEST} samples"
         raise KinematicsError.of("a recording", want, len(data), path.name, step)
     full = 1.0
     if data.dtype.kind in "iu":

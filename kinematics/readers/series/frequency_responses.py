@@ -73,7 +73,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
 def empty_band(file: str) -> Fault:
     """Return the fault of a ``--frf-band`` without a line in it."""
     step = f"Widen {named('frf_band')}, or record longer"
-    return Fault("the band", "with one line at least", "none", file, step)
+    return Fault("the band", "wide enough for at least one line", "none", file, step)
 
 
 def estimated(
@@ -239,7 +239,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     if segment < 8:
         step = f"Ask for fewer {named('averages')} or a coarser {named('resolution')}"
         got = f"{segment} samples of a record of {shortest}"
-        raise KinematicsError.of("a segment", "8 samples long at least", got, group.where, step)
+        raise KinematicsError.of("a segment", "at least 8 samples long", got, group.where, step)
     if options.frf == LOCAL:
         frf = local_frf(records, rate, Local(rate / segment), group.where)
         return frf, f"local polynomials, resolution {frf.freq_hz[1] - frf.freq_hz[0]:.4g} Hz"

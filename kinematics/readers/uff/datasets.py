@@ -203,7 +203,7 @@ def _binary(
 
 
 def values_size(head: tuple[str, ...], where: str) -> tuple[int, ...]:
-    """Return how many bytes the values of a 58b take: two are possible where double values have uneven steps.
+    """Return the possible sizes of the values of a 58b, bytes: two where double values have uneven steps.
 
     Notes
     -----
@@ -237,6 +237,6 @@ def data_form(head: tuple[str, ...], where: str) -> tuple[int, int, bool]:
     kind, count, spacing = (int(field.strip()) for field in fields)
     if kind not in (2, 4, 5, 6) or spacing not in (0, 1) or count < 1:
         got = f"type {kind}, {count} values, spacing {spacing}"
-        expected = "of type 2, 4, 5 or 6, with one value at least and spacing 0 or 1"
+        expected = "of type 2, 4, 5 or 6, with at least one value and spacing 0 or 1"
         raise KinematicsError.of("the data of a function", expected, got, where, "Export it again")
     return kind, count, spacing == 1

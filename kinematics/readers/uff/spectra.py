@@ -229,7 +229,7 @@ def _recording(
 
 
 def _repeats(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> list[Recording]:
-    """Name repeats by the version number where one channel is there in several."""
+    """Use the version number as the repeat where a channel has several versions."""
     channels = Counter(
         (recording.point, recording.direction.tobytes(), recording.run) for recording in recordings
     )

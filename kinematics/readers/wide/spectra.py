@@ -41,7 +41,7 @@ from stapeskit.warnings import Notice
 
 
 def is_wide(text: str) -> bool:
-    """Tell from its head whether a text is a wide table whose names say what the columns are."""
+    """Return whether a text begins as a wide table with telling names of columns."""
     header = header_of(text)
     return header is not None and looks_wide(header[1])
 

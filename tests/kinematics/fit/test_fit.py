@@ -356,7 +356,7 @@ def test_faulty_measurements_are_refused():
         Measurement("footplate", ("1", "2"), made.freq_hz, (good,))
     with pytest.raises(StapeskitError, match="freq_hz must be positive and ascending"):
         Measurement("footplate", ("1",), made.freq_hz[::-1], (good,))
-    with pytest.raises(StapeskitError, match="a measurement must be of one body at least"):
+    with pytest.raises(StapeskitError, match="a measurement must be of at least one body"):
         Measurement("footplate", ("1",), made.freq_hz, ())
 
 

@@ -120,7 +120,7 @@ def test_sensitivity_scales_volts(tmp_path):
         ("channel,dir_x,dir_y,dir_z,unit\nvib,1,1,0,m\n", "a unit vector"),
         ("channel,unit,x_mm,y_mm,z_mm\nvib,m,1,,2\n", "three finite numbers or empty"),
         ("channel,unit\nvib,m\nvib,m\n", "channel vib must be listed once"),
-        ("channel,role,unit\nref,reference,V\n", "with one response at least"),
+        ("channel,role,unit\nref,reference,V\n", "a table of at least one response"),
         ("channel,unit\n,m\n", "channel must be the name of a column"),
         ("channel,unit,x_mm\nvib,m,abc\n", 'x_mm must be a number; got "abc"'),
     ],
@@ -151,7 +151,7 @@ def _with(tmp_path, table=TABLE, **arrays):
         ),
         ({"vib": np.zeros(COUNT), "ref": DRIVE, "fs": RATE}, "the responses must be with a signal"),
         ({"vib": ANSWER, "ref": np.ones(COUNT), "fs": RATE}, "the reference must be a signal"),
-        ({"vib": ANSWER[:50], "ref": DRIVE[:50], "fs": RATE}, "a segment must be 8 samples long at least"),
+        ({"vib": ANSWER[:50], "ref": DRIVE[:50], "fs": RATE}, "a segment must be at least 8 samples long"),
         (
             {"vib": np.ones((2, 2, 50)), "ref": DRIVE, "fs": RATE},
             "a channel must be samples, or rows x samples",
@@ -218,7 +218,7 @@ def test_options_change_the_estimate(tmp_path):
         path, SeriesOptions(options.channels, resolution_hz=10.0, frf_band_hz=(100.0, 200.0))
     ).recordings[0]
     np.testing.assert_allclose(found.freq_hz, np.arange(100.0, 201.0, 10.0))
-    with pytest.raises(StapeskitError, match="the band must be with one line at least"):
+    with pytest.raises(StapeskitError, match="the band must be wide enough for at least one line"):
         read(path, SeriesOptions(options.channels, frf_band_hz=(5000.0, 6000.0)))
     with pytest.raises(StapeskitError, match="--steps must be left out when --period is given"):
         SeriesOptions(options.channels, period_s=1.0, steps=options.channels)
@@ -355,7 +355,7 @@ def test_all_steps_outside_the_record_are_told(tmp_path):
 def test_a_recording_without_samples_is_refused(tmp_path):
     wavfile.write(tmp_path / "none.wav", 2000, np.zeros((0, 2), dtype=np.int16))
     with pytest.raises(
-        StapeskitError, match=r"a recording must be of 16 samples at least; got 0 \(none.wav\)"
+        StapeskitError, match=r"a recording must be of at least 16 samples; got 0 \(none.wav\)"
     ):
         read_series(tmp_path / "none.wav", ["1", "2"])
 

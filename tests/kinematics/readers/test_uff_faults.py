@@ -106,7 +106,7 @@ def test_a_file_cut_anywhere_is_refused_in_one_sentence(binary, tmp_path):
         ({"said_count": 10**9, "binary": "<"}, "bytes of values, as its header says"),
         ({"said_count": 24, "binary": "<"}, "bytes of values, as its header says"),
         ({"said_count": 22, "binary": "<"}, "bytes of values, as its header says"),
-        ({"said_count": 0}, "with one value at least"),
+        ({"said_count": 0}, "with at least one value"),
         ({"form": 3}, "of type 2, 4, 5 or 6"),
     ],
 )

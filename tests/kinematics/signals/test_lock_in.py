@@ -128,7 +128,7 @@ def test_steps_are_cut_where_the_set_frequency_changes():
     [
         (lambda: fit_sine(np.cos(TIME), RATE, 5000.0), "below half the sampling rate"),
         (lambda: fit_sine(np.cos(TIME), RATE, 10.0), "four cycles and 16 samples long"),
-        (lambda: stepped_frf([], RATE), "a stepped sine must be of one step at least"),
+        (lambda: stepped_frf([], RATE), "a stepped sine must be of at least one step"),
         (lambda: SteppedSine(settle=1.0), "the share that settles must be"),
         (lambda: SteppedSine(harmonics=0), "the highest harmonic must be"),
         (lambda: SteppedSine(drift=9), "the degree of the drift must be"),

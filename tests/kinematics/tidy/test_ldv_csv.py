@@ -354,7 +354,7 @@ def test_points_must_be_listed_once_and_agree(tmp_path):
 
 
 def test_sd_that_is_empty_throughout_is_refused(tmp_path):
-    with pytest.raises(StapeskitError, match="sd_m_s must be a number in some row at least"):
+    with pytest.raises(StapeskitError, match="sd_m_s must be a number in at least one row"):
         read_ldv(table(tmp_path, HEAD + ",sd_m_s", [row + ",nan" for row in ROWS]))
 
 
@@ -406,7 +406,7 @@ HEADER = "body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s,run\
     [
         ("stapes,p{0},{0},2,3,1,0,0,{1},1,2,1", "3000 readings of 3000 channels in 3000 lines and 1 runs"),
         ("stapes,p{0},{0},2,3,1,0,0,100,1,2,r{0}", "3000 readings of 3000 channels in 1 lines and 3000 runs"),
-        ("b{0},p,1,2,3,1,0,0,100,1,2,1", "the bodies must be 1000 at most; got 3000"),
+        ("b{0},p,1,2,3,1,0,0,100,1,2,1", "the bodies must be at most 1000; got 3000"),
     ],
 )
 def test_readings_that_share_no_lines_runs_or_bodies_are_refused_in_little_memory(tmp_path, row, words):

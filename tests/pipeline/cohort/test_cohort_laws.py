@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cohort.cohort_laws import cohort_laws, cohort_laws_or_notice, planned_law
+from pipeline.cohort.cohort_laws import (
+    PRIMARY,
+    cohort_laws,
+    cohort_laws_or_notice,
+    planned_law,
+    primary_family,
+)
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.law import fit_law
 from pipeline.cohort.log_table import log_table
@@ -69,9 +75,10 @@ def test_a_law_on_the_gap_comes_back_with_the_gap_s_own_deviation():
     table = log_table(ears)
     column = table.column("gap")
     assert np.sqrt(table.own[:, column, column]) == pytest.approx(0.03, rel=0.15)
-    law = cohort_laws(ears).law("K11", "gap")
-    assert law.law.interval[0] <= -1.0 <= law.law.interval[1] < 0.0
-    assert law.family == "primary"
+    names = table.full_name("K11"), table.full_name("gap")
+    assert names in primary_family(table, PRIMARY)
+    law = fit_law(table.pairs(*names)[0])
+    assert law.interval[0] <= -1.0 <= law.interval[1] < 0.0
 
 
 def test_the_record_has_the_keys_of_the_contract(studied, tmp_path, ears):
