@@ -41,7 +41,7 @@ def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
 
 def several_values(path: Path, got: str) -> CtInertiaError:
     """Make the error for a volume with more than one number in a voxel: colours, vectors, times."""
-    wanted, step = "a stack of one grey value per voxel", "Export one channel, at one time"
+    wanted, step = "a stack of one grey value per voxel", "Export grey values of one channel, at one time"
     return CtInertiaError.of("the volume", wanted, got, path.name, step)
 
 
