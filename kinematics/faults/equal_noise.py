@@ -12,8 +12,8 @@ from kinematics.faults.noise import LEAST_SAMPLES, ChannelNoise, channel_noise, 
 from kinematics.faults.nuisance import Nuisance, settled
 from kinematics.faults.packing import Packed
 from kinematics.faults.state import State
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # How many times the sd of the others noise must be to be called a fault.
 NOISY = 2.0
 # Up to so many channels are estimated jointly: the time goes with the cube of their number.

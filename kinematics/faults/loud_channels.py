@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.equal_noise import NOISY
 from kinematics.faults.findings import Finding
 from kinematics.faults.noise import own_noise
 from kinematics.faults.state import State
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Share of the alarm probability that the tests of noise have.
 NOISE_SHARE = 0.05
 # Leverage above which the residual of a channel shows nothing.

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.state import across
 from kinematics.measurement import BodyChannels
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 class Fitted(Protocol):

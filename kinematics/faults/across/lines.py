@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # How many of the roughest lines are exchanged with each other in trial.
 _MOST = 8
 # A jump, in units of its expected square, and what an exchange may leave of it.

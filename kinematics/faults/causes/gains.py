@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.faults.noise import channel_noise
@@ -14,10 +13,9 @@ from kinematics.faults.nuisance import Marginal, Nuisance
 from kinematics.faults.packing import Factor, Packed
 from kinematics.faults.scatter import information_of, likeliest_size
 from kinematics.faults.state import IMAGINARY, REAL, State
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.vocabulary import named
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Fewer channels or points show no scatter.
 _LEAST_OWNERS = 4
 # Residual directions per degree of freedom below which gains and a body that bends look alike.
