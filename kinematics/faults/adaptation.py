@@ -16,10 +16,9 @@ from kinematics.faults.findings import Finding
 from kinematics.fit.beams import observability
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Key = tuple[int, int]
 CORRECTED, LEFT_OUT, RAISED = "corrected", "left out", "its sd raised"
 # Weakest observability of the motion that the channels that stay must keep; channels more than motions.

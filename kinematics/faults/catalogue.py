@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults import sentences
 from kinematics.faults.packed_readings import Assumed, Packed
@@ -26,10 +25,9 @@ from kinematics.faults.score_information import (
     Model,
     perpendicular_axes,
 )
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import rotation_from_vector
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Moved = tuple[Array, Array]
 
 
@@ -103,6 +101,8 @@ def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Move
 # Directions that differ by less are written alike: rounding of six digits in a file.
 _SAME_BEAM = 1e-6
 _SETS = ("channel", "point", "laser")
+# Owners of faults of many points: to leave their channels out would leave too little.
+OF_MANY = ("laser", "lasers", "body")
 KINDS: dict[str, Kind] = {
     "gain": Kind(
         _SETS, (REAL,), (0.1,), sentences.factor, factor=lambda p, _t, _r: 1.0 + p[0] + 0j, flips=True

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.fit import symmetric_batches as packed
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Probability with which a fault of the stated size is found.
 POWER = 0.95
 # Lines that the information is summed over; it is scaled to all.

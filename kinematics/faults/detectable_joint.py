@@ -12,10 +12,9 @@ from kinematics.faults.detectable import POWER
 from kinematics.fit import symmetric_batches as packed
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import dof_indices
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Errors for which effects are stated (they are in proportion), and how parallel beams of one direction are.
 TURN_DEG, SHIFT_UM, PARALLEL = 1.0, 50.0, 1e-4
 # Numbers that are held at once; lines and points that are looked at, which bound the time.

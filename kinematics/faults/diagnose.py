@@ -28,8 +28,8 @@ from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Errors of positions, and noise that is not stated, are estimated with matrices of channel x channel, 128 MB
 # each at this number of channels.
 MOST_CHANNELS = 4000

@@ -12,8 +12,8 @@ from kinematics.faults.packed_readings import Packed
 from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Nuisance, estimate_nuisance
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # How many times the sd of the others noise must be to be called a fault.
 NOISY = 2.0
 # Up to so many channels are estimated jointly: the time goes with the cube of their number.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinematics.faults.catalogue import KINDS
+from kinematics.faults.catalogue import KINDS, OF_MANY
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.refit import FaultFit
-
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import ComplexArray
 
 
 @dataclass(frozen=True)
@@ -57,10 +55,6 @@ class Finding:
         return "body" if self.kind == "flexible" else "channel"
 
 
-# Owners that are corrected by their estimate: to leave their channels out would leave too little.
-_CORRECTED = ("laser", "lasers", "body")
-
-
 def is_redundant(data: Packed, channels: list[int]) -> bool:
     """Return whether the other channels still determine the motion with some redundancy."""
     rest = [c for c in data.live if c not in set(channels)]
@@ -77,7 +71,7 @@ def apply_finding(data: Packed, finding: Finding) -> Packed:
         return data.under(data.assumed.louder(finding.channels, finding.size))
     if finding.fit is None:
         return data
-    if finding.owner in _CORRECTED or not is_redundant(data, finding.channels):
+    if finding.owner in OF_MANY or not is_redundant(data, finding.channels):
         return data.under(finding.fit.fault.undone(data.assumed, finding.fit.parameters))
     return data.under(data.assumed.without(finding.channels))
 

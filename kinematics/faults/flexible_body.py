@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.faults.score_information import State
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _ONE_POINT: float = calibrated("flexible.one_point_share")
 # Probability below which a structure of the residuals is reported.
 _LIKELY = 1e-3

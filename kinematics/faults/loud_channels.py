@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding
 from kinematics.faults.noise_size import channel_noise_energy
 from kinematics.faults.score_information import State
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Share of the alarm probability that the tests of noise have.
 NOISE_SHARE = 0.05
 # Leverage above which the residual of a channel shows nothing.

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Marginal, Nuisance
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Fewer values than this show no noise of their own.
 LEAST_SAMPLES = 8
 # Fewer groups than this show no drift.

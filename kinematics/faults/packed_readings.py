@@ -22,10 +22,9 @@ from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import cross, point_rows
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # A factor of readings by place in the measurement (-1 to 1) and frequency over its mean.
 Factor = Callable[[Array, Array], ComplexArray]
 # Segments of lines that are packed each by itself: a drift is seen so finely.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 # Beams within 8 degrees of each other belong to one laser.
 _SAME_BEAM = float(np.cos(np.radians(8.0)))
 

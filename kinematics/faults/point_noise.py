@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from kinematics.faults.noise_size import ChannelNoise
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.score_information import State
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Fewer samples, or more channels at a point, than this show no correlation.
 _LEAST_SAMPLES, _MOST_AT_POINT = 24, 6
 # Up to so many channels their correlation is made: the memory goes with the square.

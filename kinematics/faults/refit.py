@@ -11,20 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.catalogue import KINDS, Fault
+from kinematics.faults.catalogue import KINDS, OF_MANY, Fault
 from kinematics.faults.packed_readings import Packed, Source, packed
 from kinematics.faults.score_information import Model, State, model_of
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
 # simulated scenes (each fault of benchmarks/fault_scenes.py, clean ones, ones with outliers; a third of them
 # next to errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of
 # the scenes changes with a limit of 6 or 24.
 _ROUNDS = 12
-# Owners of faults of many channels.
-_MANY = ("laser", "lasers", "body")
 # Segments or lines that a change over the lines needs, to be distinguished from level, slope and bend.
 _COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
@@ -135,7 +132,7 @@ class Refit:
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
         judge, before = self.data, self.before
-        fine = self.coarse or (fault.owner in _MANY and self.data.source.sd is None)
+        fine = self.coarse or (fault.owner in OF_MANY and self.data.source.sd is None)
         if fine:
             judge, before = self.fine
         data = judge if fault.varies else self.flat
@@ -146,7 +143,7 @@ class Refit:
         now, inverse = self._improved(data, fault, now)
         if data is not judge:
             now = self._try(judge, fault, now.theta, now.x)
-            if fine or fault.owner in _MANY:
+            if fine or fault.owner in OF_MANY:
                 # What is packed without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
         value = now.value

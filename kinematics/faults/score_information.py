@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packed_readings import RIDGE, Packed, whitened
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
 from stapeskit.spatial import cross
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Tangents of a reading: real and imaginary part of a factor, delay, both parts of a factor that runs with the
 # lines, two turns of the beam, three shifts of the point, three turns of all beams.
 REAL, IMAGINARY, DELAY, DRIFT, DRIFT_IMAGINARY = range(5)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from kinematics.faults.catalogue import KINDS
 from kinematics.faults.score_information import AXES, State
 from kinematics.faults.uncertain_positions import Marginal
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Fewer groups of lines than this show no change from line to line.
 _SEGMENTS = 4
 # Share of the largest information below which parameters are not seen.

@@ -15,7 +15,6 @@ from stapeskit.faults import Fault
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Smallest diagonal entry of R, of unit columns, for a fit of few channels to count as determined.
 _DETERMINED = 1e-3
 

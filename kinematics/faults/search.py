@@ -23,8 +23,8 @@ from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import Tested, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Share of clean files that may raise an alarm.
 FALSE_ALARM = 0.01
 # At how many places each kind is fitted: where it is most significant, and where leaving out helps most.

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.score_information import perpendicular_axes
 from kinematics.measurement import BodyChannels
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 class Fitted(Protocol):

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import fit_with_noise
@@ -15,8 +16,6 @@ from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
-# Owners of faults that concern more than one point.
-_WHOLE = ("laser", "lasers", "body")
 # How many of the loudest channels of each search are tried alone.
 _TRIED = 3
 
@@ -60,9 +59,9 @@ def search_body(
         out = sorted({channel for finding in findings for channel in finding.channels})
         named = diagnose(placed, body, usual, known, out)
         found = (named.findings or last.findings)[0]
-        if found.kind == "flexible" or found.owner in _WHOLE:
+        if found.kind == "flexible" or found.owner in OF_MANY:
             found = _single(search_without, (named, last), out) or found
-        if found.kind == "flexible" or found.owner in _WHOLE or len(findings) >= most:
+        if found.kind == "flexible" or found.owner in OF_MANY or len(findings) >= most:
             whole = named if named.findings else last
             return replace(whole, findings=(*findings, *whole.findings[:1])), usual
         findings.append(found)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 

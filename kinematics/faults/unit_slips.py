@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array
 from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Between points of a body of the middle ear, mm: no laser separates points nearer than its spot; no bone and
 # no holder under a microscope is larger.
 _NEAREST_MM, _FARTHEST_MM = 0.03, 300.0

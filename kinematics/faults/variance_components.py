@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.score_information import State
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def information_of(

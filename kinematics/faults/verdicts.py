@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.diagnose import Diagnosis, Finding
 from kinematics.faults.finding_text import channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
+from stapeskit.arrays import Array
 from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _CODES = {
     "gain": "channel_gain",
     "sign": "channel_sign",

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.option_names import named
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 
-Array = NDArray[np.float64]
 # Strength of a motion in the beams, relative to the strongest: below it is not estimated, below 1 %
 # reported.
 UNOBSERVABLE = 1e-5

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.laser_groups import group_lasers, noise_shares
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_noise, pooled_scale
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Rounds of the restricted likelihood.
 _ROUNDS = 3
 # Lines for each factor that faults could have, lines looked at, and the least share of its own noise that the

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
-ComplexArray = NDArray[np.complex128]
 _LEAST_SNR: float = calibrated("frf_ratio.least_signal_to_noise")
 # Lines at a time: a few MB of covariances.
 _LINES = 2048

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 Index = NDArray[np.intp]
 # Beams closer than this belong to one laser: heads of a 3D vibrometer stand farther apart.
 _ONE_LASER_DEG = 8.0

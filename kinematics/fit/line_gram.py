@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from kinematics.fit import symmetric_batches
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Ratio of the smallest to the largest eigenvalue below which a line has no solution; condition numbers of the
 # Gram matrix above which a line is solved by singular values, is refined by one step, and is given up;
 # largest ratio of weights that rounding allows.

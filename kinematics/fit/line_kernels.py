@@ -12,9 +12,8 @@ from kinematics.fit import symmetric_batches
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.line_sums import Solution
 from kinematics.native import compiled
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # As in the sources: SIZE, WIDE of kernels.h; TILE of shared.c; BLOCK of lines.c; (MOST - 1) / 2 of medians.c.
 _SIZE, _WIDE, _TILE, _BLOCK, _HALF = 6, 8, 16, 32, 31
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 Lines = slice | NDArray[np.intp]
 # Values at a time: fits the second cache.
 _BLOCK = 40_000

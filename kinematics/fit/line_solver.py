@@ -12,9 +12,8 @@ from kinematics.fit.line_gram import DOUBTFUL, REFINE, SINGULAR, determining, ea
 from kinematics.fit.line_kernels import SharedPass, fit_own
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Lines that are solved one by one where channels come and go: first few, then twice as many each time.
 _FEW, _MANY = 64, 1024
 

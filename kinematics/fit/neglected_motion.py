@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.fit.beams import WEAK, BeamSet, beam_set, observability
 from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.option_names import named
 from stapeskit.spatial import DOF_NAMES, dof_indices
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _PREFERENCE = ("y", "alpha", "gamma", "x", "z", "beta")
 _LEAST_LEAK: float = calibrated("neglected_motion.least_leak")
 _LEAST_BIAS: float = calibrated("neglected_motion.least_bias")

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.fit.rigid_fit import LineFit
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-# Numbers called measured were halved and doubled on 42 simulated scenes: clean ones and one of each fault of
-# benchmarks/fault_scenes.py, on 10 points of a stapes and 5 of a footplate, 120 lines, a third of them
+# Numbers called measured were halved and doubled on 42 simulated scenes: clean ones and one of each fault
+# of benchmarks/fault_scenes.py, on 10 points of a stapes and 5 of a footplate, 120 lines, a third of them
 # with 5 % of the values missing, noise by frequency to the power 1, 0, -1 or -2. The course is off by 0.9 %
 # (median of the rms over frequency), by 3.0 % in one scene of ten.
 #

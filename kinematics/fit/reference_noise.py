@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Share of a channel's variance that is its own at the least.
 _LEAST_OWN = 1e-4
 # The shared error multiplies the motion that is sought: rounds in which both are found in turn.

@@ -15,9 +15,8 @@ from kinematics.fit.line_noise import LineNoise, Lines, blocks, part_of
 from kinematics.fit.line_solver import solve
 from kinematics.fit.line_sums import Solution
 from kinematics.fit.robust_fit import robust_solve, robust_weight
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Channels = slice | NDArray[np.bool_]
 _WHOLE = slice(None)
 # Values up to which whole arrays are kept instead of blocks: 16 MB.

@@ -9,9 +9,8 @@ from kinematics.fit import symmetric_batches
 from kinematics.fit.line_gram import Piece, Weighted, add, pieces, predicted, weighted
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # For complex residuals; loses 1.8 % of efficiency on Gaussian noise (by integration).
 HUBER_TUNING = 2.0
 # As --robust t4 of dof2kd.

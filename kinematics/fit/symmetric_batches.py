@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 # Keeps the root of a pivot of zero from dividing by zero.
 _TINY = 1e-300
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.registration.mesh_distance import TriangleSurface
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.records.measured_mass import LabelVolume
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from stapeskit.records.mass_record import MassRecord
     from stapeskit.records.measured_mass import MeasuredMass
 
-Array = NDArray[np.float64]
 # Numbers of labels.nrrd (contract of files).
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
 # Around the points, in which a surface of labels is made; and its largest box.

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.noise_size import channel_noise
@@ -14,10 +13,9 @@ from kinematics.faults.packed_readings import Factor, Packed
 from kinematics.faults.score_information import IMAGINARY, REAL, State
 from kinematics.faults.uncertain_positions import Marginal, Nuisance
 from kinematics.faults.variance_components import information_of, likeliest_size
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.option_names import named
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Fewer channels or points show no scatter.
 _LEAST_OWNERS = 4
 # Residual directions per degree of freedom below which gains and a body that bends look alike.

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from stapeskit.option_names import named
 
-Array = NDArray[np.float64]
 # Public grids: 50 Hz in most countries, 60 Hz in the Americas and parts of Asia (IEC 60038).
 _MAINS_HZ = (50.0, 60.0)
 # How far from a multiple a line may lie: windows and the drift of the mains widen it.

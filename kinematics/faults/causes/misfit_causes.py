@@ -16,10 +16,8 @@ from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import DOF_NAMES
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
+from stapeskit.arrays import Array
 from stapeskit.option_names import named
 
-Array = NDArray[np.float64]
 # Probability by which noise alone passes for an outlier: a few values of thousands, which cost nothing.
 _CHANCE = 1e-3
 # Outliers are sparse up to these shares: of all values, of the values of a line that has any, of a channel.

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import dof_indices, point_rows
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.intp]
 # Up to so many lines are all looked at; of more, about as many in groups of neighbours, for shifts by REACH.
 _WHOLE = 300

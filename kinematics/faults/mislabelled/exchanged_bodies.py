@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Share of the motion that one ligament of constant matrices leaves even of right data.
 _MODEL = 0.02
 # Misfits, 1 of right labels: others are tried above _BAD, and taken below _GOOD and _BETTER of the given.

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.mislabelled.exchanged_bodies import ligament_misfit
 from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # How many of the roughest lines are exchanged with each other in trial.
 _MOST = 8
 # A jump, in units of its expected square, and what an exchange may leave of it.
@@ -41,22 +42,31 @@ def loud_lines(fit: LineFit) -> list[tuple[int, int]]:
     return [(int(min(pair)), int(max(pair))) for pair in combinations(worst, 2)]
 
 
-def exchanged_lines(motion: RigidMotion) -> list[Notice]:
+def exchanged_lines(motion: RigidMotion, structure: str = "stapes", base: str = "base") -> list[Notice]:
     """Warn of two lines of a body that fit into the course of its motion only when they are exchanged.
 
     Notes
     -----
     Each line is compared with the cubic through its four neighbours, in units of its noise and of what this
-    comparison gives at the lines around it.
+    comparison gives at the lines around it. Where lines are far apart chance may make an exchange smooth: it
+    is not believed when one ligament explains both bodies better as they are.
     """
+    right = motion.q.copy()
     bodies_of: dict[tuple[int, int], list[str]] = {}
     for run, name in enumerate(motion.runs):
         for number, body in enumerate(motion.bodies):
             sd = standard_deviation(motion)[run, number]
             pair = exchanged_pair(motion.q[run, number], sd)
             if pair is not None:
+                right[run, number, list(pair)] = motion.q[run, number, list(pair[::-1])]
                 where = f" in run {name}" if len(motion.runs) > 1 else ""
                 bodies_of.setdefault(pair, []).append(f"{body}{where}")
+    if not bodies_of:
+        return []
+    given = ligament_misfit(motion, structure, base)
+    exchanged = ligament_misfit(replace(motion, q=right), structure, base)
+    if given is not None and exchanged is not None and exchanged > given:
+        return []
     return [
         Notice(
             "label_swap",

@@ -13,12 +13,11 @@ from kinematics.faults.adaptation import CORRECTED, Correction
 from kinematics.faults.findings import Finding
 from kinematics.faults.mislabelled.exchanged_bodies import joins_better, ligament_misfit
 from kinematics.measurement import Measurement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Order = NDArray[np.intp]
 # Probability of steps so much smaller by chance, for each body and run.
 _CHANCE = 1e-4

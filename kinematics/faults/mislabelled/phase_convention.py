@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.mislabelled.exchanged_bodies import Ligament, ligament_test
 from stapeskit.records.mass_record import MassRecord
@@ -14,7 +13,6 @@ from stapeskit.records.motion_files import standard_deviation
 from stapeskit.spatial import DOF_NAMES, dof_indices
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Standard deviations, and share of the lines, by which a lead of the structure is believed.
 _STRONG, _SHARE = 6.0, 0.6
 # Relative error of M and of the frame that the sine of a lag may hold.

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.findings import Finding
 from kinematics.faults.mislabelled.clean_motion import REACH, CleanMotion
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Key = tuple[int, int]
 # Rows belong where they leave twice their noise at most, or a hundredth of what they leave at home.
 _NOISE, _LEFT = 2.0, 0.01
