@@ -14,7 +14,8 @@ from kinematics.fit.laser_groups import group_lasers
 from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
-from kinematics.registration.laser_estimate import KINDS, LaserEstimate, laser_estimate
+from kinematics.registration.laser_estimate import LaserEstimate, laser_estimate
+from kinematics.registration.laser_moments import KINDS
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 
