@@ -30,7 +30,7 @@ from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.registration.test_calibrate import COUNT, ear, nees
 from tests.kinematics.surfaces import box, on_faces, wedge
-from tests.stapeskit.test_registration import fitzpatrick_west
+from tests.stapeskit.alignment.test_registration import fitzpatrick_west
 
 Array = np.ndarray
 CORNERS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8]])

@@ -29,7 +29,7 @@ from tests.kinematics.simulated import (
     stapes_points,
     three_beams,
 )
-from tests.stapeskit.test_drawings import sphere
+from tests.stapeskit.page.test_drawings import sphere
 
 HEADINGS = (
     "Warnings",

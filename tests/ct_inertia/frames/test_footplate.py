@@ -224,5 +224,5 @@ class TestBodiesThatAreNoStapes:
 
 @pytest.mark.parametrize("name", ["conventions.md", "conventions.svg"])
 def test_the_pages_state_the_cone_of_the_definition(name):
-    page = Path(__file__).parents[2] / "docs" / name
+    page = Path(__file__).parents[3] / "docs" / name
     assert f"within {FACE_ANGLE_DEG:g}° of −y" in page.read_text(encoding="utf-8")

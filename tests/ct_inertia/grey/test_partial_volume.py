@@ -11,8 +11,7 @@ from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
-
-from .solids import filled, imaged, implicit_surface, moved, random_rotation
+from tests.ct_inertia.solids import filled, imaged, implicit_surface, moved, random_rotation
 
 AXES = np.array([0.62, 0.45, 0.3])
 

@@ -10,8 +10,8 @@ import pytest
 from kinematics.faults.mislabelled.line_order import Sorted, rate_ratio, sorted_bodies, text_orders
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
+from tests.kinematics.faults.test_phase_convention import moved
 from tests.kinematics.ligament import study
-from tests.kinematics.test_phase_convention import moved
 
 FREQ = np.linspace(200.0, 6000.0, 117)
 

@@ -14,8 +14,7 @@ from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.surface.surface import enclosed_volume
 from ct_inertia.surface.surface_field import Diffusion, Mesh
 from ct_inertia.volume.volume import Volume
-
-from .ears import AIR, BONE, ear, errors
+from tests.ct_inertia.ears import AIR, BONE, ear, errors
 
 
 def unblurred_volume(bodies):

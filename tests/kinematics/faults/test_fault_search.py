@@ -11,8 +11,8 @@ from benchmarks.fault_scenes import bound, measured, two_faults
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
 from kinematics.points2dof import points2dof
+from tests.kinematics.faults.test_diagnose import driven
 from tests.kinematics.simulated import body, measurement, scene
-from tests.kinematics.test_diagnose import driven
 
 LASERS = "stapes, 9 points, lasers at 20 deg"
 

@@ -8,9 +8,8 @@ import pytest
 from ct_inertia.grey.thresholded import is_thresholded, with_threshold
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.surface.moments import Moments
-
-from .ears import AIR, BONE, ear
-from .solids import implicit_surface
+from tests.ct_inertia.ears import AIR, BONE, ear
+from tests.ct_inertia.solids import implicit_surface
 
 
 def test_a_shift_of_a_ball_changes_its_moments_as_its_radius_does():

@@ -15,7 +15,7 @@ from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.frames import RigidTransform
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted
 
-SAMPLE = Path(__file__).resolve().parents[2] / "sample_volumes"
+SAMPLE = Path(__file__).resolve().parents[3] / "sample_volumes"
 
 
 def words(text):
