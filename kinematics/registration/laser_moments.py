@@ -18,8 +18,9 @@ Index = NDArray[np.intp]
 KINDS = ("laser_gain", "laser_phase", "laser_delay")
 # Points and lines of a body that are looked at: more of them say hardly more of a few lasers.
 _MOST_POINTS, _MOST_LINES = 60, 2000
-# Sets of channels with values at the same lines that are looked at, the most frequent ones: they cost time.
-_MOST_PATTERNS = 200
+# Sets of channels with values at the same lines that are looked at: the most frequent ones, until they hold
+# this share of the lines (the rest would lower standard deviations by a twentieth), and this many, for time.
+_HELD, _MOST_PATTERNS = 0.9, 200
 # A misfit beyond noise is coherent over the lines when it is this many standard deviations of its own.
 COHERENT_SD = 3.0
 
@@ -111,11 +112,16 @@ def channel_patterns(
     chosen = set(names[:: -(-len(names) // _MOST_POINTS)])
     wanted = (fit.solution.used > 0) & np.array([point in chosen for point in body.points])
     wanted[list(left_out)] = False
-    lines = np.arange(fit.value.shape[1])[:: max(1, fit.value.shape[1] // _MOST_LINES)]
+    lines = np.arange(fit.value.shape[1])
+    whole = np.flatnonzero(np.all(np.isfinite(fit.sd), axis=0, where=wanted[:, None]))
+    lines = whole if len(whole) >= _MOST_LINES else lines
+    lines = lines[:: max(1, len(lines) // _MOST_LINES)]
     weights = fit.at(lines, wanted)[2]
     sets, of_line, count = np.unique(weights.T > 0.0, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(-count, kind="stable")
+    enough = 1 + int(np.searchsorted(np.cumsum(count[order]), _HELD * len(lines)))
     patterns = []
-    for number in np.argsort(-count, kind="stable")[:_MOST_PATTERNS]:
+    for number in order[: min(enough, _MOST_PATTERNS)]:
         used, own = wanted.copy(), of_line == number
         used[wanted] = sets[number]
         patterns.append((used, weights[np.ix_(sets[number], own)], lines[own]))
