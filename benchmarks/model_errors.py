@@ -358,7 +358,7 @@ def laws(ears: int) -> None:
 
 
 def nearest(fits: list[KDFit], name: str, noise: float) -> tuple[str, str, str]:
-    """Return the law nearest to the right one, its mean chi2 above it, and from which noise on both are told.
+    """Return the closest wrong law, its mean excess of chi2, and the largest noise at which it is rejected.
 
     By noise alone a difference d of chi2 scatters with the standard deviation 2 sqrt(d), and it falls with
     the square of the noise. A law is told where the difference exceeds e = 6 (likelihood ratio e^3), which is

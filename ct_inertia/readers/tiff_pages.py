@@ -205,7 +205,7 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
 
 
 def check_palette(page: Any, path: Path) -> None:
-    """Refuse a page of colours by number, unless larger numbers stand for brighter ones, as in lookup tables.
+    """Refuse a page with a colour palette, unless brightness grows with the number, as in lookup tables.
 
     Raises
     ------

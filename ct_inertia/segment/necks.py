@@ -121,7 +121,7 @@ def _around(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
 
 @dataclass(frozen=True)
 class _Grain:
-    """Volume that a point stands for, mm3; thickness of a section, mm; volume of the body, mm3; voxels."""
+    """Volume per sample point, mm3; thickness of a section, mm; volume of the body, mm3; voxel edges, mm."""
 
     voxel_mm3: float
     step_mm: float

@@ -176,7 +176,7 @@ def relabel(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np
 
 
 def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
-    """Return whether every marker is in a part of its own."""
+    """Return whether no two markers are in the same part."""
     marked = markers > 0
     pairs = np.unique(labels[marked].astype(np.int64) * (count + 1) + markers[marked])
     return bool(len(pairs) == count == len(np.unique(labels[labels > 0])))

@@ -16,7 +16,7 @@ from stapeskit.faults import Fault
 _HEAD = 20
 _NUMBERS = ("f8", "f4", "i4", "i2", "u2", "u1")
 _TEXT, _SPARSE = 1, 2
-_LONGEST_NAME = 64
+_LONGEST_NAME = 64  # bytes: MATLAB names variables with up to 63 letters
 
 
 def is_mat4(head: bytes) -> bool:
