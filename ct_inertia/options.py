@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.export_formats import EXPORTS
+from stapeskit.option_declaration import option
 from stapeskit.option_kinds import (
     BALLS,
     BOX,
@@ -29,8 +30,9 @@ from stapeskit.option_kinds import (
     number,
     several,
 )
+from stapeskit.option_rules import Rule, Values, excludes, needs
 from stapeskit.option_values import WithSd
-from stapeskit.options import OptionTable, Rule, Values, excludes, needs, option
+from stapeskit.options import OptionTable
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout

@@ -14,6 +14,7 @@ from fitting.estimators import CONSTRAINTS, ESTIMATORS, ROBUST, estimator
 from fitting.export_formats import EXPORTS
 from fitting.model.laws import LAWS
 from stapeskit.faults import Fault, raise_all
+from stapeskit.option_declaration import option
 from stapeskit.option_kinds import (
     BOUNDS,
     DOF,
@@ -29,8 +30,9 @@ from stapeskit.option_kinds import (
     summaries,
     whole,
 )
+from stapeskit.option_rules import Rule, Values, excludes
 from stapeskit.option_values import WithSd
-from stapeskit.options import OptionTable, Rule, Values, excludes, option
+from stapeskit.options import OptionTable
 
 COMPARE = "compare"
 INPLANE = {

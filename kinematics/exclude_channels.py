@@ -11,7 +11,7 @@ from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, LeftOut, Measurement, direction_name
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
-from stapeskit.options import suggestion
+from stapeskit.option_names import suggestion
 
 # Beams are written with three decimals in messages; two different lasers are farther apart.
 _SAME_BEAM = 2e-3

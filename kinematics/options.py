@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from kinematics.errors import KinematicsError
+from stapeskit.option_declaration import option
 from stapeskit.option_kinds import (
     BEAM,
     BODIES,
@@ -24,7 +25,8 @@ from stapeskit.option_kinds import (
     output,
     summaries,
 )
-from stapeskit.options import OptionTable, Rule, declared, excludes, needs, option
+from stapeskit.option_rules import Rule, excludes, needs
+from stapeskit.options import OptionTable, declared
 
 AXES = ("x", "y", "z")
 FRF_ESTIMATORS = {

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from pipeline.cohort.exports import EXPORTS
 from pipeline.runners import RUNNERS
+from stapeskit.option_declaration import option
 from stapeskit.option_kinds import FLAG, FOLDER, NAMES, TEXT, at_least, files, several
-from stapeskit.options import OptionTable, Rule, option
+from stapeskit.option_rules import Rule
+from stapeskit.options import OptionTable
 
 
 @dataclass(frozen=True)

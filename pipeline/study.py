@@ -14,8 +14,9 @@ from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all, translate_fault
 from stapeskit.json_toml import parse_toml
+from stapeskit.option_declaration import option
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice, file
-from stapeskit.options import OptionTable, declared, option, read_table
+from stapeskit.options import OptionTable, declared, read_table
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from html import escape
 
+from stapeskit.option_declaration import Option
 from stapeskit.option_names import written
 from stapeskit.option_values import toml
-from stapeskit.options import Option, OptionTable, declared
+from stapeskit.options import OptionTable, declared
 
 # Letters a line of a study file.
 _WIDTH = 100

@@ -39,6 +39,7 @@ from stapeskit.option_values import (
     read_voxels,
     read_whole,
     read_with_sd,
+    read_words,
     read_zero_or_with_sd,
     require,
 )
@@ -227,9 +228,7 @@ def several(*known: str) -> Kind:
     """Return the kind of a list of words, or ``all``; the value is in the order of the words known."""
 
     def read(value: Any) -> tuple[str, ...]:
-        parts = value.split(",") if isinstance(value, str) else value
-        require(isinstance(parts, list | tuple) and all(isinstance(part, str) for part in parts))
-        names = {part.strip().lower() for part in parts if part.strip()}
+        names = {word.lower() for word in read_words(value) if word}
         if names == {"all"}:
             return known
         require(names <= set(known) and (bool(names) or not isinstance(value, str)))
@@ -239,9 +238,7 @@ def several(*known: str) -> Kind:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    parts = value.split(",") if isinstance(value, str) else value
-    require(isinstance(parts, list | tuple) and all(isinstance(part, str) for part in parts))
-    names = tuple(part.strip() for part in parts)
+    names = read_words(value)
     require(all(names) and (bool(names) or not isinstance(value, str)))
     return names
 

@@ -7,7 +7,7 @@ words: a command, a study file or a notebook.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -47,3 +47,11 @@ def use_vocabulary(vocabulary: Vocabulary) -> Iterator[None]:
         yield
     finally:
         _VOCABULARY.reset(token)
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return a question for the nearest known word, or nothing."""
+    import difflib
+
+    close = difflib.get_close_matches(word, list(known), 1)
+    return f"Did you mean {close[0]}?" if close else ""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from stapeskit.faults import Fault, StapeskitError, raise_all, translate_fault
 from stapeskit.json_toml import parse_toml
+from stapeskit.option_declaration import Option, option
 from stapeskit.option_kinds import FLAG, file, output
-from stapeskit.option_names import written
-from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
+from stapeskit.option_names import suggestion, written
+from stapeskit.option_rules import Rule, Values
+from stapeskit.options import OptionTable, Table, declared
 from stapeskit.system_faults import why_unreadable
 
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
@@ -149,8 +150,7 @@ class Parser(argparse.ArgumentParser):
         texts = texts if entry.kind.repeats else texts[-1:]
         before = len(faults)
         for text in texts:
-            with fault_of(entry, text, faults):
-                entry.kind.read([text] if entry.kind.repeats else text)
+            entry.read(text, faults)
         if len(faults) == before:
             values[entry.field] = entry.kind.read(texts if entry.kind.repeats else texts[0])
 
@@ -220,12 +220,10 @@ class Parser(argparse.ArgumentParser):
         for key, value in table.items():
             entry = names.get(key.replace("-", "_"))
             if entry is None:
-                close = difflib.get_close_matches(key.replace("-", "_"), known, 1)
-                hint = f"Did you mean {close[0].replace('_', '-')}?" if close else ""
+                hint = suggestion(key.replace("-", "_"), known).replace("_", "-")
                 faults.append(Fault("a key of {config}", "an option of the command", key, path.name, hint))
             elif entry.field not in texts:
-                with fault_of(entry, value, faults, key, path.name):
-                    values[entry.field] = entry.kind.read(value)
+                values[entry.field] = entry.read(value, faults, key, path.name)
         return values
 
 
@@ -266,17 +264,6 @@ def help_of(entry: Option, flags: Mapping[str, str]) -> str:
     if entry.default in (None, False, "", (), {}):
         return text
     return f"{text} (default {', '.join(entry.kind.words(entry.default))})"
-
-
-@contextmanager
-def fault_of(
-    entry: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
-) -> Iterator[None]:
-    """Add the fault of a value that the block finds unfit to the list."""
-    try:
-        yield
-    except (ValueError, TypeError):
-        faults.append(entry.fault(value, thing, where))
 
 
 def _nearest(word: str, options: Sequence[str]) -> list[str]:

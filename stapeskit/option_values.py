@@ -57,14 +57,20 @@ def command_word(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def is_number(value: object) -> bool:
-    """Return whether a value is a finite number and no bool."""
-    return is_finite_number(value)
+def shorten_value(value: Any) -> str:
+    """Show a value in a message, shortened."""
+    if is_with_sd(value):
+        text = command_word(value)
+    elif isinstance(value, list | tuple):
+        text = ",".join(shorten_value(entry) for entry in value if entry is not None)
+    else:
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def read_number(value: Any) -> float:
     """Return a finite number out of text or a number."""
-    if not isinstance(value, str) and not is_number(value):
+    if not isinstance(value, str) and not is_finite_number(value):
         raise ValueError
     number = float(value)
     if not math.isfinite(number):
@@ -76,7 +82,7 @@ def read_whole(value: Any) -> int:
     """Read a whole number."""
     if isinstance(value, str):
         return int(value)
-    if not is_number(value) or value != int(value) or isinstance(value, float):
+    if not is_finite_number(value) or value != int(value) or isinstance(value, float):
         raise ValueError
     return int(value)
 
@@ -137,20 +143,28 @@ def read_paths(value: Any) -> tuple[Path, ...]:
     return tuple(read_path(entry) for entry in entries)
 
 
+def read_words(value: Any) -> tuple[str, ...]:
+    """Read words separated by commas, or a list of them, without spaces around them."""
+    parts = value.split(",") if isinstance(value, str) else value
+    require(isinstance(parts, list | tuple) and all(isinstance(part, str) for part in parts))
+    return tuple(part.strip() for part in parts)
+
+
 def entries_of(value: Any) -> list[Any]:
-    """Return what a repeated option was given, one entry or several, as a list."""
-    return list(value) if isinstance(value, list | tuple) else [value]
+    """Return what a repeated option was given as a list: several entries, or one, also a row of numbers."""
+    several = isinstance(value, list | tuple) and not (value and is_finite_number(value[0]))
+    return list(value) if several else [value]
 
 
 def read_with_sd(value: Any) -> WithSd:
     """Read a positive value with or without its standard deviation."""
     if isinstance(value, str):
         value = [float(part) for part in value.replace("±", "+-").split("+-")]
-    elif is_number(value):
+    elif is_finite_number(value):
         value = [value]
-    require(isinstance(value, list | tuple) and len(value) in (1, 2) and is_number(value[0]))
+    require(isinstance(value, list | tuple) and len(value) in (1, 2) and is_finite_number(value[0]))
     sd = value[1] if len(value) == 2 else None
-    require(value[0] > 0.0 and (sd is None or (is_number(sd) and sd >= 0.0)))
+    require(value[0] > 0.0 and (sd is None or (is_finite_number(sd) and sd >= 0.0)))
     return WithSd((float(value[0]), None if sd is None else float(sd)))
 
 
@@ -162,7 +176,7 @@ def read_zero_or_with_sd(value: Any) -> WithSd:
 
 def read_spacing(value: Any) -> tuple[float, ...]:
     """Read one positive number or three."""
-    values = read_numbers([value] if is_number(value) else value, (1, 3))
+    values = read_numbers([value] if is_finite_number(value) else value, (1, 3))
     require(min(values) > 0.0)
     return values
 
@@ -221,8 +235,6 @@ def advise_range(value: Any) -> str:
 
 def read_ranges(value: Any) -> tuple[tuple[float, ...], ...]:
     """Read one range of frequencies or several."""
-    if isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value)):
-        value = [value]
     return tuple(read_range(entry) for entry in entries_of(value))
 
 
@@ -241,10 +253,7 @@ def read_mass(value: Any) -> tuple[float, ...]:
 
 def read_masses(value: Any) -> tuple[tuple[float, ...], ...]:
     """Read one point mass or several."""
-    if isinstance(value, list | tuple) and value and is_number(value[0]):
-        value = [value]
-    require(isinstance(value, list | tuple))
-    return tuple(read_mass(entry) for entry in value)
+    return tuple(read_mass(entry) for entry in entries_of(value))
 
 
 def read_measured(points: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
@@ -260,13 +269,7 @@ def read_measured(points: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]
         require(result[-2] > 0.0 and result[-1] > 0.0)
         return result
 
-    def rows(value: Any) -> tuple[tuple[float, ...], ...]:
-        if isinstance(value, list | tuple) and value and is_number(value[0]):
-            value = [value]
-        require(isinstance(value, list | tuple))
-        return tuple(row(entry) for entry in value)
-
-    return rows
+    return lambda value: tuple(row(entry) for entry in entries_of(value))
 
 
 def read_named(value: Any) -> tuple[str, ...]:
@@ -275,11 +278,12 @@ def read_named(value: Any) -> tuple[str, ...]:
         rows = [(name, entry if isinstance(entry, list) else [entry]) for name, entry in value.items()]
         require(all(is_item(part) for _, parts in rows for part in parts))
         return tuple(f"{name}={','.join(map(str, parts))}" for name, parts in rows)
-    require(isinstance(value, list | tuple) and all(isinstance(entry, str) for entry in value))
-    for entry in value:
+    entries = entries_of(value)
+    for entry in entries:
+        require(isinstance(entry, str))
         name, mark, rest = entry.partition("=")
         require(bool(mark and name.strip() and rest.strip()))
-    return tuple(value)
+    return tuple(entries)
 
 
 def read_channels(value: Any) -> tuple[str, ...]:
@@ -300,7 +304,7 @@ def is_item(value: object) -> bool:
 def read_bounds(value: Any) -> dict[str, float]:
     """Read bounds of entries: ENTRY=VALUE or a table."""
     if isinstance(value, Mapping):
-        require(all(is_number(plain_number(entry)) for entry in value.values()))
+        require(all(is_finite_number(plain_number(entry)) for entry in value.values()))
         return {str(name): float(entry) for name, entry in value.items()}
     bounds = {}
     for entry in entries_of(value):
@@ -326,7 +330,7 @@ class Dof(tuple[str, ...]):
 def read_covariates(value: Any) -> dict[str, Any]:
     """Read a table of numbers and texts."""
     require(isinstance(value, Mapping))
-    require(all(isinstance(entry, str | bool) or is_number(entry) for entry in value.values()))
+    require(all(isinstance(entry, str | bool) or is_finite_number(entry) for entry in value.values()))
     return {str(name): entry for name, entry in value.items()}
 
 
@@ -334,9 +338,7 @@ def read_dof(value: Any) -> Dof:
     """Read degrees of freedom into the fixed order."""
     if isinstance(value, Dof):
         return value
-    parts = value.split(",") if isinstance(value, str) else value
-    require(isinstance(parts, list | tuple) and all(isinstance(part, str) for part in parts))
-    names = tuple(part.strip().lower() for part in parts if part.strip())
+    names = tuple(word.lower() for word in read_words(value) if word)
     if names == ("all",):
         return Dof(DOF_NAMES)
     require(bool(names) and len(set(names)) == len(names) and set(names) <= set(DOF_NAMES))

@@ -71,7 +71,19 @@ def test_an_unfit_value_is_refused(one, wrong):
 def test_a_decimal_comma_is_explained():
     one = next(entry.values[0] for entry in EVERY if entry.values[0].name == "density")
     assert one.fault("1394,4").next_step == "Write a decimal point: 1394.4"
-    assert one.fault("heavy").next_step == ""
+    assert one.fault("heavy").next_step == "Write for example 1900.0+-60.0"
+
+
+def test_a_mistyped_word_is_recognised():
+    one = next(entry.values[0] for entry in EVERY if entry.values[0].name == "estimator")
+    assert one.fault("pinw").next_step == "Did you mean pinv?"
+    assert one.fault("neural", "fit.estimator").next_step == 'Write for example "ml"'
+
+
+@pytest.mark.parametrize("one", [*EVERY, *OF_STUDIES])
+def test_the_fault_of_an_unfit_value_says_what_to_do(one):
+    assert one.fault("?").next_step
+    assert one.fault(1, one.place, "study.toml").next_step
 
 
 @pytest.mark.parametrize("one", OF_STUDIES)
