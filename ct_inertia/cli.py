@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
     from ct_inertia.exports.scan_crop import EarlyCrop
     from stapeskit.command import Outcome
-    from stapeskit.option_parser import Given, Parser
+    from stapeskit.option_parser import ParsedOptions, Parser
     from stapeskit.own_files import OutputSet
     from stapeskit.provenance import Hashes
     from stapeskit.warnings import Notice
@@ -65,7 +65,7 @@ def parser() -> Parser:
     return Parser("ct2mass", _DESCRIPTION + scan, _EPILOG, MassOptions, MassOutputs)
 
 
-def output_folder(given: Given) -> Path:
+def output_folder(given: ParsedOptions) -> Path:
     """Return ``--out``, or ``<scan name>_mass`` in the current folder."""
     from pathlib import Path
 
@@ -78,7 +78,7 @@ def output_folder(given: Given) -> Path:
     return Path(f"{Path(name).stem}_mass")
 
 
-def work(arguments: list[str]) -> tuple[Given, Outcome]:
+def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Parse, compute, write, and return the outcome."""
     from ct_inertia.options import MassOptions
 
@@ -119,7 +119,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
 
 
 def _write(
-    given: Given, outputs: OutputSet, stage: Path, result: MassMeasurement, hashes: Hashes, crop: EarlyCrop
+    given: ParsedOptions, outputs: OutputSet, stage: Path, result: MassMeasurement, hashes: Hashes, crop: EarlyCrop
 ) -> tuple[list[str], dict[str, Any], tuple[Notice, ...]]:
     """Write every output; return their names, the content of mass.json, and the warnings of writing."""
     from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
@@ -155,7 +155,7 @@ def _write(
     return [*write_outputs(result, stage, content, crop), *names, *report], content, notices
 
 
-def _start(arguments: list[str]) -> tuple[Given, Outcome]:
+def _start(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Choose how the process takes memory and threads, then run the command."""
     from stapeskit.background import take_short_turns
     from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
     from stapeskit.command import Outcome
-    from stapeskit.option_parser import Given, Parser
+    from stapeskit.option_parser import ParsedOptions, Parser
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of
 --dof.
@@ -39,7 +39,7 @@ def parser() -> Parser:
     )
 
 
-def work(arguments: list[str]) -> tuple[Given, Outcome]:
+def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Parse, fit or plan, write, and return the outcome."""
     given = parser().parse(arguments)
     if given.plan is not None:
@@ -72,7 +72,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     )
 
 
-def _plan(given: Given) -> Outcome:
+def _plan(given: ParsedOptions) -> Outcome:
     """Report what a planned measurement can reach."""
     from pathlib import Path
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from kinematics.results import MotionResult
     from stapeskit.command import Outcome
-    from stapeskit.option_parser import Given, Parser
+    from stapeskit.option_parser import ParsedOptions, Parser
     from stapeskit.own_files import OutputSet
 
 _EPILOG = """\
@@ -69,7 +69,7 @@ def parser() -> Parser:
     )
 
 
-def work(arguments: list[str]) -> tuple[Given, Outcome]:
+def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Run the command on its arguments."""
     given = parser().parse(arguments)
     from kinematics.measure_motion import measure, motion_inputs
@@ -90,7 +90,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     return given, _outcome(result, files)
 
 
-def _write(options: Given, result: MotionResult, outputs: OutputSet) -> list[Path]:
+def _write(options: ParsedOptions, result: MotionResult, outputs: OutputSet) -> list[Path]:
     """Write all outputs at once and return their paths."""
     from kinematics.motion_outputs import write_outputs
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pipeline.results import StudyResult
     from pipeline.several_studies import CohortResult
     from stapeskit.command import Outcome
-    from stapeskit.option_parser import Given, Parser
+    from stapeskit.option_parser import ParsedOptions, Parser
 
 _DESCRIPTION = """\
 From micro-CT scan and vibrometer table to mass, stiffness and damping of a
@@ -41,20 +41,20 @@ def parser() -> Parser:
     return Parser("scan2kd", _DESCRIPTION, _EPILOG, StudyOptions)
 
 
-def work(arguments: list[str]) -> tuple[Given, Outcome] | None:
+def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome] | None:
     """Run the command on its arguments."""
-    given = parser().parse(arguments)
-    if given.template:
+    options = parser().parse(arguments)
+    if options.template:
         from pipeline.template import TEMPLATE
 
         sys.stdout.write(TEMPLATE)
         return None
-    if len(given.studies) == 1 and given.bids is None:
-        return given, _one(given)
-    return given, _several(given)
+    if len(options.studies) == 1 and options.bids is None:
+        return options, _one(options)
+    return options, _several(options)
 
 
-def _one(given: Given) -> Outcome:
+def _one(options: ParsedOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.progress import Progress
@@ -62,9 +62,9 @@ def _one(given: Given) -> Outcome:
     from pipeline.scan2kd import run_study
     from stapeskit.command import Outcome
 
-    path = given.studies[0]
-    out = Path(f"{path.stem}_out") if given.out is None else given.out
-    result = run_study(path, out, given.force, Progress(given.quiet))
+    path = options.studies[0]
+    out = Path(f"{path.stem}_out") if options.out is None else options.out
+    result = run_study(path, out, options.force, Progress(options.quiet))
     return Outcome(
         f"scan2kd: {result.name}",
         key_results(result.mass, result.kd),
@@ -96,7 +96,7 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
     }
 
 
-def _several(given: Given) -> Outcome:
+def _several(options: ParsedOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.cohort.cohort_laws import planned_law
@@ -104,19 +104,19 @@ def _several(given: Given) -> Outcome:
     from stapeskit.command import Outcome
 
     def tell(line: str) -> None:
-        if not given.quiet:
+        if not options.quiet:
             sys.stderr.write(f"{line}\n")
 
-    studies, out = given.studies, Path("cohort_out")
-    if given.bids is not None:
+    studies, out = options.studies, Path("cohort_out")
+    if options.bids is not None:
         from pipeline.bids import derivatives, read_dataset, write_dataset
 
-        studies = write_dataset(studies, given.bids) if studies else read_dataset(given.bids)
-        out = derivatives(given.bids)
-    out = given.out or out
-    planned = tuple(planned_law(text) for text in given.laws)
-    choices = CohortChoices(given.mix, given.covariates, planned, given.export)
-    result = run_studies(studies, out, given.jobs, given.force, tell, given.scheduler, choices)
+        studies = write_dataset(studies, options.bids) if studies else read_dataset(options.bids)
+        out = derivatives(options.bids)
+    out = options.out or out
+    planned = tuple(planned_law(text) for text in options.laws)
+    choices = CohortChoices(options.mix, options.covariates, planned, options.export)
+    result = run_studies(studies, out, options.jobs, options.force, tell, options.scheduler, choices)
     if result.faults:
         raise _failure(result)
     return Outcome(
@@ -139,12 +139,12 @@ def _failure(result: CohortResult) -> Exception:
     from stapeskit.faults import StapeskitError
 
     listed = [f"{name}: {fault}" for name, fault in result.faults.items()]
-    done = (
+    finished = (
         f"{len(result.ears)} of {len(result.ears) + len(result.faults)} studies are finished in {result.out}."
     )
     if 1 in result.codes.values():
-        return RuntimeError("\n".join([*listed, done]))
-    return StapeskitError(*listed, done)
+        return RuntimeError("\n".join([*listed, finished]))
+    return StapeskitError(*listed, finished)
 
 
 def _line(kd: Any) -> str:

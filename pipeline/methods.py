@@ -22,9 +22,9 @@ def methods(mass: Mapping[str, Any], kd: Mapping[str, Any], motion: RigidMotion)
     """
     voxel = (mass.get("segmentation") or {}).get("voxel_size_mm")
     scan = f"a micro-CT scan with voxels of {_sizes(voxel)} µm" if voxel else "a surface of the stapes"
-    given = mass["provenance"]["parameters"].get("density_kg_m3")
-    if mass.get("mass_known_by", "density") == "density" and given:
-        value, sd = given if isinstance(given, list) else (given, None)
+    density = mass["provenance"]["parameters"].get("density_kg_m3")
+    if mass.get("mass_known_by", "density") == "density" and density:
+        value, sd = density if isinstance(density, list) else (density, None)
         known = f"a density of {plus_minus(value, sd)} kg/m³"
     else:
         known = f"its {str(mass.get('mass_known_by', 'density')).replace('_', ' ')}"

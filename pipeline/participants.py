@@ -67,8 +67,8 @@ def _read(path: Path) -> list[list[str]]:
     raise PipelineError(Fault("the table of participants", expected, "another file", path.name, "Correct it"))
 
 
-def _same(one: str, other: str) -> bool:
+def _same(cell: str, stated: str) -> bool:
     """Return whether two texts are one value: 61 and 61.0."""
     with suppress(ValueError):
-        return float(one) == float(other)
-    return one == other
+        return float(cell) == float(stated)
+    return cell == stated

@@ -58,8 +58,8 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     old = _records(out)
     outputs = output_set(path, study, out, force, old, hashes)
     outputs.check()
-    kept: list[str] = []
-    with outputs.staged(kept) as fresh:
+    unchanged: list[str] = []
+    with outputs.staged(unchanged) as fresh:
         work = Workspace(out, fresh, hashes)
         with progress.step("study file and vibrometer table"):
             check_inputs(study, work)
@@ -72,7 +72,7 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
         _report(path, name, study, work, reports, usable.get(REPORT), runs, progress)
         mass, kd = work.mass.record.raw, work.kd
         names = _outputs(runs)
-        kept += names
+        unchanged += names
     shown = tuple(out / file for file in names if not file.startswith(FOLDER))
     notices = unique(
         (*(notice for report in reports.values() for notice in report.notices), *outputs.kept_notices(names))
@@ -143,11 +143,11 @@ def _stage(
     with progress.step(stage.title) as step:
         now = fingerprint(stage.rooms, stage.inputs(study), stage.parameters(study, work), work.hashes)
         reason = _reason(old, now, work)
-        kept = None if reason else read_stage_report(work.find(stage_report_name(stage.name)))
-        if kept is not None:
+        stored_report = None if reason else read_stage_report(work.find(stage_report_name(stage.name)))
+        if stored_report is not None:
             step.note = "unchanged, reused"
             runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
-            return kept
+            return stored_report
         reason = reason or "its sections are not as this program writes them"
         try:
             with translate_option_names(words(stage.table)):

@@ -89,13 +89,13 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
         for name, path in zip(own, studies, strict=True)
     ]
     unique_names: list[str] = []
-    taken = {name.casefold() for name in cohort_names()}
+    used_names = {name.casefold() for name in cohort_names()}
     for name in names:
         plain = name.lstrip(".") or "study"
         number, unique = 2, plain
-        while unique.casefold() in taken:
+        while unique.casefold() in used_names:
             unique, number = f"{plain}-{number}", number + 1
-        taken.add(unique.casefold())
+        used_names.add(unique.casefold())
         unique_names.append(unique)
     return unique_names
 
@@ -192,9 +192,9 @@ def _run_all(
     try:
         runner_of(where.address)(tasks, where, log.tell, ended)
     except KeyboardInterrupt as stop:
-        done = [name for name, end in ends.items() if not end.code]
-        if not done:
+        finished = [name for name, end in ends.items() if not end.code]
+        if not finished:
             raise
-        text = f"interrupted; the finished studies are in {out}: {', '.join(done)}."
+        text = f"interrupted; the finished studies are in {out}: {', '.join(finished)}."
         raise KeyboardInterrupt(text) from stop
     return {name: ends[name] for name in studies}

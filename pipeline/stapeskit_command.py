@@ -89,8 +89,8 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
     if word in COMMANDS:
         from importlib import import_module
 
-        done: tuple[Any, Outcome] | None = import_module(COMMANDS[word]).work(rest)
-        return done
+        result: tuple[Any, Outcome] | None = import_module(COMMANDS[word]).work(rest)
+        return result
     if word in _USAGE and {"-h", "--help"} & {*rest}:
         sys.stdout.write(_USAGE[word])
         return None

@@ -72,11 +72,11 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
         reasons.append(
             Reason(CHECK, "", "K or D is not positive semidefinite: energy would come from nowhere.")
         )
-    lost, vague = _beyond(kd, "K", _UNDETERMINED), [*_beyond(kd, "K"), *_beyond(kd, "D")]
-    if lost:
-        text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
+    undetermined, imprecise = _beyond(kd, "K", _UNDETERMINED), [*_beyond(kd, "K"), *_beyond(kd, "D")]
+    if undetermined:
+        text = f"Undetermined, with a standard deviation above the value: {', '.join(undetermined)}."
         reasons.append(Reason(DO_NOT_USE, "", text))
-    if rest := [name for name in vague if name not in lost]:
+    if rest := [name for name in imprecise if name not in undetermined]:
         reasons.append(Reason(CHECK, "", f"Known to no better than 30 percent: {', '.join(rest)}."))
     shown = tuple(reason for reason in reasons if reason.level != BELIEVE)
     shown = tuple(sorted(shown, key=lambda reason: -_ORDER.index(reason.level)))

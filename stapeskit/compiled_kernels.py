@@ -72,8 +72,8 @@ def load(folder: Path, signatures: Mapping[str, str]) -> ctypes.CDLL | None:
     except OSError:
         return None
     for name, signature in signatures.items():
-        given, _, returned = signature.partition(":")
+        arguments, _, returned = signature.partition(":")
         function = getattr(library, name)
-        function.argtypes = [_OF[letter] for letter in given]
+        function.argtypes = [_OF[letter] for letter in arguments]
         function.restype = _OF[returned] if returned else None
     return library

@@ -193,11 +193,11 @@ def format_faults(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> st
         lines = [render(fault, vocabulary) for fault in listed]
         if sum(map(len, lines)) + len(lines) <= LONGEST:
             return "\n".join(lines)
-    left = LONGEST - _REST
+    room = LONGEST - _REST
     written = []
     for number in _in_turn(listed):
-        left -= len(lines[number]) + 1
-        if left < 0:
+        room -= len(lines[number]) + 1
+        if room < 0:
             break
         written.append(number)
     rest = [fault for number, fault in enumerate(listed) if number not in written]

@@ -69,7 +69,7 @@ def take_algebra_buffers() -> None:
     from scipy.linalg.blas import dgemm
 
     factor = np.zeros((_ALGEBRA_ROWS, _ALGEBRA_ROWS))
-    for product in (np.matmul, lambda one, other: dgemm(1.0, one, other)):
+    for product in (np.matmul, lambda a, b: dgemm(1.0, a, b)):
         try:
             mmap.mmap(-1, _ALGEBRA_BUFFER).close()
         except OSError as fault:

@@ -22,7 +22,7 @@ from stapeskit.system_faults import why_unreadable
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 
 
-class Given:
+class ParsedOptions:
     """What a command line and its config file give: the values of every option, by field."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -102,7 +102,7 @@ class Parser(argparse.ArgumentParser):
             f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
         )
 
-    def parse(self, arguments: Sequence[str]) -> Given:
+    def parse(self, arguments: Sequence[str]) -> ParsedOptions:
         """Parse a command line.
 
         Raises
@@ -123,8 +123,8 @@ class Parser(argparse.ArgumentParser):
         values = {name: entry.default for name, entry in self.declared.items()}
         if "config" in texts:
             values |= self._config(Path(texts["config"][-1]), texts, faults)
-        for name, given in texts.items():
-            self._read(self.declared[name], given, values, faults)
+        for name, text in texts.items():
+            self._read(self.declared[name], text, values, faults)
         absent = [
             fault
             for entry in self.declared.values()
@@ -139,14 +139,14 @@ class Parser(argparse.ArgumentParser):
             from stapeskit.run_log import begin
 
             begin(values["log"], self.prog, tuple(arguments))
-        return Given(values)
+        return ParsedOptions(values)
 
-    def _read(self, entry: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
+    def _read(self, entry: Option, value: Any, values: dict[str, Any], faults: list[Fault]) -> None:
         """Read the texts of an option, and check that the files it names exist."""
         if entry.kind.is_flag:
             values[entry.field] = True
             return
-        texts = [given] if isinstance(given, str) else given
+        texts = [value] if isinstance(value, str) else value
         texts = texts if entry.kind.repeats else texts[-1:]
         before = len(faults)
         for text in texts:

@@ -79,14 +79,14 @@ class OutputSet:
         self._check(self.names)
 
     @contextmanager
-    def staged(self, kept: Collection[str] = ()) -> Iterator[Path]:
+    def staged(self, unchanged: Collection[str] = ()) -> Iterator[Path]:
         """Lend an empty folder whose files become the outputs when the block ends well; see `output.staged`.
 
         The command's own files of an earlier run that are not written this time are removed.
 
         Parameters
         ----------
-        kept : collection of str, optional
+        unchanged : collection of str, optional
             Names of outputs that still hold, though they are not written; read when the block has ended.
 
         Raises
@@ -94,7 +94,7 @@ class OutputSet:
         StapeskitError
             As in `check`, for what has changed since.
         """
-        with stage_outputs(self.folder, partial(self._settle, kept)) as stage:
+        with stage_outputs(self.folder, partial(self._settle, unchanged)) as stage:
             yield stage
 
     def kept_notices(self, written: Collection[str]) -> tuple[Notice, ...]:
@@ -157,8 +157,8 @@ class OutputSet:
             faults += [self._is_input(path, within[_inode(path)]) for path in clashes]
         raise_all(StapeskitError, faults)
 
-    def _is_input(self, output: Path, given: Path) -> Fault:
-        same = given if str(given) == str(output) else f"{given}, which is the same file"
+    def _is_input(self, output: Path, source: Path) -> Fault:
+        same = source if str(source) == str(output) else f"{source}, which is the same file"
         expected = "another file than the inputs"
         return Fault(f"the output {output}", expected, f"the input {same}", "", self._elsewhere)
 
@@ -191,7 +191,7 @@ class OutputSet:
             )
         return False
 
-    def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None] | None:
+    def _settle(self, unchanged: Collection[str], stage: Path) -> Callable[[], None] | None:
         """Check and record the new outputs before they appear; return the work left for when they have."""
         hashes = {
             path.relative_to(stage).as_posix(): self.hash_of(path)
@@ -207,7 +207,7 @@ class OutputSet:
             self._record(stage, after, stage)
             return None
         (stage / self._record_name).unlink(missing_ok=True)
-        stale = self._stale({*hashes, *kept}, recorded)
+        stale = self._stale({*hashes, *unchanged}, recorded)
         # Both states are known while the files are moved one by one: a run that is killed there leaves only
         # files that the next one knows, and readers refuse them until then.
         both = {**recorded, **{name: {*recorded.get(name, ()), hashes[name]} for name in hashes}}

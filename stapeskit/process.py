@@ -172,7 +172,7 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
     """Return the exit code; what went wrong is on standard error."""
     try:
         _take_buffers()
-        done = work(sys.argv[1:])
+        result = work(sys.argv[1:])
     except BrokenPipeError:
         _drop_output()
         return 0
@@ -189,10 +189,10 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
         _tell(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
         return 1
     try:
-        if done is not None:
+        if result is not None:
             from stapeskit.command import show
 
-            show(*done)
+            show(*result)
         sys.stdout.flush()
     except BrokenPipeError:
         _drop_output()

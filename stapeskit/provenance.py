@@ -220,9 +220,9 @@ def record(
     line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
     return {
         "inputs": {
-            role: dict(given) if isinstance(given, Mapping) else input_record(given, sha256, hashes)
-            for role, given in inputs.items()
-            if given is not None
+            role: dict(source) if isinstance(source, Mapping) else input_record(source, sha256, hashes)
+            for role, source in inputs.items()
+            if source is not None
         },
         "versions": versions() if hashes is None else hashes.versions(),
         "parameters": dict(parameters),

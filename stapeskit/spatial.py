@@ -48,11 +48,11 @@ def twist_transfer(rotation: ArrayLike, shift_m: ArrayLike) -> Array:
     return transfer
 
 
-def cross(one: Array, two: Array) -> Array:
+def cross(first: Array, second: Array) -> Array:
     """Return the products (..., 3) of vectors (..., 3), as `np.cross` does in three times the time."""
-    x, y, z = one[..., 0], one[..., 1], one[..., 2]
-    a, b, c = two[..., 0], two[..., 1], two[..., 2]
-    product = np.empty(np.broadcast_shapes(one.shape, two.shape))
+    x, y, z = first[..., 0], first[..., 1], first[..., 2]
+    a, b, c = second[..., 0], second[..., 1], second[..., 2]
+    product = np.empty(np.broadcast_shapes(first.shape, second.shape))
     product[..., 0] = y * c - z * b
     product[..., 1] = z * a - x * c
     product[..., 2] = x * b - y * a

@@ -41,7 +41,7 @@ def mm_per_unit(unit: str | None) -> float | None:
 
 
 def settle_spacing(
-    from_file: Array | None, given: Sequence[float] | None, name: str, known: str = ""
+    from_file: Array | None, from_user: Sequence[float] | None, name: str, known: str = ""
 ) -> tuple[Array, tuple[Notice, ...]]:
     """Choose the voxel spacing: that of the user, otherwise that of the file.
 
@@ -49,7 +49,7 @@ def settle_spacing(
     ----------
     from_file : ndarray, (3,), or None
         Spacing along x, y, z in mm.
-    given : sequence of 1 or 3 floats, or None
+    from_user : sequence of 1 or 3 floats, or None
         The user's, in mm.
     name : str
         File name for messages.
@@ -61,8 +61,8 @@ def settle_spacing(
     CtInertiaError
         There is none, or one that is not positive.
     """
-    if given is not None:
-        values = np.asarray(given, dtype=float).ravel()
+    if from_user is not None:
+        values = np.asarray(from_user, dtype=float).ravel()
         if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise CtInertiaError.of(
                 "{spacing}",
@@ -95,7 +95,7 @@ def check_size(
     name: str,
     *,
     packing: str = "raw",
-    held: bool = False,
+    in_memory: bool = False,
 ) -> None:
     """Refuse a header that claims more than its file can hold or than this machine can.
 
@@ -111,7 +111,7 @@ def check_size(
     packing : str
         ``raw``, ``deflate`` (zlib, gzip, PNG), ``lz4``, ``packbits``, ``text``, ``hex``, or another one
         without a limit.
-    held : bool
+    in_memory : bool
         The voxels are unpacked as a whole, not piece by piece.
 
     Raises
@@ -131,7 +131,7 @@ def check_size(
             name,
             "The file is truncated or its header is wrong: copy or export it again",
         )
-    if held:
+    if in_memory:
         check_memory(claimed, name)
 
 

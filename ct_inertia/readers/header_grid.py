@@ -171,7 +171,7 @@ def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: P
         raise header_fault(path, "header", f"voxels at byte {grid.skip}")
     stored = file.stat().st_size - max(offset, 0)
     check_size(
-        shape, grid.dtype, stored, file.name, packing=_LIMITS.get(grid.packing, grid.packing), held=True
+        shape, grid.dtype, stored, file.name, packing=_LIMITS.get(grid.packing, grid.packing), in_memory=True
     )
     array = np.empty(tuple(shape), dtype=grid.dtype)
     try:

@@ -142,8 +142,8 @@ def _axes(fields: dict[str, str], path: Path) -> list[int]:
         return [k for k, kind in enumerate(kinds) if kind in _SPATIAL][:3]
     sizes = _numbers(fields, "sizes", path)
     if count > 3:
-        kept = [k for k in range(count) if sizes[k] > 1]
-        return kept if len(kept) <= 3 else list(range(3))
+        long_axes = [k for k in range(count) if sizes[k] > 1]
+        return long_axes if len(long_axes) <= 3 else list(range(3))
     return list(range(count))
 
 

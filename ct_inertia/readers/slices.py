@@ -145,16 +145,16 @@ def _numbered(stems: Sequence[str]) -> list[tuple[int | None, str]]:
     alike = defaultdict(list)
     for words in parts:
         alike[tuple(words[::2])].append(words[1::2])
-    found: list[tuple[int | None, str]] = []
+    numbered: list[tuple[int | None, str]] = []
     for words, stem in zip(parts, stems, strict=True):
         columns = list(zip(*alike[tuple(words[::2])], strict=True))
         if not columns:
-            found.append((None, stem))
+            numbered.append((None, stem))
             continue
         differing = [k for k, column in enumerate(columns) if len(set(column)) > 1]
         at = 2 * (differing[-1] if differing else len(columns) - 1) + 1
-        found.append((int(words[at]), "".join([*words[:at], "#", *words[at + 1 :]])))
-    return found
+        numbered.append((int(words[at]), "".join([*words[:at], "#", *words[at + 1 :]])))
+    return numbered
 
 
 def _gaps(numbers: list[int], name: str) -> list[Notice]:
@@ -230,7 +230,7 @@ def _tiff_look(path: Path) -> _Look | None:
         check_offsets(page, path, path.stat().st_size)
         if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
             dtype, stored = page.dtype or np.dtype(bool), path.stat().st_size
-            check_size(page.shape, dtype, stored, path.name, packing=packing_of(page), held=True)
+            check_size(page.shape, dtype, stored, path.name, packing=packing_of(page), in_memory=True)
             return None
         dtype = np.dtype(tif.byteorder + page.dtype.char)
         whole = page.is_contiguous and page.bitspersample >= 8
@@ -249,7 +249,9 @@ def _picture_look(path: Path) -> _Look | None:
     with Image.open(_in_memory(path)) as image:
         if image.mode not in known:
             shape = (image.height, image.width, len(image.getbands()))
-            check_size(shape, np.dtype(np.uint8), path.stat().st_size, path.name, packing=packing, held=True)
+            check_size(
+                shape, np.dtype(np.uint8), path.stat().st_size, path.name, packing=packing, in_memory=True
+            )
             return None
         return _Look((image.height, image.width), np.dtype(known[image.mode]), packing)
 

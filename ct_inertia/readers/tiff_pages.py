@@ -57,22 +57,22 @@ def stack_array(series: Any, tif: tifffile.TiffFile, path: Path) -> NDArray[Any]
     """
     page: Any = series.keyframe
     _check_kind(series, page, path)
-    kept = tuple(n for n in series.shape if n > 1)
+    shape = tuple(n for n in series.shape if n > 1)
     dtype = np.dtype(tif.byteorder + series.dtype.char)
     packed = page.compression.name != "NONE" or dtype.kind == "b" or page.bitspersample < 8
     # There is an offset where all pages lie in one piece: then they need not be looked at one by one.
     start = None if packed else series.dataoffset
     files = [path] if start is not None else _files(series, path)
     size = sum(file.stat().st_size for file in set(files))
-    check_size(kept, dtype, size, path.name, packing=packing_of(page) if packed else "raw")
+    check_size(shape, dtype, size, path.name, packing=packing_of(page) if packed else "raw")
     if start is not None:
-        return mapped(path, dtype, start, kept, path.name)
+        return mapped(path, dtype, start, shape, path.name)
     _check_pages(series, files, path)
-    if len(series.pages) != kept[0]:
+    if len(series.pages) != shape[0]:
         # Tiles with a depth: boxes.
-        check_size(kept, dtype, size, path.name, packing=packing_of(page), held=True)
-        return np.asarray(series.asarray()).reshape(kept)
-    return _planes(series, page, files, kept, dtype)
+        check_size(shape, dtype, size, path.name, packing=packing_of(page), in_memory=True)
+        return np.asarray(series.asarray()).reshape(shape)
+    return _planes(series, page, files, shape, dtype)
 
 
 def white_is_zero(page: Any) -> bool:
@@ -111,9 +111,9 @@ def _planes(
     step = page.tilelength if page.is_tiled else page.rowsperstrip
     width = page.tilewidth if page.is_tiled else shape[2]
     across = -(-shape[2] // width)
-    needed, held = across * -(-shape[1] // max(1, step)), min(map(len, segments))
-    if held < needed:
-        raise not_readable(files[0], "TIFF", ValueError(f"a page has {held} of {needed} strips or tiles"))
+    needed, stored = across * -(-shape[1] // max(1, step)), min(map(len, segments))
+    if stored < needed:
+        raise not_readable(files[0], "TIFF", ValueError(f"a page has {stored} of {needed} strips or tiles"))
     # Rows are unpacked in groups, so that a part of a plane does not cost the whole of it.
     group = max(1, -(-_ROWS // step))
     rows = min(step * group, shape[1])
@@ -197,11 +197,11 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
     if "S" in axes and shape[axes.index("S")] > 1:
         raise several_values(path, "several samples per voxel")
     extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
-    kept = tuple(n for n in shape if n > 1)
-    if extra and (len(kept) > 3 or "Z" in axes):
+    sizes = tuple(n for n in shape if n > 1)
+    if extra and (len(sizes) > 3 or "Z" in axes):
         raise several_values(path, f"{', '.join(extra)} (channels or times)")
-    if len(kept) != 3:
-        raise not_three_dimensional(path.name, kept[::-1])
+    if len(sizes) != 3:
+        raise not_three_dimensional(path.name, sizes[::-1])
 
 
 def check_palette(page: Any, path: Path) -> None:

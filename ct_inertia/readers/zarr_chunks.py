@@ -80,10 +80,10 @@ class ZarrArray:
             raise header_fault(self.folder, "Zarr array", f"a claim of {math.prod(counts)} chunks")
         there = np.zeros(counts, dtype=np.bool_)
         for at in np.argwhere(files).tolist():
-            held = self.shard.holds(self.files.path(at))
-            first = [number * n for number, n in zip(at, held.shape, strict=True)]
-            part = there[tuple(slice(a, a + n) for a, n in zip(first, held.shape, strict=True))]
-            part[...] = held[tuple(slice(n) for n in part.shape)]
+            in_shard = self.shard.holds(self.files.path(at))
+            first = [number * n for number, n in zip(at, in_shard.shape, strict=True)]
+            part = there[tuple(slice(a, a + n) for a, n in zip(first, in_shard.shape, strict=True))]
+            part[...] = in_shard[tuple(slice(n) for n in part.shape)]
         return there
 
     def missing(self) -> tuple[int, int]:

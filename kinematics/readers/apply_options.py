@@ -126,9 +126,11 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
             without.setdefault(file, []).append(recording.point)
         else:
             assigned.append((file, replace(recording, body=names[0])))
-    for file, lost in without.items():
-        lost = list(dict.fromkeys(lost))
-        shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
+    for file, unassigned in without.items():
+        unassigned = list(dict.fromkeys(unassigned))
+        shown = ", ".join(unassigned[:12]) + (
+            f" and {len(unassigned) - 12} more" if len(unassigned) > 12 else ""
+        )
         step = (
             f"Name them with {named('body')}, e.g. {named('body')} stapes=1-10 {named('body')} "
             f"base=11-19, or list them in {named('points')}"
@@ -159,7 +161,7 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
             run = f"{run} {recording.run}"
         labelled.append((file, replace(recording, run=run or recording.run)))
     unnamed = {file for file, recording in labelled if not recording.run}
-    seen: dict[tuple[object, ...], str] = {}
+    file_of: dict[tuple[object, ...], str] = {}
     again = False
     for file, recording in labelled:
         key = (
@@ -170,7 +172,7 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
             recording.repeat,
             str(recording.level),
         )
-        again |= seen.setdefault(key, file) != file
+        again |= file_of.setdefault(key, file) != file
     if not again:
         return [
             (file, replace(recording, run=recording.run or DEFAULT_RUN)) for file, recording in labelled

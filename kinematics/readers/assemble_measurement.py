@@ -125,7 +125,7 @@ def without_dc(
     KinematicsError
         A frequency below 0.
     """
-    kept, dropped, empty = [], Counter[str](), []
+    remaining, dropped, empty = [], Counter[str](), []
     step = "Export the lines above 0 Hz"
     below = [
         Fault("the frequencies", "positive", f"{np.min(recording.freq_hz):g} Hz", recording.where, step)
@@ -136,7 +136,7 @@ def without_dc(
     for file, recording in recordings:
         good = recording.freq_hz > 0.0
         if np.all(good):
-            kept.append((file, recording))
+            remaining.append((file, recording))
             continue
         dropped[file] += 1
         if not np.any(good):
@@ -150,21 +150,21 @@ def without_dc(
             coherence=None if recording.coherence is None else recording.coherence[good],
             common_sd=None if recording.common_sd is None else recording.common_sd[good],
         )
-        kept.append((file, shortened))
-    if empty and not kept:
+        remaining.append((file, shortened))
+    if empty and not remaining:
         raise KinematicsError.of("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step)
     if not dropped:
-        return kept, []
+        return remaining, []
     listed = ", ".join(f"{count} spectra of {file}" for file, count in dropped.items())
-    return kept, [Notice("dc_line", f"the line at 0 Hz of {listed} holds no motion and was dropped.")]
+    return remaining, [Notice("dc_line", f"the line at 0 Hz of {listed} holds no motion and was dropped.")]
 
 
 def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     """Refuse points without position or direction, and points with two positions."""
     faults = []
     positions: dict[tuple[str, str], tuple[Array, Place | str]] = {}
-    lost: dict[str, list[str]] = {}
-    blind: dict[str, list[str]] = {}
+    without_position: dict[str, list[str]] = {}
+    without_direction: dict[str, list[str]] = {}
     for recording in recordings:
         key = (recording.body, recording.point)
         known = None if points is None else points.positions.get(key)
@@ -180,16 +180,16 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
                 faults.append(fault)
                 positions[key] = (recording.position_mm, recording.where)
         if not np.all(np.isfinite(recording.direction)):
-            blind.setdefault(recording.body, []).append(recording.point)
+            without_direction.setdefault(recording.body, []).append(recording.point)
     for recording in recordings:
         if (recording.body, recording.point) not in positions:
-            lost.setdefault(recording.body, []).append(recording.point)
-    for body, names in lost.items():
+            without_position.setdefault(recording.body, []).append(recording.point)
+    for body, names in without_position.items():
         step = f"Give them with {named('points')} points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
             Fault(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
         )
-    for body, names in blind.items():
+    for body, names in without_direction.items():
         thing = f"points {_listed(names)} of body {body}"
         step = f"Say the direction towards the laser head with {named('beam')} z, -y or X,Y,Z"
         faults.append(Fault(thing, "given with the direction of the beam", "none", "", step))
@@ -276,10 +276,10 @@ def _channel(recording: Recording) -> Channel:
 
 def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
     """List the values that two recordings give for one channel, run and line."""
-    seen: dict[tuple[int, int], list[int]] = {}
+    earlier: dict[tuple[int, int], list[int]] = {}
     faults = []
     for number, key in enumerate(zip(places.take_of, places.channel_of, strict=True)):
-        for other in seen.get(key, []):
+        for other in earlier.get(key, []):
             if np.intersect1d(places.lines_of[number], places.lines_of[other]).size:
                 recording = recordings[number]
                 name = f"{recording.body} {recording.point} ({direction_name(recording.direction)})"
@@ -289,7 +289,7 @@ def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
                 got = f"two that share frequencies ({recordings[other].where} and {recording.where})"
                 faults.append(Fault(f"the channel {name}", "there once in a run", got, "", step))
                 break
-        seen.setdefault(key, []).append(number)
+        earlier.setdefault(key, []).append(number)
     return faults
 
 

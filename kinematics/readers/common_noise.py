@@ -86,7 +86,7 @@ def noise_of_records(
                 records.setdefault((recordings[place].body, recordings[place].point), set()).add(number)
         for number, group in enumerate(groups):
             first = recordings[group[0]]
-            points = tuple(point for point, held in records.items() if held == {number})
+            points = tuple(point for point, in_records in records.items() if in_records == {number})
             if len(group) < 2 or first.common_sd is None or not np.any(first.common_sd > 0.0) or not points:
                 continue
             sd = np.zeros(shape[1])

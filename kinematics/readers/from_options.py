@@ -40,14 +40,14 @@ def input_options(options: LdvOptions) -> InputOptions:
 
 def _series(options: LdvOptions) -> SeriesOptions | None:
     """Return how time series are turned into responses; universal files need no table of their channels."""
-    given = options.series_given
-    if not given:
+    chosen = options.series_given
+    if not chosen:
         return None
-    if "channels" not in given and not any(describes_series(path) for path in options.ldv):
+    if "channels" not in chosen and not any(describes_series(path) for path in options.ldv):
         step = "It says how time series become frequency responses"
-        names = [option.name for option in declared(LdvOptions) if option.field in given]
+        names = [option.name for option in declared(LdvOptions) if option.field in chosen]
         raise_all(
             KinematicsError,
             [Fault(f"{{{name}}}", "given with {channels}", "alone", "", step) for name in names],
         )
-    return SeriesOptions(**given)
+    return SeriesOptions(**chosen)

@@ -322,9 +322,9 @@ def write_hdf5(
             _put(file, "re", numbers.real)
             _put(file, "im", numbers.imag)
             more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
-            for name, given in {"direction": direction, **more}.items():
-                if given is not None:
-                    _put(file, name, given)
+            for name, column in {"direction": direction, **more}.items():
+                if column is not None:
+                    _put(file, name, column)
             texts = {
                 "point": point,
                 "run": run,

@@ -105,7 +105,7 @@ class InputOptions:
     @property
     def said(self) -> tuple[str, ...]:
         """Names of the options that were given."""
-        given = {
+        by_option = {
             "{body}": self.body,
             "{run}": self.run,
             "{beam}": self.beam,
@@ -115,7 +115,7 @@ class InputOptions:
             "{mapping}": self.mapping,
             "{channels}": self.series,
         }
-        chosen = tuple(name for name, value in given.items() if value)
+        chosen = tuple(name for name, value in by_option.items() if value)
         if self.series is not None and self.series.channels is None:
             return tuple(SERIES if name == "{channels}" else name for name in chosen)
         return chosen

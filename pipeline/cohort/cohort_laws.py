@@ -274,10 +274,10 @@ def cohort_laws(
         for response in table.responses
         for predictor in table.predictors
     ]
-    kept = [law for law in laws if law is not None]
+    fitted = [law for law in laws if law is not None]
     with_q: list[CohortLaw] = []
     for name in ("primary", "exploratory"):
-        members = [law for law in kept if law.family == name]
+        members = [law for law in fitted if law.family == name]
         q_values = false_discovery(np.array([law.law.p_value for law in members]))
         with_q += [replace(law, q_value=float(q)) for law, q in zip(members, q_values, strict=True)]
     notices += [*table.notices, *_unresolved(with_q)]

@@ -111,9 +111,9 @@ def _eigen(whitened: Array) -> tuple[Array, Array]:
 def _components_of(values: Array, whitening: Array, k: int) -> Array:
     """Return the covariance of the k largest components between ears, in the units of the data."""
     roots, axes = _eigen(values @ whitening.T)
-    kept = axes[:, :k] * np.maximum(roots[:k] - 1.0, 0.0) @ axes[:, :k].T
+    covariance = axes[:, :k] * np.maximum(roots[:k] - 1.0, 0.0) @ axes[:, :k].T
     back = np.linalg.inv(whitening)
-    return np.asarray(back @ kept @ back.T)
+    return np.asarray(back @ covariance @ back.T)
 
 
 def _simulated(between: Array, roots: Array, whitening: Array, k: int, rng: np.random.Generator) -> Array:

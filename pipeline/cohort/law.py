@@ -137,13 +137,13 @@ class Profile:
         xx, yy, xy = (
             float(a @ b) / (n - 1) for a, b in ((pairs.x, pairs.x), (pairs.y, pairs.y), (pairs.x, pairs.y))
         )
-        left = max(yy - xy**2 / xx, 1e-12)
-        self.standard_error = float(np.sqrt(left / xx / max(n - 2, 1)))
+        residual_variance = max(yy - xy**2 / xx, 1e-12)
+        self.standard_error = float(np.sqrt(residual_variance / xx / max(n - 2, 1)))
         s_xx, s_xy, s_yy = (float(own[:, i, j].mean()) for i, j in ((0, 0), (0, 1), (1, 1)))
         tau = max(xx - s_xx, 0.2 * xx)
         slope = (xy - s_xy) / tau
-        sigma = max(yy - s_yy - slope**2 * tau, 0.1 * left + 1e-6)
-        raw = [0.5 * np.log(xx), xy / xx, 0.5 * np.log(left)]
+        sigma = max(yy - s_yy - slope**2 * tau, 0.1 * residual_variance + 1e-6)
+        raw = [0.5 * np.log(xx), xy / xx, 0.5 * np.log(residual_variance)]
         starts = [[0.5 * np.log(tau), slope, 0.5 * np.log(sigma)], raw, [raw[0], slope, raw[2] - 2.0]]
         self._scales = np.array([0.3, self.standard_error, 0.3])
         self._low = np.array([LOWEST, -inf, LOWEST])

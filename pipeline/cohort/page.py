@@ -31,8 +31,8 @@ def write_cohort_page(
     """Write cohort.html: the ears side by side, and a plain comparison."""
     entries = [quantity.shown(damping_exponent(ears)) for quantity in quantities(ears)]
     count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side; cohort.csv has SI units."
-    lost = f" {len(faults)} more failed." if faults else ""
-    report = Page("Cohort", count + lost)
+    failed = f" {len(faults)} more failed." if faults else ""
+    report = Page("Cohort", count + failed)
     if faults:
         report.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
     rows = [

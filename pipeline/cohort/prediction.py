@@ -137,16 +137,16 @@ def _grid(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
     spread = float(np.std(pairs.x, ddof=1))
     error = float(np.sqrt(np.median(pairs.own[:, 0, 0])))
     noise = float(np.sqrt(np.median(pairs.own[:, 1, 1])))
-    left = profile.standard_error * spread * np.sqrt(pairs.n)
+    residual_sd = profile.standard_error * spread * np.sqrt(pairs.n)
     high = max(best[0], np.log(0.5 * spread)) + 0.65 * wide
     low = max(min(best[0], np.log(spread)) - 0.5 * wide, np.log(1e-3 * spread))
     if np.exp(best[0]) < 0.5 * spread:
         low = np.log(0.02 * spread)
     tau = np.linspace(low, high, _GRID[0])
-    high = max(best[2], np.log(0.5 * left)) + 0.7 * wide
+    high = max(best[2], np.log(0.5 * residual_sd)) + 0.7 * wide
     low = best[2] - 0.6 * wide
-    if np.exp(best[2]) < max(1.5 * noise, 0.6 * left):
-        low = np.log(0.03 * left)
+    if np.exp(best[2]) < max(1.5 * noise, 0.6 * residual_sd):
+        low = np.log(0.03 * residual_sd)
     sigma = np.linspace(low, high, _GRID[2])
     reach, bend = profile.standard_error * (9.0 if pairs.n < 12 else 6.5), 3.0
     if np.exp(best[0]) < 1.5 * error:

@@ -90,9 +90,9 @@ def _follow(client: Any, futures: dict[Any, str], ended: Callable[[str, End], No
     waiting = dict(futures)
     try:
         while waiting:
-            lost = client.status not in ("running", "connecting")
-            for future in [job for job in waiting if lost or job.status != "pending"]:
-                ended(waiting[future], _end_of(future, lost))
+            disconnected = client.status not in ("running", "connecting")
+            for future in [job for job in waiting if disconnected or job.status != "pending"]:
+                ended(waiting[future], _end_of(future, disconnected))
                 del waiting[future]
             time.sleep(_POLL_S)
     except BaseException:
@@ -100,14 +100,14 @@ def _follow(client: Any, futures: dict[Any, str], ended: Callable[[str, End], No
         raise
 
 
-def _end_of(future: Any, lost: bool) -> End:
+def _end_of(future: Any, disconnected: bool) -> End:
     """Return how the study of a future ended."""
     from distributed import KilledWorker
 
     if future.status == "finished":
         end: End = future.result()
         return end
-    if future.status != "error" or lost:
+    if future.status != "error" or disconnected:
         return End(2, fault=f"the scheduler was lost before this ear was finished. {AGAIN}.")
     fault = future.exception()
     if isinstance(fault, KilledWorker):

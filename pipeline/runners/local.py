@@ -36,8 +36,8 @@ def run(
         waiting: dict[Future[End], str] = {pool.submit(run_one, task): task.name for task in tasks}
         try:
             while waiting:
-                done, _ = wait(waiting, _POLL_S, FIRST_COMPLETED)
-                for future in done:
+                finished, _ = wait(waiting, _POLL_S, FIRST_COMPLETED)
+                for future in finished:
                     ended(waiting.pop(future), future.result())
         finally:
             stop.set()

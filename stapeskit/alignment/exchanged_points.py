@@ -49,13 +49,13 @@ def best_order(a: Array, b: Array, weights: Array) -> tuple[Order, float]:
 
 def cycles(order: Order) -> list[tuple[int, ...]]:
     """Return the cycles of an order, points in their place left out."""
-    left, cycles = set(range(len(order))), []
-    while left:
-        cycle = [min(left)]
-        left.discard(cycle[0])
-        while (following := order[cycle[-1]]) in left:
+    remaining, cycles = set(range(len(order))), []
+    while remaining:
+        cycle = [min(remaining)]
+        remaining.discard(cycle[0])
+        while (following := order[cycle[-1]]) in remaining:
             cycle.append(following)
-            left.discard(following)
+            remaining.discard(following)
         if len(cycle) > 1:
             cycles.append(tuple(cycle))
     return cycles

@@ -57,10 +57,10 @@ def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]
     fewest = min(len(parts) for parts in words)
     first = next((k for k in range(fewest) if len({parts[k] for parts in words}) > 1), 0)
     last = next((k for k in range(fewest - first) if len({parts[-1 - k] for parts in words}) > 1), 0)
-    kept = [" ".join(parts[first : len(parts) - last]) for parts in words]
-    if len(set(kept)) < len(kept) or not all(kept):
-        kept = several
-    return {name: shorten_name(short, most) for name, short in zip(several, kept, strict=True)}
+    distinct = [" ".join(parts[first : len(parts) - last]) for parts in words]
+    if len(set(distinct)) < len(distinct) or not all(distinct):
+        distinct = several
+    return {name: shorten_name(short, most) for name, short in zip(several, distinct, strict=True)}
 
 
 def plain(name: str) -> str:

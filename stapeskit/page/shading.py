@@ -150,8 +150,8 @@ def _visible(
     a, b, c = (flat[faces[:, k], :2].T for k in range(3))
     facing = np.flatnonzero((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
     place, near, face, shares = fragments(corners[faces[facing]], shape)
-    seen = nearest(place, near, shape[0] * shape[1])
-    return place[seen], near[seen], facing[face[seen]], shares[seen]
+    shown = nearest(place, near, shape[0] * shape[1])
+    return place[shown], near[shown], facing[face[shown]], shares[shown]
 
 
 def _halved(tone: Array, depth: Array) -> tuple[Array, Array]:

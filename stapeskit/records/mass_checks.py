@@ -206,11 +206,11 @@ def check(raw: Mapping[str, Any], file: str) -> Checked:
     return checked
 
 
-def _differ(given: Array, wanted: Array) -> float:
+def _differ(stated: Array, computed: Array) -> float:
     """Return the largest difference of two inertia matrices in units of sqrt(Mii Mjj)."""
-    root = np.sqrt(np.abs(np.diag(wanted)))
+    root = np.sqrt(np.abs(np.diag(computed)))
     root = np.where(root > 0.0, root, 1.0)
-    return float(np.max(np.abs(given - wanted) / np.outer(root, root)))
+    return float(np.max(np.abs(stated - computed) / np.outer(root, root)))
 
 
 def _frames(checked: Checked) -> None:
@@ -224,9 +224,9 @@ def _frames(checked: Checked) -> None:
         checked.faults += faults
         if not faults:
             checked.transforms[name] = RigidTransform(matrix, to, source)
-    given = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(checked, name)}
-    if len(given) == 1:
-        present = given.pop()
+    plate_poses = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(checked, name)}
+    if len(plate_poses) == 1:
+        present = plate_poses.pop()
         other = "plate_from_footplate" if present == "scan_from_plate" else "scan_from_plate"
         checked.fault(f"frames.{other}", f"given beside {present}", "none")
     if len(checked.transforms) == 3:
@@ -371,23 +371,23 @@ def _same_body(
         if not places:
             checked.fault("mass_matrix_reduced.dof", f"names out of {', '.join(DOF_NAMES)}", short(names))
         else:
-            given = checked.numbers("mass_matrix_reduced.matrix_si", (len(places), len(places)))
+            stated = checked.numbers("mass_matrix_reduced.matrix_si", (len(places), len(places)))
             root = np.sqrt(np.diag(own))[places]
             part = own[np.ix_(places, places)]
-            if given is not None and np.max(np.abs(given - part) / np.outer(root, root)) > _SAME:
+            if stated is not None and np.max(np.abs(stated - part) / np.outer(root, root)) > _SAME:
                 checked.fault("mass_matrix_reduced", "the same entries as mass_matrix", "others")
     if checked.get("mass_matrix_plate_axes", optional=True) is None:
         return
     checked.word("mass_matrix_plate_axes.about", "footplate_centre")
     checked.word("mass_matrix_plate_axes.axes", "plate")
     checked.listed("mass_matrix_plate_axes.dof", DOF_NAMES)
-    given = checked.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
+    stated = checked.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
     plate = checked.transforms.get("plate_from_footplate")
     if plate is None and not _given(checked, "plate_from_footplate"):
         checked.fault("mass_matrix_plate_axes", "null in a file without plate_from_footplate", "a matrix")
-    elif plate is not None and given is not None:
+    elif plate is not None and stated is not None:
         back = np.linalg.inv(twist_transfer(plate.rotation, np.zeros(3)))
-        if _differ(given, back.T @ own @ back) > _SAME:
+        if _differ(stated, back.T @ own @ back) > _SAME:
             checked.fault(
                 "mass_matrix_plate_axes", "mass_matrix turned into the plate axes", "another matrix"
             )

@@ -86,7 +86,7 @@ MassInput = str | os.PathLike[str] | MeasuredMass | MassRecord | HasMass
 """What gives a mass: the path of a mass.json, a record, or a result that holds one."""
 
 
-def measured_mass(given: MassInput) -> MeasuredMass:
+def measured_mass(source: MassInput) -> MeasuredMass:
     """Return the mass that a path, a record or a result gives.
 
     Raises
@@ -94,10 +94,10 @@ def measured_mass(given: MassInput) -> MeasuredMass:
     StapeskitError
         The file is not what ct2mass writes; see `read_mass_record`.
     """
-    if isinstance(given, MeasuredMass):
-        return given
-    if isinstance(given, MassRecord):
-        return MeasuredMass(given)
-    if isinstance(given, HasMass):
-        return given.measured_mass()
-    return MeasuredMass(read_mass_record(Path(given)), Path(given))
+    if isinstance(source, MeasuredMass):
+        return source
+    if isinstance(source, MassRecord):
+        return MeasuredMass(source)
+    if isinstance(source, HasMass):
+        return source.measured_mass()
+    return MeasuredMass(read_mass_record(Path(source)), Path(source))

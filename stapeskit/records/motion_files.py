@@ -74,9 +74,9 @@ def _write_csv(path: Path, motion: RigidMotion) -> None:
         file.write(",".join(names) + "\n")
         for run, body in np.ndindex(runs, bodies):
             start = _cell(motion.runs[run]) + "," + _cell(motion.bodies[body]) + ","
-            kept = np.flatnonzero(np.isfinite(motion.q[run, body, :, 0].real))
-            for first in range(0, len(kept), _ROWS):
-                pick = kept[first : first + _ROWS]
+            determined = np.flatnonzero(np.isfinite(motion.q[run, body, :, 0].real))
+            for first in range(0, len(determined), _ROWS):
+                pick = determined[first : first + _ROWS]
                 q = motion.q[run, body, pick]
                 parts = np.stack([q.real, q.imag], axis=-1).reshape(len(q), -1)
                 table = np.hstack([parts, sd[run, body, pick], more[run, body, pick]])

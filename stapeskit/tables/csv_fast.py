@@ -207,14 +207,14 @@ def _newlines_and_marks(body: bytes) -> tuple[int, set[bytes]]:
 
 def _without_skipped(body: bytes, height: int) -> tuple[bytes, NDArray[np.int64], int]:
     """Remove comments and blank lines; return the rest, the lines of its rows, and the number of comments."""
-    kept, skipped, comments, end, line = [], [], 0, 0, 0
+    remaining, skipped, comments, end, line = [], [], 0, 0, 0
     for match in _SKIPPED.finditer(body):
         line += body.count(b"\n", end, match.start())
-        kept.append(body[end : match.start()])
+        remaining.append(body[end : match.start()])
         skipped.append(line)
         comments += match[1].startswith(b"#")
         end, line = match.end(), line + 1
-    return b"".join([*kept, body[end:]]), np.delete(np.arange(height), skipped), comments
+    return b"".join([*remaining, body[end:]]), np.delete(np.arange(height), skipped), comments
 
 
 def _count(body: bytes, mark: bytes) -> int:

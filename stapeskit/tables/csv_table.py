@@ -125,14 +125,14 @@ def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
     new_text[1:] = codes[1:] != codes[:-1]
     changes = np.flatnonzero(new_text)
     first[codes[changes][::-1]] = changes[::-1]
-    kept: dict[str, int] = {}
+    code_of: dict[str, int] = {}
     for code in np.argsort(first[:-1], kind="stable").tolist():
         if names[code] and first[code] < len(codes):
-            kept.setdefault(names[code], len(kept))
+            code_of.setdefault(names[code], len(code_of))
     new = np.full(len(names) + 1, -1, dtype=np.intp)
     for code, word in enumerate(names):
-        new[code] = kept.get(word, -1)
-    return TextColumn(new[codes], tuple(kept))
+        new[code] = code_of.get(word, -1)
+    return TextColumn(new[codes], tuple(code_of))
 
 
 def _without_empty(table: Table) -> Table:

@@ -117,7 +117,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
         return None
     count = np.asarray(space[frequency]).size
     values = [name for name, value in space.items() if name != frequency and _is_value(name, value, count)]
-    complex_ones = [name for name in values if np.iscomplexobj(_stacked(space[name]))]
+    complex_ones = [name for name in values if np.iscomplexobj(stacked(space[name]))]
     named = [n for n in values if re.fullmatch(r"(y|amp|vib|fft|h1|h2|frf|data)?_?[xyz]?", n.lower())]
     chosen = complex_ones or [name for name in named if _beam_usd(name, space)]
     pairs = _pairs(space, count)
@@ -160,7 +160,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
 
 def _point_names(space: Mapping[str, Any], low: Mapping[str, str], signal: Signal, count: int) -> str:
     """Return the variable with one name or number for every row of the values."""
-    shape = np.shape(_stacked(space[signal.value or signal.value_re]))
+    shape = np.shape(stacked(space[signal.value or signal.value_re]))
     rows = shape[0] if shape[1] in (count, 2 * count) else shape[1]
     for name in _POINTS:
         names = space.get(low.get(name, ""), None)
@@ -179,7 +179,7 @@ def _is_axis(value: Any) -> bool:
     return value.size == max(value.shape) and bool(np.all(np.diff(flat) > 0.0))
 
 
-def _stacked(value: Any) -> Any:
+def stacked(value: Any) -> Any:
     """Return a cell array of rows as one array (point, F); other values as they are."""
     if not isinstance(value, list) or not value or not all(isinstance(entry, np.ndarray) for entry in value):
         return value
@@ -192,11 +192,8 @@ def _stacked(value: Any) -> Any:
     return np.array(rows)
 
 
-stacked = _stacked
-
-
 def _is_value(name: str, value: Any, count: int) -> bool:
-    value = _stacked(value)
+    value = stacked(value)
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiuc" or value.ndim < 2:
         return False
     if name.lower().startswith((*_COHERENCES, "ref", "sd")) or name.lower() in _POSITIONS:

@@ -10,8 +10,8 @@ to 7.3. Everything else is described by a mapping, see kinematics.readers.matlab
 from __future__ import annotations
 
 import re
-from collections import ChainMap
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +20,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.matlab_file import describe, read_mat
 from kinematics.readers.matlab.mapping import Layout, layout_of, read_mapping
-from kinematics.readers.matlab.variables import (
-    LENGTH_END,
-    companion_of,
-    count_of,
-    directions_of,
-    names_of,
-    positions_of,
-    reals,
-    unit_of,
-    values_of,
-    variable,
-)
+from kinematics.readers.matlab.variables import LENGTH_END, Variables
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
 from kinematics.readers.value_checks import check_frequencies
@@ -71,7 +60,8 @@ def with_mapping(tree: Mapping[str, Any], path: Path, mapping: Path | None) -> R
     if mapping is None and beside.is_file():
         mapping = beside
     if mapping is not None:
-        return _joined([_from_layout(tree, read_mapping(mapping), path.name, tree)], path.name)
+        block = _from_layout(Variables(tree, path.name, tree), read_mapping(mapping))
+        return _joined([block], path.name)
     return of_tree(tree, path)
 
 
@@ -83,7 +73,7 @@ def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
     KinematicsError
         None is recognised; the variables found are listed.
     """
-    blocks = _found(tree, tree, path.name)
+    blocks = _found(Variables(tree, path.name, tree))
     if not blocks:
         raise KinematicsError(_unrecognised(tree, path))
     return _joined(blocks, path.name)
@@ -110,96 +100,95 @@ def _joined(blocks: list[Recordings], name: str) -> Recordings:
     )
 
 
-def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> list[Recordings]:
+def _found(variables: Variables) -> list[Recordings]:
     """Search for known layouts here, then in structs, then in struct arrays and cells of structs."""
-    layout = layout_of(space)
+    layout = layout_of(variables.space)
     if layout is not None:
-        return [_from_layout(space, layout, where, tree)]
+        return [_from_layout(variables, layout)]
     inner = {
-        name: layout_of(ChainMap(value, dict(space)))
-        for name, value in space.items()
+        name: variables.within(value, f"{variables.where}, {name}")
+        for name, value in variables.space.items()
         if isinstance(value, dict)
     }
-    good = {name: layout for name, layout in inner.items() if layout is not None}
+    layouts = {name: layout_of(fields.space) for name, fields in inner.items()}
+    good = {name: layout for name, layout in layouts.items() if layout is not None}
     blocks: list[Recordings] = []
     faults: list[Fault] = []
     for name, entry in good.items():
-        run = name if len(good) > 1 else ""
-        named = Layout(**{**vars(entry), "run": run})
-        inside = ChainMap(space[name], dict(space))
         with collect_faults(faults):
-            blocks.append(_from_layout(inside, named, f"{where}, {name}", tree))
+            blocks.append(_from_layout(inner[name], replace(entry, run=name if len(good) > 1 else "")))
     raise_all(KinematicsError, dict.fromkeys(faults))
     if blocks:
         return blocks
-    for name, value in space.items():
+    for name, value in variables.space.items():
         if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
-            outer = {key: entry for key, entry in space.items() if key != name}
-            parts = [ChainMap(entry, outer) for entry in value]
-            layouts = [layout_of(part) for part in parts]
-            if any(entry is not None for entry in layouts):
-                return _elements(parts, layouts, f"{where}, {name}", tree)
-        if isinstance(value, dict) and (deeper := _found(value, tree, f"{where}, {name}")):
-            return deeper
+            outer = {key: entry for key, entry in variables.space.items() if key != name}
+            around = replace(variables, space=outer)
+            parts = [
+                around.within(entry, f"{variables.where}, {name}({number})")
+                for number, entry in enumerate(value, 1)
+            ]
+            if any(layout_of(part.space) is not None for part in parts):
+                return _elements(parts, f"{variables.where}, {name}")
+        if isinstance(value, dict):
+            deeper = _found(Variables(value, f"{variables.where}, {name}", variables.tree))
+            if deeper:
+                return deeper
     return []
 
 
-def _elements(
-    parts: list[ChainMap[str, Any]], layouts: list[Layout | None], where: str, tree: Mapping[str, Any]
-) -> list[Recordings]:
+def _elements(parts: list[Variables], where: str) -> list[Recordings]:
+    """Read the elements of a struct array, of which each is a point."""
     blocks = []
     faults: list[Fault] = []
-    for number, (part, layout) in enumerate(zip(parts, layouts, strict=True), 1):
+    for number, part in enumerate(parts, 1):
+        layout = layout_of(part.space)
         if layout is None:
             text = f"element {number} holds no spectrum and is left out ({where})."
             blocks.append(Recordings((), (Notice("missing_point", text),), amplitude_stated=True))
         else:
             with collect_faults(faults):
-                blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
+                blocks.append(_from_layout(part, layout, str(number)))
     raise_all(KinematicsError, dict.fromkeys(faults))
     return blocks
 
 
-def _from_layout(
-    space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str = ""
-) -> Recordings:
-    if layout.each:
-        elements = variable(space, layout.each, where, tree)
-        if not isinstance(elements, list) or not all(isinstance(element, dict) for element in elements):
-            want = "a struct array or a cell array of structs"
-            raise KinematicsError.of(layout.each, want, "something else", where)
-        inside = Layout(**{**vars(layout), "each": ""})
-        blocks: list[Recordings] = []
-        faults: list[Fault] = []
-        for k, entry in enumerate(elements, 1):
-            spot = f"{where}, {layout.each}({k})"
-            with collect_faults(faults):
-                blocks.append(_from_layout(ChainMap(entry, dict(space)), inside, spot, tree, str(k)))
-        raise_all(KinematicsError, dict.fromkeys(faults))
-        return _joined(blocks, where)
-    return _plain(space, layout, where, tree, point)
+def _from_layout(variables: Variables, layout: Layout, point: str = "") -> Recordings:
+    if not layout.each:
+        return _plain(variables, layout, point)
+    elements = variables.get(layout.each)
+    if not isinstance(elements, list) or not all(isinstance(element, dict) for element in elements):
+        want = "a struct array or a cell array of structs"
+        raise KinematicsError.of(layout.each, want, "something else", variables.where)
+    inside = replace(layout, each="")
+    blocks: list[Recordings] = []
+    faults: list[Fault] = []
+    for k, entry in enumerate(elements, 1):
+        part = variables.within(entry, f"{variables.where}, {layout.each}({k})")
+        with collect_faults(faults):
+            blocks.append(_from_layout(part, inside, str(k)))
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    return _joined(blocks, variables.where)
 
 
-def _plain(
-    space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str
-) -> Recordings:
+def _plain(variables: Variables, layout: Layout, point: str) -> Recordings:
     """Read the signals of a layout; report all faults of its variables together."""
     faults: list[Fault] = []
     recordings: list[Recording] = []
     freq: Array | None = None
     with collect_faults(faults):
-        freq = _frequencies(space, layout, where, tree)
+        freq = _frequencies(variables, layout)
     for signal in layout.signal:
         name = signal.value or signal.value_re
         unit, count = MotionUnit(0, 1.0), None
         with collect_faults(faults):
-            unit = unit_of(space, signal, name, where, tree)
+            unit = variables.unit(signal, name)
         with collect_faults(faults):
-            count = count_of(space, signal, where, tree)
+            count = variables.count(signal)
         if freq is None:
             continue
         with collect_faults(faults):
-            values = values_of(space, signal, len(freq), where, tree)
+            values = variables.values(signal, len(freq))
             if layout.convention == "-":
                 values = values.conj()
             shape, rows = values.shape, len(values)
@@ -208,17 +197,15 @@ def _plain(
             names, places, directions = [""] * rows, [unknown_vector()] * rows, [[unknown_vector()] * rows]
             coherence = spread = None
             with collect_faults(faults):
-                names = names_of(space, layout, rows, where, tree, point)
+                names = variables.names(layout, rows, point)
             with collect_faults(faults):
-                places = positions_of(space, layout, rows, where, tree)
+                places = variables.positions(layout, rows)
             with collect_faults(faults):
-                coherence = companion_of(space, signal.coherence, shape, where, tree)
+                coherence = variables.companion(signal.coherence, shape)
             with collect_faults(faults):
-                spread = companion_of(space, signal.sd, shape, where, tree)
+                spread = variables.companion(signal.sd, shape)
             with collect_faults(faults):
-                directions = [
-                    directions_of(space, signal, beam, values, where, tree) for beam in range(shape[2])
-                ]
+                directions = [variables.directions(signal, beam, values) for beam in range(shape[2])]
             if len(faults) > before:
                 continue
             for beam in range(shape[2]):
@@ -230,7 +217,7 @@ def _plain(
                                 freq,
                                 scaled(values[k, :, beam], scale),
                                 unit.order,
-                                Place(f"{where}, {name}", "row", (k + 1,)),
+                                Place(f"{variables.where}, {name}", "row", (k + 1,)),
                                 signal.run or layout.run,
                                 signal.body or layout.body,
                                 places[k],
@@ -250,8 +237,8 @@ def _plain(
     )
 
 
-def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any]) -> Array:
-    freq = reals(space, layout.frequency, where, tree).reshape(-1)
+def _frequencies(variables: Variables, layout: Layout) -> Array:
+    freq = variables.reals(layout.frequency).reshape(-1)
     step = "Say which variable holds the frequencies in a mapping"
-    check_frequencies(freq, where, layout.frequency, step)
+    check_frequencies(freq, variables.where, layout.frequency, step)
     return freq

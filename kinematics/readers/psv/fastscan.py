@@ -146,8 +146,8 @@ def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Noti
         return lines, []
     listed = " and ".join(QUANTITIES[order] for order in orders)
     text = f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."
-    kept = [line for line in lines if line.signals[0].unit.order == orders[0]]
-    return kept, [Notice("quantity_chosen", text)]
+    chosen = [line for line in lines if line.signals[0].unit.order == orders[0]]
+    return chosen, [Notice("quantity_chosen", text)]
 
 
 def _twice(lines: Sequence[_Line]) -> list[Fault]:

@@ -65,12 +65,12 @@ def read(path: Path) -> Recordings:
         for block, recordings, _ in entries
         for recording in recordings
     ]
-    kept, notices = _one_quantity(named, path.name)
-    axes = {(recording.point, recording.direction.tobytes()) for recording, _ in kept}
+    chosen, notices = _one_quantity(named, path.name)
+    axes = {(recording.point, recording.direction.tobytes()) for recording, _ in chosen}
     if len(axes) > len({point for point, _ in axes}):
         notices.append(axes_notice(path.name))
     units = "positions in stated units" if stated else "positions without unit, as metres"
-    recordings, joined_notices = _by_source(kept, path.name)
+    recordings, joined_notices = _by_source(chosen, path.name)
     return Recordings(
         recordings, (*notices, *joined_notices), f"coordinates of the scan, {units}", length_stated=stated
     )
@@ -189,15 +189,15 @@ def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[R
     counts = Counter(key(recording) for recording, _ in entries)
     if max(counts.values()) == 1:
         return tuple(recording for recording, _ in entries), _joined(entries, name)
-    seen: dict[tuple[object, ...], Place | str] = {}
+    where_of: dict[tuple[object, ...], Place | str] = {}
     faults = []
     for recording, source in entries:
         place = (*key(recording), source)
-        if place in seen:
+        if place in where_of:
             step = "Put every excitation into a separate folder, and give all folders"
             thing = f"the signal of point {recording.point}"
-            faults.append(Fault(thing, "there once", "two", f"{seen[place]} and {recording.where}", step))
-        seen[place] = recording.where
+            faults.append(Fault(thing, "there once", "two", f"{where_of[place]} and {recording.where}", step))
+        where_of[place] = recording.where
     raise_all(KinematicsError, faults)
     return tuple(
         replace(recording, run=Path(source.replace("\\", "/")).stem) for recording, source in entries

@@ -130,14 +130,14 @@ def export_files(folder: Path, deep: bool = True, endings: tuple[str, ...] = EXP
     KinematicsError
         It holds more files than a measurement has.
     """
-    found = list(islice(folder.rglob("*") if deep else folder.iterdir(), _MOST_FILES + 1))
-    if len(found) > _MOST_FILES:
+    entries = list(islice(folder.rglob("*") if deep else folder.iterdir(), _MOST_FILES + 1))
+    if len(entries) > _MOST_FILES:
         step = "Give the folder of the exported text files"
         got, name = f"more than {_MOST_FILES}", folder.name
         raise KinematicsError.of("the folder", "one with the files of a measurement", got, name, step)
     return sorted(
         path
-        for path in found
+        for path in entries
         if path.suffix.lower() in endings and not path.name.startswith(".") and path.is_file()
     )
 

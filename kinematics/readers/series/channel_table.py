@@ -96,14 +96,14 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
     table = read_table(Path(path), choose)
     faults = list(table.faults)
     channels = [_channel(table, row, faults) for row in range(len(table))]
-    seen: dict[tuple[str, str, str], Place | str] = {}
+    where_of: dict[tuple[str, str, str], Place | str] = {}
     for channel in channels:
         key = (channel.name, channel.file, channel.point)
-        if key in seen:
+        if key in where_of:
             faults.append(
                 Fault(f"channel {channel.name}", "listed once", "it again", channel.where, "Keep one row")
             )
-        seen[key] = channel.where
+        where_of[key] = channel.where
     if not faults and not any(channel.role == "response" for channel in channels):
         faults.append(Fault("the channel table", "a table of at least one response", "none", table.file))
     raise_all(KinematicsError, faults)
@@ -175,13 +175,19 @@ def _unit(
     texts: dict[str, str], role: str, where: Place | str, faults: list[Fault]
 ) -> tuple[float, int, str]:
     """Return factor, order and unit of a channel's numbers."""
-    given, unit, factor = texts.get("sensitivity", ""), texts.get("unit", ""), 1.0
-    if given:
-        sensor = sensitivity(given)
+    sensor_text, unit, factor = texts.get("sensitivity", ""), texts.get("unit", ""), 1.0
+    if sensor_text:
+        sensor = sensitivity(sensor_text)
         if sensor is None:
             step = "Write it with its unit: 5 mm/s/V (of a vibrometer) or 100 mV/g (of an accelerometer)"
             faults.append(
-                Fault("sensitivity", "a number with volts in its unit", f'"{plain_text(given)}"', where, step)
+                Fault(
+                    "sensitivity",
+                    "a number with volts in its unit",
+                    f'"{plain_text(sensor_text)}"',
+                    where,
+                    step,
+                )
             )
             return 1.0, -1, ""
         factor, of_it = sensor

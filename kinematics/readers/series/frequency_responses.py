@@ -321,25 +321,25 @@ def _recordings(
     group: _Group, frf: Frf, reference: Channel | None, series: Series, options: SeriesOptions
 ) -> list[Recording]:
     low, high = options.frf_band_hz or (0.0, np.inf)
-    kept = (frf.freq_hz >= low) & (frf.freq_hz <= high)
-    if not np.any(kept):
+    in_band = (frf.freq_hz >= low) & (frf.freq_hz <= high)
+    if not np.any(in_band):
         return []
     return [
         Recording(
             point,
-            frf.freq_hz[kept],
-            frf.value[k, kept],
+            frf.freq_hz[in_band],
+            frf.value[k, in_band],
             channel.order,
             Place(series.file, detail=f"channel {channel.name}"),
             channel.run,
             channel.body,
             channel.position_mm,
             channel.direction,
-            frf.sd[k, kept],
-            None if frf.coherence is None else frf.coherence[k, kept],
+            frf.sd[k, in_band],
+            None if frf.coherence is None else frf.coherence[k, in_band],
             None if np.isnan(frf.n_avg) else frf.n_avg,
             per="" if reference is None else reference.unit,
-            common_sd=frf.common_sd[kept],
+            common_sd=frf.common_sd[in_band],
             line_spread=frf.line_spread,
         )
         for k, (channel, point) in enumerate(zip(group.channels, group.points, strict=True))

@@ -123,13 +123,13 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     raise_all(KinematicsError, faults)
     positions: dict[int, Array] = {}
     axes: dict[int, Array] = {}
-    lost: set[int] = set()
+    missing_systems: set[int] = set()
     for label in sorted(used & set(nodes)):
         position, defined_in, measured_in, where = nodes[label]
         wrong: list[Fault] = []
         for number in {defined_in, measured_in} - {0}:
             if number not in systems and not systems:
-                lost.add(number)
+                missing_systems.add(number)
             wrong += _system_faults(number, systems, label, where) if systems else []
         faults += wrong
         if wrong:
@@ -144,8 +144,8 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
         axes[label] = _to_global(measured_in, systems)[0]
     raise_all(KinematicsError, faults)
     notices = []
-    if lost:
-        listed = ", ".join(map(str, sorted(lost)))
+    if missing_systems:
+        listed = ", ".join(map(str, sorted(missing_systems)))
         text = (
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: "
             "it was taken for the global one."
@@ -268,11 +268,13 @@ def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
 
 def _system_faults(number: int, systems: Mapping[int, System], node: int, where: str) -> list[Fault]:
     """List what keeps a node from being placed: an unknown, curved or circular coordinate system."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     while number != 0:
-        if number in seen or number not in systems:
+        if number in visited or number not in systems:
             got = (
-                "one that refers to itself" if number in seen else "a number that the file does not describe"
+                "one that refers to itself"
+                if number in visited
+                else "a number that the file does not describe"
             )
             step = "Export the coordinate systems too, or the geometry in global coordinates"
             thing = f"coordinate system {number} of node {node}"
@@ -281,7 +283,7 @@ def _system_faults(number: int, systems: Mapping[int, System], node: int, where:
             shape = _SHAPES.get(systems[number].shape, f"type {systems[number].shape}")
             step = "Export the geometry in cartesian coordinates"
             return [Fault(f"coordinate system {number} of node {node}", "cartesian", shape, where, step)]
-        seen.add(number)
+        visited.add(number)
         number = systems[number].parent
     return []
 

@@ -45,23 +45,23 @@ def usable_motions(
     faults : list of str
         What is wrong with functions of motion is added to it.
     """
-    usable, left = [], Counter[str]()
+    usable, others = [], Counter[str]()
     for function in functions:
         if function.kind not in (FRF, TRANSMISSIBILITY, SPECTRUM):
-            left[function.kind_name] += function.kind != COHERENCE
+            others[function.kind_name] += function.kind != COHERENCE
         elif not is_motion(function):
-            left[f"{function.kind_name} of {function.ordinate.label or 'another quantity'}"] += 1
+            others[f"{function.kind_name} of {function.ordinate.label or 'another quantity'}"] += 1
         elif function.abscissa.kind not in (0, 1, _FREQUENCY):
-            left[f"{function.kind_name} over {function.abscissa.label or 'something else'}"] += 1
+            others[f"{function.kind_name} over {function.abscissa.label or 'something else'}"] += 1
         elif function.real:
-            left[f"{function.kind_name} of real numbers, without phase"] += 1
+            others[f"{function.kind_name} of real numbers, without phase"] += 1
         else:
             faults += direction_faults(function, file)
             faults += _frequency_faults(function, file)
             motion = motion_of(function, geometry, file, faults)
             if motion is not None:
                 usable.append(motion)
-    return usable, Counter({name: count for name, count in left.items() if count})
+    return usable, Counter({name: count for name, count in others.items() if count})
 
 
 def is_motion(function: Function) -> bool:

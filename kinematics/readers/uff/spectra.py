@@ -83,7 +83,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
 
 def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, faults: list[Fault]) -> Recordings:
     """Make recordings of the functions over frequency."""
-    usable, left = usable_motions(functions, geometry, file, faults)
+    usable, others = usable_motions(functions, geometry, file, faults)
     known = coherences(functions)
     coherent: dict[int, tuple[Array | None, bool]] = {}
     for motion in usable:
@@ -91,8 +91,8 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
             coherent[motion.function.place] = known.of(motion.function, file)
     raise_all(KinematicsError, faults)
     if not usable:
-        raise KinematicsError(_nothing(functions, left, file))
-    chosen, notices = _chosen(usable, left, geometry, file)
+        raise KinematicsError(_nothing(functions, others, file))
+    chosen, notices = _chosen(usable, others, geometry, file)
     runs = _runs(chosen)
     coherence_of = {motion.function.place: coherent[motion.function.place][0] for motion in chosen}
     recordings = [
@@ -111,13 +111,13 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
 
 
 def _chosen(
-    usable: list[Motion], left: Counter[str], geometry: Geometry, file: str
+    usable: list[Motion], others: Counter[str], geometry: Geometry, file: str
 ) -> tuple[list[Motion], list[Notice]]:
     """Choose the functions to use: responses rather than spectra, one quantity of each channel."""
     notices = []
     kinds = {motion.function.kind for motion in usable}
-    kept = [motion for motion in usable if motion.function.kind != SPECTRUM] or usable
-    if len(kept) < len(usable):
+    chosen = [motion for motion in usable if motion.function.kind != SPECTRUM] or usable
+    if len(chosen) < len(usable):
         text = f"{file} holds spectra and frequency responses: the responses are used."
         notices.append(Notice("function_chosen", text))
     elif kinds == {SPECTRUM}:
@@ -126,22 +126,22 @@ def _chosen(
             "every point was triggered by the excitation."
         )
         notices.append(Notice("spectra_phase", text))
-    kept, several = _one_quantity(kept)
+    chosen, several = _one_quantity(chosen)
     if several:
         text = f"{file} holds {' and '.join(several)} of the same points: {several[0]} is used."
         notices.append(Notice("quantity_chosen", text))
-    if left:
-        listed = ", ".join(f"{count} {name}" for name, count in left.most_common())
+    if others:
+        listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
         notices.append(Notice("functions_left_out", f"{file}: left out: {listed}."))
-    if geometry.length_factor is None and any(is_none(m.function.ordinate.unit) for m in kept):
+    if geometry.length_factor is None and any(is_none(m.function.ordinate.unit) for m in chosen):
         text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
         notices.append(Notice("unit_assumed", text))
-    return kept, notices
+    return chosen, notices
 
 
-def _nothing(functions: Sequence[Function], left: Mapping[str, int], file: str) -> Fault:
+def _nothing(functions: Sequence[Function], others: Mapping[str, int], file: str) -> Fault:
     """Return the fault of a file without motion over frequency, with what it holds instead."""
-    listed = ", ".join(f"{count} {name}" for name, count in left.items() if count) or KINDS[COHERENCE]
+    listed = ", ".join(f"{count} {name}" for name, count in others.items() if count) or KINDS[COHERENCE]
     step = "Export complex spectra or frequency responses of velocity or displacement"
     if any(function.kind == TIME for function in functions):
         step = f"Export them, or say how its time responses are averaged, e.g. by {named('frf')} h1"
@@ -159,12 +159,12 @@ def _one_quantity(motions: list[Motion]) -> tuple[list[Motion], list[str]]:
         return motions, []
     rank = sorted(several, key=lambda order: (order != 1, order))
     best = {channel: next((o for o in rank if o in orders), -1) for channel, orders in by_channel.items()}
-    kept = [
+    chosen = [
         motion
         for motion in motions
         if len(by_channel[_channel(motion.function)]) == 1 or motion.order == best[_channel(motion.function)]
     ]
-    return kept, [QUANTITIES[order] for order in rank]
+    return chosen, [QUANTITIES[order] for order in rank]
 
 
 def _channel(function: Function) -> tuple[object, ...]:
@@ -243,13 +243,13 @@ def _repeats(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> list[
 
 def _check_once(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> None:
     """Refuse two functions of one point, direction and run."""
-    seen: dict[tuple[object, ...], Place | str] = {}
+    where_of: dict[tuple[object, ...], Place | str] = {}
     faults = []
     for recording, motion in zip(recordings, chosen, strict=True):
         key = (recording.point, motion.function.direction, recording.run, motion.function.version)
-        if key in seen:
+        if key in where_of:
             thing = f"the function of node {recording.point} in direction {motion.function.direction}"
             step = "Export one signal of one excitation, or give the runs different references"
-            faults.append(Fault(thing, "there once", "two", f"{seen[key]} and {recording.where}", step))
-        seen[key] = recording.where
+            faults.append(Fault(thing, "there once", "two", f"{where_of[key]} and {recording.where}", step))
+        where_of[key] = recording.where
     raise_all(KinematicsError, faults)

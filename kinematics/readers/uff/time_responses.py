@@ -77,7 +77,7 @@ def read_responses(
     where the file begins with responses.
     """
     times = [function for function in functions if function.kind == TIME and not _is_other(function)]
-    left = len(functions) - len(times)
+    other_count = len(functions) - len(times)
     recordings: list[Recording] = []
     notices: list[Notice] = []
     how = ""
@@ -99,8 +99,8 @@ def read_responses(
     raise_all(KinematicsError, dict.fromkeys(faults))
     if not recordings:
         raise KinematicsError(empty_band(file))
-    if left:
-        text = f"{file}: left out: {left} functions that are no time responses."
+    if other_count:
+        text = f"{file}: left out: {other_count} functions that are no time responses."
         notices.append(Notice("functions_left_out", text))
     notices += geometry.notices
     units = f"{geometry.units}; {how}" + (f", reference {name}" if name else "")
