@@ -119,7 +119,12 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
 
 
 def _write(
-    given: ParsedOptions, outputs: OutputSet, stage: Path, result: MassMeasurement, hashes: Hashes, crop: EarlyCrop
+    given: ParsedOptions,
+    outputs: OutputSet,
+    stage: Path,
+    result: MassMeasurement,
+    hashes: Hashes,
+    crop: EarlyCrop,
 ) -> tuple[list[str], dict[str, Any], tuple[Notice, ...]]:
     """Write every output; return their names, the content of mass.json, and the warnings of writing."""
     from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs

@@ -54,7 +54,7 @@ def read_dataset(dataset: Path) -> list[Path]:
     if not files:
         expected = f"a dataset with study files sub-*/sub-*{_STUDY}"
         step = "Name study files before {bids} to write them there"
-        raise PipelineError(Fault("{bids}", expected, dataset, "", step))
+        raise PipelineError.of("{bids}", expected, dataset, "", step)
     return files
 
 

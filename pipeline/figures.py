@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.figure_pdf import figure_pdf
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.own_files import OutputSet
+from stapeskit.tables.latex import PACKAGE, tabular
 from stapeskit.tables.text_cells import as_text_cell
 
 _PICTURE = re.compile(r"data:image/(svg|png)(?:\+xml)?;base64,(.*)", re.DOTALL)
@@ -25,15 +26,6 @@ _STEP = "Give report.html, dof.html or kd.html"
 _LONGEST_NAME = 100  # characters; with number and ending less than the 255 bytes that file systems allow
 _LEAST_ROWS = 3  # a header and two rows
 _NUMBER = re.compile(r"[+-]?[\d.][^|!(=@]*")  # without what calls something from a formula
-_SIGNS = {
-    **{"α": "alpha", "β": "beta", "γ": "gamma", "ω": "omega", "ζ": "zeta", "σ": "sigma", "χ": "chi"},
-    **{"φ": "varphi", "µ": "mu", "μ": "mu", "±": "pm", "×": "times", "√": "surd"},
-}
-_LATEX = {sign: f"$\\{name}$" for sign, name in _SIGNS.items()} | {
-    **{"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "°": "$^\\circ$"},
-    **{"²": "$^2$", "³": "$^3$", "−": "$-$"},
-    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-}
 
 
 @dataclass
@@ -113,9 +105,9 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
     files |= {f"{name}.pdf": _pdf(page, kind, content) for name, kind, content in parts.figures}
     for name, rows in parts.tables:
         files[f"table_{name}.csv"] = _csv(rows)
-        files[f"table_{name}.tex"] = _latex(rows)
+        files[f"table_{name}.tex"] = ("\n".join([PACKAGE, *tabular(rows)]) + "\n").encode()
     if not files:
-        raise StapeskitError(Fault("the page", "one with figures or tables", "none", page.name, _STEP))
+        raise StapeskitError.of("the page", "one with figures or tables", "none", page.name, _STEP)
     outputs = OutputSet("stapeskit figures", folder, tuple(files), (page,), force)
     outputs.check()
     with outputs.staged() as stage:
@@ -133,7 +125,7 @@ def _parts(page: Path) -> _Parts:
         parts.feed(page.read_text(encoding="utf-8"))
     except (OSError, ValueError, AssertionError) as fault:  # the parser asserts what declarations hold
         got = f"{page}: {fault.strerror}" if isinstance(fault, OSError) else page
-        raise StapeskitError(Fault("the page", "a page that a command wrote", got, "", _STEP)) from fault
+        raise StapeskitError.of("the page", "a page that a command wrote", got, "", _STEP) from fault
     return parts
 
 
@@ -144,7 +136,7 @@ def _pdf(page: Path, kind: str, content: bytes) -> bytes:
         raise
     except Exception as fault:  # whatever XML, numbers of paths and packed pixels can hold
         step = f"{_STEP} as the command wrote it"
-        raise StapeskitError(Fault("a figure", "one that a command drew", kind, page.name, step)) from fault
+        raise StapeskitError.of("a figure", "one that a command drew", kind, page.name, step) from fault
 
 
 def _csv(rows: Sequence[Sequence[str]]) -> bytes:
@@ -153,20 +145,3 @@ def _csv(rows: Sequence[Sequence[str]]) -> bytes:
         [[cell if _NUMBER.fullmatch(cell) else as_text_cell(cell) for cell in row] for row in rows]
     )
     return ("\ufeff" + stream.getvalue()).encode()
-
-
-def _latex(rows: Sequence[Sequence[str]]) -> bytes:
-    """Return a tabular environment, for the package booktabs."""
-    lines = [" & ".join("".join(_LATEX.get(sign, sign) for sign in cell) for cell in row) for row in rows]
-    width = max(map(len, rows))
-    text = [
-        "% needs \\usepackage{booktabs}",
-        f"\\begin{{tabular}}{{l{'r' * (width - 1)}}}",
-        "\\toprule",
-        f"{lines[0]} \\\\",
-        "\\midrule",
-        *(f"{line} \\\\" for line in lines[1:]),
-        "\\bottomrule",
-        "\\end{tabular}",
-    ]
-    return ("\n".join(text) + "\n").encode()

@@ -64,7 +64,7 @@ def _read(path: Path) -> list[list[str]]:
         if whole and len(set(rows[0])) == len(rows[0]):
             return rows
     expected = f"a table with tabs, a column {_FIRST} and as many cells in every row"
-    raise PipelineError(Fault("the table of participants", expected, "another file", path.name, "Correct it"))
+    raise PipelineError.of("the table of participants", expected, "another file", path.name, "Correct it")
 
 
 def _same(cell: str, stated: str) -> bool:

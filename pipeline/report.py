@@ -17,7 +17,6 @@ from pipeline.study import Study
 from pipeline.verdict import verdict
 from pipeline.viewer.scene import viewer
 from pipeline.workspace import Workspace
-from stapeskit.faults import Fault
 from stapeskit.json_toml import is_finite_number, parse_json
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
@@ -108,7 +107,7 @@ def read_truth(path: Path) -> Mapping[str, Any]:
         truth = None
     if not isinstance(truth, dict) or not _are_true_values(truth):
         expected = "a JSON object: mass_kg a number, stiffness_si and damping_si square in the order of dof"
-        raise PipelineError(Fault("study.truth", expected, "another file", path.name, "Leave the key out"))
+        raise PipelineError.of("study.truth", expected, "another file", path.name, "Leave the key out")
     return truth
 
 

@@ -103,12 +103,10 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
 
 
 def _unknown(word: str) -> Fault:
-    import difflib
-
     from stapeskit.faults import Fault
+    from stapeskit.option_names import suggestion
 
-    close = difflib.get_close_matches(word, [*COMMANDS, *_USAGE], 1)
-    hint = f"Did you mean {close[0]}?" if close else "Run stapeskit --help to see the commands"
+    hint = suggestion(word, [*COMMANDS, *_USAGE]) or "Run stapeskit --help to see the commands"
     return Fault("the command", f"one of {', '.join((*COMMANDS, *_USAGE))}", word, "stapeskit", hint)
 
 

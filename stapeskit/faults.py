@@ -232,12 +232,12 @@ def _join_groups(faults: Sequence[Fault], key: Callable[[Fault], Hashable]) -> l
 
 def _join(faults: Sequence[Fault]) -> Fault:
     """Return one fault for several of a kind."""
-    things = _some([fault.thing for fault in faults])
-    values = _some([str(fault.got) for fault in faults])
+    things = list_some([fault.thing for fault in faults])
+    values = list_some([str(fault.got) for fault in faults])
     places = [fault.where for fault in faults]
     rows = [place for place in places if isinstance(place, Place) and place.numbers]
     first = places[0]
-    where: Place | str = _some([str(place) for place in places if str(place)])
+    where: Place | str = list_some([str(place) for place in places if str(place)])
     if isinstance(first, Place) and len(rows) == len(places):
         details = {place.detail for place in rows}
         if {(place.file, place.unit) for place in rows} == {(first.file, first.unit)}:
@@ -246,7 +246,7 @@ def _join(faults: Sequence[Fault]) -> Fault:
     return Fault(things, faults[0].expected, values, where, faults[0].next_step)
 
 
-def _some(texts: Sequence[str], most: int = 3) -> str:
+def list_some(texts: Iterable[str], most: int = 3) -> str:
     """List the first distinct texts and count the others."""
     distinct = list(dict.fromkeys(texts))
     more = f" and {len(distinct) - most} more" if len(distinct) > most else ""
@@ -280,7 +280,7 @@ def _count(faults: Sequence[Fault]) -> str:
         if isinstance(fault.where, Place) and fault.where.numbers:
             rows.setdefault((fault.where.file, fault.where.unit), []).extend(fault.where.numbers)
     parts = [f"{format_ranges(numbers, unit, 5)} of {file}" for (file, unit), numbers in rows.items()]
-    more = f" ({_cut(_some(parts))})" if parts else ""
+    more = f" ({_cut(list_some(parts))})" if parts else ""
     return f"... and {len(faults)} more faults{more}."
 
 

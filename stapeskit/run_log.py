@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 
 _FIRST = "# log of stapeskit\n"
 
@@ -39,12 +39,12 @@ def begin(path: Path, prog: str, words: tuple[str, ...]) -> None:
     try:
         if path.exists() and not (path.is_file() and (path.stat().st_size == 0 or _is_log(path))):
             step = "Choose another name"
-            raise StapeskitError(Fault("--log", "a log of stapeskit, or a new file", path, "", step))
+            raise StapeskitError.of("--log", "a log of stapeskit, or a new file", path, "", step)
         stream = path.open("a", encoding="utf-8", errors="backslashreplace")
     except OSError as fault:
         step = "Choose another place"
-        raise StapeskitError(
-            Fault("--log", "a file that can be written", fault.strerror, str(path), step)
+        raise StapeskitError.of(
+            "--log", "a file that can be written", fault.strerror, str(path), step
         ) from fault
     if stream.tell() == 0:
         stream.write(_FIRST)

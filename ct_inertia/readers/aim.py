@@ -6,6 +6,7 @@ The layout follows the reader in ITK: https://github.com/KitwareMedical/ITKIOSca
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from ct_inertia.readers.header_grid import Grid, grid_volume
 from ct_inertia.readers.refusals import header_fault
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 _V030 = b"AIMDATA_V030"
@@ -67,15 +67,11 @@ def read(path: Path, options: ReadOptions) -> Volume:
         stream.seek(head.log)
         log = stream.read(min(_LONGEST_LOG, max(0, head.data - head.log))).decode("latin-1")
     if head.kind not in _TYPES:
-        raise CtInertiaError(
-            Fault(
-                "the AIM data",
-                "8-bit, 16-bit, 32-bit or float voxels, not packed",
-                f"type {head.kind:#x}",
-                path.name,
-                "Export it unpacked, or as ISQ or MHA",
-            )
+        wanted, step = (
+            "8-bit, 16-bit, 32-bit or float voxels, not packed",
+            "Export it unpacked, or as ISQ or MHA",
         )
+        raise CtInertiaError.of("the AIM data", wanted, f"type {head.kind:#x}", path.name, step)
     check_positive(head.size, path.name)
     spacing = head.cell_mm if np.all(head.cell_mm > 0.0) else None
     grid = Grid(
@@ -94,18 +90,10 @@ def _old(start: bytes, path: Path) -> _Head:
         raise header_fault(path, "AIM file", f"a file that begins with {start[:8]!r}")
     pre, image, log = struct.unpack_from("<3i", start, 0)
     # Five words of processing, then type, position, size, five more triples, and the voxel size.
-    (kind,) = struct.unpack_from("<i", start, pre + 20)
-    values = struct.unpack_from("<6i", start, pre + 24)
+    kind, *values = struct.unpack_from("<7i", start, pre + 20)
     cell = pre + 24 + 21 * 4
     spacing = np.array([_vax_float(start[cell + 4 * k : cell + 4 * k + 4]) for k in range(3)])
-    return _Head(
-        kind,
-        np.array(values[:3], dtype=float),
-        (values[3], values[4], values[5]),
-        spacing,
-        pre + image,
-        pre + image + log,
-    )
+    return _head(kind, values, spacing, pre + image, log)
 
 
 def _new(start: bytes, path: Path) -> _Head:
@@ -116,17 +104,15 @@ def _new(start: bytes, path: Path) -> _Head:
         raise header_fault(path, "AIM file", f"blocks of {pre}, {image} and {log} bytes")
     at = 16 + pre
     # Version, identity, reference, type as four 32-bit words; then triples of 64 bits.
-    (kind,) = struct.unpack_from("<i", start, at + 12)
-    values = struct.unpack_from("<6q", start, at + 16)
+    kind, *values = struct.unpack_from("<i6q", start, at + 12)
     cell = np.array(struct.unpack_from("<3q", start, at + 16 + 21 * 8), dtype=float) * 1e-6
-    return _Head(
-        kind,
-        np.array(values[:3], dtype=float),
-        (values[3], values[4], values[5]),
-        cell,
-        at + image,
-        at + image + log,
-    )
+    return _head(kind, values, cell, at + image, log)
+
+
+def _head(kind: int, values: Sequence[int], cell_mm: Array, log: int, log_bytes: int) -> _Head:
+    """Return the header of type, position and size (six numbers), voxel size, and the place of the log."""
+    x, y, z = values[3:]
+    return _Head(kind, np.array(values[:3], dtype=float), (x, y, z), cell_mm, log, log + log_bytes)
 
 
 def _calibration(log: str, name: str) -> list[Notice]:

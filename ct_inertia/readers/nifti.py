@@ -8,6 +8,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,6 +35,17 @@ _TYPES = {
 }
 _UNITS = {1: 1e3, 2: 1.0, 3: 1e-3}
 _LPS = np.diag([-1.0, -1.0, 1.0])
+# Form and offset of every field that is used (nifti1.h, nifti2.h).
+_NIFTI1 = {
+    **{"dim": ("8h", 40), "datatype": ("h", 70), "pixdim": ("8f", 76), "offset": ("f", 108)},
+    **{"slope": ("f", 112), "intercept": ("f", 116), "units": ("B", 123), "qform": ("h", 252)},
+    **{"sform": ("h", 254), "quaternion": ("3f", 256), "shift": ("3f", 268), "rows": ("12f", 280)},
+}
+_NIFTI2 = {
+    **{"dim": ("8q", 16), "datatype": ("h", 12), "pixdim": ("8d", 104), "offset": ("q", 168)},
+    **{"slope": ("d", 176), "intercept": ("d", 184), "units": ("i", 500), "qform": ("i", 344)},
+    **{"sform": ("i", 348), "quaternion": ("3d", 352), "shift": ("3d", 376), "rows": ("12d", 400)},
+}
 
 
 @dataclass(frozen=True)
@@ -95,69 +107,29 @@ def _header(path: Path) -> _Header:
     for order in "<>":
         length = struct.unpack_from(order + "i", head)[0] if len(head) >= 4 else 0
         if length == 348 and len(head) >= 348 and head[344:347] in (b"n+1", b"ni1"):
-            return _first(head, order)
+            return _read_header(head, order, _NIFTI1, head[344:347] == b"n+1")
         if length == 348 and len(head) == 348 and path.suffix.lower() == ".hdr":
-            return _analyze(head, order)
+            # Analyze 7.5, of which NIfTI kept sizes, type and steps; it has no place.
+            header = _read_header(head, order, _NIFTI1, False)
+            return replace(header, offset=0, slope=1.0, intercept=0.0, units=0, qform=0, sform=0)
         if length == 540 and len(head) >= 540 and head[4:7] in (b"n+2", b"ni2"):
-            return _second(head, order)
+            return replace(_read_header(head, order, _NIFTI2, head[4:7] == b"n+2"), bytes=544)
     raise header_fault(path, "NIfTI volume", "a file that does not begin as one")
 
 
-def _first(head: bytes, order: str) -> _Header:
-    def get(form: str, at: int) -> tuple[float, ...]:
-        return struct.unpack_from(order + form, head, at)
-
-    return _Header(
-        tuple(int(n) for n in get("8h", 40)),
-        int(get("h", 70)[0]),
-        np.array(get("8f", 76), dtype=float),
-        _whole(get("f", 108)[0]),
-        get("f", 112)[0],
-        get("f", 116)[0],
-        head[123],
-        int(get("h", 252)[0]),
-        int(get("h", 254)[0]),
-        np.array(get("3f", 256), dtype=float),
-        np.array(get("3f", 268), dtype=float),
-        np.array(get("12f", 280), dtype=float).reshape(3, 4),
-        order,
-        head[344:347] == b"n+1",
-    )
-
-
-def _analyze(head: bytes, order: str) -> _Header:
-    """Read the header of Analyze 7.5, of which NIfTI kept sizes, type and steps; it has no place."""
-    return replace(
-        _first(head, order), offset=0, slope=1.0, intercept=0.0, units=0, qform=0, sform=0, alone=False
-    )
+def _read_header(head: bytes, order: str, fields: Mapping[str, tuple[str, int]], alone: bool) -> _Header:
+    """Read the fields of a header, whose forms and offsets a table gives."""
+    values = {name: struct.unpack_from(order + form, head, at) for name, (form, at) in fields.items()}
+    arrays = {name: np.array(values.pop(name), dtype=float) for name in ("pixdim", "quaternion", "shift")}
+    rows = np.array(values.pop("rows"), dtype=float).reshape(3, 4)
+    dim, offset = values.pop("dim"), _whole(values.pop("offset")[0])
+    single = {name: value for name, (value,) in values.items()}
+    return _Header(dim=dim, offset=offset, rows=rows, order=order, alone=alone, **arrays, **single)
 
 
 def _whole(value: float) -> int:
-    """Return an offset that is stored as a float; an impossible one as beyond every file."""
+    """Return an offset that may be stored as a float; an impossible one as beyond every file."""
     return int(value) if abs(value) < 1e15 else 1 << 60
-
-
-def _second(head: bytes, order: str) -> _Header:
-    def get(form: str, at: int) -> tuple[float, ...]:
-        return struct.unpack_from(order + form, head, at)
-
-    return _Header(
-        tuple(int(n) for n in get("8q", 16)),
-        int(get("h", 12)[0]),
-        np.array(get("8d", 104), dtype=float),
-        int(get("q", 168)[0]),
-        get("d", 176)[0],
-        get("d", 184)[0],
-        int(get("i", 500)[0]),
-        int(get("i", 344)[0]),
-        int(get("i", 348)[0]),
-        np.array(get("3d", 352), dtype=float),
-        np.array(get("3d", 376), dtype=float),
-        np.array(get("12d", 400), dtype=float).reshape(3, 4),
-        order,
-        head[4:7] == b"n+2",
-        544,
-    )
 
 
 def _grid(path: Path, header: _Header, size: list[int]) -> Grid:

@@ -22,7 +22,6 @@ from ct_inertia.readers.checks import amount, check_memory
 from ct_inertia.readers.decompression import CODECS, unpack
 from ct_inertia.readers.refusals import header_fault, not_readable, unreadable
 from ct_inertia.readers.zarr_files import ZarrFiles
-from stapeskit.faults import Fault
 
 # Along an axis: more than any scanner has, small enough that products stay whole numbers of 64 bits.
 _MOST_VOXELS = 1 << 20
@@ -285,14 +284,12 @@ def _unpacked(
     except Exception as fault:
         raise not_readable(file, "Zarr chunk", fault) from fault
     if len(data) != needed:
-        raise CtInertiaError(
-            Fault(
-                "the Zarr chunk",
-                f"of {needed} bytes",
-                f"{len(data)} bytes",
-                file.name,
-                "The folder is damaged: copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the Zarr chunk",
+            f"of {needed} bytes",
+            f"{len(data)} bytes",
+            file.name,
+            "The folder is damaged: copy or export it again",
         )
     return np.frombuffer(data, dtype)
 
@@ -334,12 +331,10 @@ def _content(file: Path) -> bytes:
 
 
 def _unknown(what: str, name: str, folder: Path) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            f"the Zarr {what}",
-            f"one of {', '.join(CODECS)}",
-            name,
-            folder.name,
-            next_step="Write the volume again with one of these",
-        )
+    return CtInertiaError.of(
+        f"the Zarr {what}",
+        f"one of {', '.join(CODECS)}",
+        name,
+        folder.name,
+        next_step="Write the volume again with one of these",
     )

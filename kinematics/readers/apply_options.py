@@ -13,7 +13,7 @@ from kinematics.readers.input_options import InputOptions, is_file
 from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.readers.unit_labels import LENGTHS
 from kinematics.tidy.points_csv import Points
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, list_some, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
@@ -127,15 +127,11 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         else:
             assigned.append((file, replace(recording, body=names[0])))
     for file, unassigned in without.items():
-        unassigned = list(dict.fromkeys(unassigned))
-        shown = ", ".join(unassigned[:12]) + (
-            f" and {len(unassigned) - 12} more" if len(unassigned) > 12 else ""
-        )
         step = (
             f"Name them with {named('body')}, e.g. {named('body')} stapes=1-10 {named('body')} "
             f"base=11-19, or list them in {named('points')}"
         )
-        faults.append(Fault(f"points {shown}", "of a body", "none", file, step))
+        faults.append(Fault(f"points {list_some(unassigned, 12)}", "of a body", "none", file, step))
     known = ", ".join(dict.fromkeys(recording.point for _, recording in entries))
     known = known if len(known) < 120 else f"{known[:117]}..."
     faults += [

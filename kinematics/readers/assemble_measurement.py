@@ -21,7 +21,7 @@ from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import check_bodies, check_filled, join_lines
 from kinematics.tidy.points_csv import Points
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
@@ -187,10 +187,10 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     for body, names in without_position.items():
         step = f"Give them with {named('points')} points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
-            Fault(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
+            Fault(f"points {list_some(names, 8)} of body {body}", "given with positions", "none", "", step)
         )
     for body, names in without_direction.items():
-        thing = f"points {_listed(names)} of body {body}"
+        thing = f"points {list_some(names, 8)} of body {body}"
         step = f"Say the direction towards the laser head with {named('beam')} z, -y or X,Y,Z"
         faults.append(Fault(thing, "given with the direction of the beam", "none", "", step))
     raise_all(KinematicsError, faults)
@@ -198,11 +198,6 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
 
 def _shown(position: Array) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in position) + ")"
-
-
-def _listed(names: Sequence[str]) -> str:
-    names = list(dict.fromkeys(names))
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def _per(recordings: Sequence[Recording]) -> list[Notice]:

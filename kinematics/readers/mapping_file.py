@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, raise_all
 from stapeskit.json_toml import parse_toml
+from stapeskit.option_names import suggestion
 
 
 def _document(path: Path) -> dict[str, Any]:
@@ -91,7 +91,6 @@ def _unknown_keys(keys: Iterable[str], known: set[str], where: str) -> list[Faul
     faults = []
     for key in keys:
         if key not in known:
-            near = get_close_matches(key, sorted(known), 1)
-            step = f"Did you mean {near[0]}?" if near else "Remove it"
+            step = suggestion(key, sorted(known)) or "Remove it"
             faults.append(Fault("a key", f"one of {', '.join(sorted(known))}", key, where, step))
     return faults

@@ -13,6 +13,7 @@ from pipeline.cohort.compare_ears import SHARED_SOURCES, Ear, source_id
 from pipeline.cohort.covariates import Covariates
 from pipeline.cohort.log_pairs import LogPairs
 from stapeskit.arrays import Array
+from stapeskit.spatial import central_tensor
 from stapeskit.warnings import Notice
 
 # How a relative error of the voxel size enters: masses and forces go with its third power, moments of
@@ -209,11 +210,8 @@ def _inertia_logs(mass: Mapping[str, Any]) -> tuple[Array, dict[str, Array]]:
 
 def _logs_of_parameters(theta: Array) -> Array:
     """Return ln of the mass and of the principal moments about the centre of mass, ascending."""
-    m, centre = theta[0], theta[1:4] / theta[0]
-    xx, yy, zz, xy, yz, xz = theta[4:]
-    about_point = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    about_centre = about_point - m * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.log(np.r_[m, np.linalg.eigvalsh(about_centre)])
+    mass, tensor = central_tensor(theta)
+    return np.log(np.r_[mass, np.linalg.eigvalsh(tensor)])
 
 
 def _derivative(function: Callable[[Array], Array], at: Array) -> Array:
@@ -285,24 +283,19 @@ def _principal(stiffness: Array, parameters: list[str], which: int) -> tuple[flo
     """Return a rotational principal stiffness of (y, alpha, gamma) and its derivative by the entries of K."""
 
     def value(entries: Array) -> float:
-        k = _symmetric(entries, len(stiffness))
+        k = np.zeros(stiffness.shape)
+        k[rows, columns] = k[columns, rows] = entries
         reduced = k[1:, 1:] - np.outer(k[1:, 0], k[0, 1:]) / k[0, 0]
         return float(np.linalg.eigvalsh(reduced)[which - 2])
 
-    upper = np.array([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
+    rows, columns = np.triu_indices(len(stiffness))
+    upper = stiffness[rows, columns]
     gradient = np.zeros(len(parameters))
     for k, entry in enumerate(upper):
         step = np.zeros(len(upper))
         step[k] = 1e-6 * max(abs(entry), 1e-12)
         gradient[k] = (value(upper + step) - value(upper - step)) / (2.0 * step[k])
     return value(upper), gradient
-
-
-def _symmetric(entries: Array, n: int) -> Array:
-    """Return a symmetric matrix from its upper triangle, row by row."""
-    matrix = np.zeros((n, n))
-    matrix[np.triu_indices(n)] = entries
-    return matrix + np.triu(matrix, 1).T
 
 
 def _positive(matrix: Array) -> Array:

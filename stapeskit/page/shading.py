@@ -89,10 +89,7 @@ def shade(vertices_mm: Array, faces: Faces, view: View, pixels: int = 380) -> Sh
         Along the longer side of the picture.
     """
     flat = view.flat(np.asarray(vertices_mm, dtype=float))
-    low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
-    pixel = float(np.max(high - low)) / pixels or 1.0
-    low = low - 2.0 * pixel
-    columns, rows = (int(np.ceil(side / pixel)) + 2 for side in (high - low))
+    low, pixel, columns, rows = _raster(flat, pixels, 2)
     shape = rows * _FINER, columns * _FINER
     place, near, face, shares = _visible(flat, faces, low, pixel / _FINER, shape)
     tone, depth = np.full(shape, np.nan), np.full(shape, -np.inf)
@@ -119,16 +116,22 @@ def silhouette(vertices_mm: Array, faces: Faces, view: View, pixels: int = 220) 
         0 outside the surface to 1 within.
     """
     flat = view.flat(np.asarray(vertices_mm, dtype=float))
-    low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
-    pixel = float(np.max(high - low)) / pixels or 1.0
-    low = low - 3.0 * pixel
-    columns, rows = (int(np.ceil(side / pixel)) + 4 for side in (high - low))
+    low, pixel, columns, rows = _raster(flat, pixels, 3)
     covered = np.zeros((rows, columns))
     covered.flat[_visible(flat, faces, low, pixel, (rows, columns))[0]] = 1.0
     padded = np.pad(covered[::-1], 1)
     parts = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
     smooth = sum(parts, np.zeros_like(covered)) / 9.0
     return low[0] + (np.arange(columns) + 0.5) * pixel, low[1] + (np.arange(rows) + 0.5) * pixel, smooth
+
+
+def _raster(flat: Array, pixels: int, margin: int) -> tuple[Array, float, int, int]:
+    """Return lower left corner, pixel size (mm), columns and rows for a surface with a margin of pixels."""
+    low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
+    pixel = float(np.max(high - low)) / pixels or 1.0
+    low = low - margin * pixel
+    columns, rows = (int(np.ceil(side / pixel)) + 2 * margin - 2 for side in (high - low))
+    return low, pixel, columns, rows
 
 
 def _vertex_light(flat: Array, faces: Faces) -> Array:

@@ -139,14 +139,14 @@ def read_motion(path: Path) -> RigidMotion:
     """
     path = Path(path)
     if not path.is_file():
-        raise StapeskitError(
-            Fault("the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first")
+        raise StapeskitError.of(
+            "the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first"
         )
     check_whole(path)
     if path.suffix.lower() in (".h5", ".hdf5"):
         return read_apart(lambda: _read_h5(path), path, _WANTED)
     if path.suffix.lower() != ".csv":
-        raise StapeskitError(Fault("a motion file", "a .csv or .h5 file of points2dof", path.name))
+        raise StapeskitError.of("a motion file", "a .csv or .h5 file of points2dof", path.name)
     beside = path.with_suffix(".h5")
     if beside.is_file():
         csv_hash = content_hash(path)
@@ -179,14 +179,12 @@ def _read_h5(path: Path) -> RigidMotion:
     try:
         with h5py.File(path, "r") as file:
             if file.attrs.get("schema") != SCHEMA:
-                raise StapeskitError(
-                    Fault(
-                        "schema",
-                        f'"{SCHEMA}"',
-                        file.attrs.get("schema"),
-                        path.name,
-                        "Make the file with points2dof",
-                    )
+                raise StapeskitError.of(
+                    "schema",
+                    f'"{SCHEMA}"',
+                    file.attrs.get("schema"),
+                    path.name,
+                    "Make the file with points2dof",
                 )
             large = larger_than_file(file, path.stat().st_size)
             if large:
@@ -196,7 +194,7 @@ def _read_h5(path: Path) -> RigidMotion:
         raise
     except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as fault:
         step = "Make the file with points2dof"
-        raise StapeskitError(Fault("the motion file", _WANTED, f"{fault}", path.name, step)) from fault
+        raise StapeskitError.of("the motion file", _WANTED, f"{fault}", path.name, step) from fault
 
 
 def _motion_from_h5(file: Any) -> RigidMotion:
@@ -235,7 +233,7 @@ def _read_csv(path: Path, notice: Notice) -> RigidMotion:
         if missing:
             place = Place(name, "line", (1,))
             got, step = f"no column {', '.join(missing)}", "Give dof.csv or dof.h5 of points2dof"
-            raise StapeskitError(Fault("a motion file", "complete", got, place, step))
+            raise StapeskitError.of("a motion file", "complete", got, place, step)
         numbers = {*columns.needed, *(column.name for column in STORED)} - {"body"}
         return numbers & set(header), {"run", "body"} & set(header)
 
@@ -328,6 +326,6 @@ def _reference_of(q: NDArray[np.complex128], bodies: tuple[str, ...], dof: tuple
             values = values[~np.isnan(values.real)]
             if values.size and np.all(np.abs(values - 1.0) < 1e-9):
                 return f"{body_name}:{dof_name}"
-    raise StapeskitError(
-        Fault("a motion file per reference", "1 in the column of its reference", "no such column", name)
+    raise StapeskitError.of(
+        "a motion file per reference", "1 in the column of its reference", "no such column", name
     )

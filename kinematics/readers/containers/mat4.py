@@ -10,7 +10,6 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.recording import from_parts
-from stapeskit.faults import Fault
 
 # Five whole numbers before each matrix, and the types of its numbers.
 _HEAD = 20
@@ -84,4 +83,4 @@ def _head(data: bytes, place: int) -> tuple[str, int, int, int, int, bool, int] 
 
 def _damaged(path: Path, got: str) -> KinematicsError:
     step = "It is truncated or damaged: copy or export it again"
-    return KinematicsError(Fault(path.name, "a whole MATLAB file", got, "", step))
+    return KinematicsError.of(path.name, "a whole MATLAB file", got, "", step)

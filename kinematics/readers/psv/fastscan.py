@@ -14,15 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.signals import Signal, frequency_hz, signals
+from kinematics.readers.psv.signals import (
+    Signal,
+    axes_notice,
+    beam_of,
+    chosen_order,
+    frequency_hz,
+    signals,
+)
 from kinematics.readers.psv.text_blocks import Block, fields_of, read_blocks
-from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
-from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
@@ -70,7 +76,8 @@ def read(path: Path) -> Recordings:
     """
     path = Path(path)
     lines = read_blocks(path, _line)
-    lines, notices = _one_quantity(lines, path.name)
+    order, notices = chosen_order((line.signals[0].unit.order for line in lines), path.name)
+    lines = [line for line in lines if line.signals[0].unit.order == order]
     lines.sort(key=lambda line: line.freq_hz)
     faults = [*_twice(lines), *_several_scans(lines, path.name)]
     recordings = _recordings(lines, path.name, faults)
@@ -137,17 +144,6 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
     label = min(labels)
     scale = 1.0 if is_none(label) else length_scale(label)
     return in_mm(block.numbers[:, columns], scale or 1.0), not is_none(label)
-
-
-def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Notice]]:
-    """Keep one quantity, velocity first."""
-    orders = sorted({line.signals[0].unit.order for line in lines}, key=lambda order: (order != 1, order))
-    if len(orders) == 1:
-        return lines, []
-    listed = " and ".join(QUANTITIES[order] for order in orders)
-    text = f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."
-    chosen = [line for line in lines if line.signals[0].unit.order == orders[0]]
-    return chosen, [Notice("quantity_chosen", text)]
 
 
 def _twice(lines: Sequence[_Line]) -> list[Fault]:
@@ -234,19 +230,3 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple
         )
         for (point, axis), value in sorted(values.items(), key=lambda entry: rank[entry[0][0]])
     )
-
-
-def axes_notice(name: str) -> Notice:
-    """Warn that x, y, z of a point are linear combinations of its beam readings."""
-    text = (
-        f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
-        "beams than along them; sd and verdicts, which take channels as independent, are approximate. "
-        "Export the single heads with their directions where possible."
-    )
-    return Notice("axes_from_beams", text)
-
-
-def beam_of(axis: str) -> Array:
-    """Return the unit vector of ``x``, ``-y`` ..., NaN for an empty name."""
-    direction = axis_vector(axis)
-    return unknown_vector() if direction is None else direction

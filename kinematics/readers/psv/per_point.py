@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.psv.fastscan import axes_notice, beam_of
-from kinematics.readers.psv.signals import signals
+from kinematics.readers.psv.signals import axes_notice, beam_of, chosen_order, signals
 from kinematics.readers.psv.text_blocks import Block, fields_of, read_blocks, value_of
-from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.value_checks import check_frequencies, in_mm
@@ -160,12 +159,8 @@ def _one_quantity(
     entries: list[tuple[Recording, str]], name: str
 ) -> tuple[list[tuple[Recording, str]], list[Notice]]:
     """Keep one quantity, velocity first, and one kind of reference, responses first."""
-    notices = []
-    orders = sorted({recording.order for recording, _ in entries}, key=lambda order: (order != 1, order))
-    if len(orders) > 1:
-        listed = " and ".join(QUANTITIES[order] for order in orders)
-        notices.append(Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."))
-        entries = [entry for entry in entries if entry[0].order == orders[0]]
+    order, notices = chosen_order((recording.order for recording, _ in entries), name)
+    entries = [entry for entry in entries if entry[0].order == order]
     if len({bool(recording.per) for recording, _ in entries}) > 1:
         text = f"{name} holds spectra and frequency responses: the responses are used."
         notices.append(Notice("function_chosen", text))

@@ -1,18 +1,20 @@
-"""Complex values of motion from the columns of a text export, and frequencies from its header."""
+"""Values of motion from the columns of a text export: complex, with axis and unit; which quantity is used."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.text_blocks import Block, value_of
-from kinematics.readers.recording import from_parts, from_polar, scaled
+from kinematics.readers.recording import QUANTITIES, from_parts, from_polar, scaled, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit, phase_scale
-from stapeskit.arrays import ComplexArray
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
+from stapeskit.frames import axis_vector
+from stapeskit.warnings import Notice
 
 _PARTS = {
     "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
@@ -127,3 +129,29 @@ def frequency_hz(text: str, where: Place | str) -> float:
     if match is None or value is None:
         raise KinematicsError.of("the frequency", "a number in Hz", shown(text), where, "Export it again")
     return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]
+
+
+def chosen_order(orders: Iterable[int], name: str) -> tuple[int, list[Notice]]:
+    """Return the quantity to use, velocity first, and a notice where there are several."""
+    ranked = sorted(set(orders), key=lambda order: (order != 1, order))
+    if len(ranked) == 1:
+        return ranked[0], []
+    listed = " and ".join(QUANTITIES[order] for order in ranked)
+    text = f"{name} holds {listed}: {QUANTITIES[ranked[0]]} is used."
+    return ranked[0], [Notice("quantity_chosen", text)]
+
+
+def axes_notice(name: str) -> Notice:
+    """Warn that x, y, z of a point are linear combinations of its beam readings."""
+    text = (
+        f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
+        "beams than along them; sd and verdicts, which take channels as independent, are approximate. "
+        "Export the single heads with their directions where possible."
+    )
+    return Notice("axes_from_beams", text)
+
+
+def beam_of(axis: str) -> Array:
+    """Return the unit vector of ``x``, ``-y`` ..., NaN for an empty name."""
+    direction = axis_vector(axis)
+    return unknown_vector() if direction is None else direction

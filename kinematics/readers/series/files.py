@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collect_faults, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, list_some, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 
 TIMES = ("time_s", "time", "t", "x")
@@ -162,10 +162,8 @@ def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str,
         if name in known or len(near) == 1:
             signals[name] = name if name in known else near[0]
         else:
-            shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
-            faults.append(
-                Fault(f"channel {name}", f"in the file, which has {shown or 'none'}", "no such one", file)
-            )
+            want = f"in the file, which has {list_some(known, 20) or 'none'}"
+            faults.append(Fault(f"channel {name}", want, "no such one", file))
     raise_all(KinematicsError, faults)
     return signals
 

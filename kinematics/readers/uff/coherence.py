@@ -8,12 +8,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.uff.functions import AUTO, COHERENCE, FRF, PSD, TRANSMISSIBILITY, Function
+from kinematics.readers.uff.functions import (
+    AUTO,
+    COHERENCE,
+    FRF,
+    PSD,
+    TRANSMISSIBILITY,
+    Function,
+    only_alike,
+    same_abscissa,
+)
 from stapeskit.arrays import Array
 
 Key = tuple[object, ...]
 # A coherence above 1 by more than rounding is none.
-_OVER = 1.05
+MOST_COHERENCE = 1.05
 
 
 @dataclass(frozen=True)
@@ -60,18 +69,12 @@ class Coherences:
         if good.size == 0 or np.any(good < 0.0):
             return None
         # More than 1: an H2 estimate, or spectra of another scale; they cannot be distinguished.
-        return None if np.max(good) > _OVER else np.clip(ratio, 0.0, 1.0)
+        return None if np.max(good) > MOST_COHERENCE else np.clip(ratio, 0.0, 1.0)
 
     def _auto(self, key: Key, kind: int, response: Function) -> Function | None:
         """Return the one auto spectrum of a quantity at a point and direction."""
-        fitting = [
-            function
-            for function in self.auto.get(key, [])
-            if function.ordinate.kind == kind
-            and len(function.x) == len(response.x)
-            and np.allclose(function.x, response.x)
-        ]
-        return fitting[0] if len(fitting) == 1 else None
+        autos = (function for function in self.auto.get(key, []) if function.ordinate.kind == kind)
+        return only_alike(autos, response)
 
 
 def coherences(functions: Sequence[Function]) -> Coherences:
@@ -102,8 +105,7 @@ def reference_of(function: Function) -> tuple[int, int]:
 
 def _stated(coherence: Function, response: Function, where: str) -> Array:
     """Return a coherence function unchanged, after checks."""
-    same = len(coherence.x) == len(response.x) and np.allclose(coherence.x, response.x, rtol=1e-6)
-    if not same:
+    if not same_abscissa(coherence, response):
         step = "Export both with the same frequencies, or leave the coherence out"
         raise KinematicsError.of(
             "the coherence", "given at the frequencies of its response", "others", where, step

@@ -8,13 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.readers.uff.functions import AUTO, COHERENCE, CROSS, FRF, TRANSMISSIBILITY, Axis, Function
+from kinematics.readers.uff.coherence import MOST_COHERENCE
+from kinematics.readers.uff.functions import (
+    AUTO,
+    COHERENCE,
+    CROSS,
+    FRF,
+    TRANSMISSIBILITY,
+    Axis,
+    Function,
+    only_alike,
+)
 from kinematics.readers.uff.motion_functions import ORDERS
 from kinematics.readers.unit_labels import is_none, motion_unit, plain
 from stapeskit.faults import Fault
 
-# A coherence above 1 by more than rounding is none.
-_OVER = 1.05
 _RATE_POWER = re.compile(r"(?P<unit>\w*[a-z])2/s(?P<order>2|4)")
 _POWER = re.compile(r"\(?(?P<unit>.+?)\)?(?:2|\*\(?(?P=unit)\)?)")
 
@@ -76,7 +84,7 @@ def from_cross_spectra(
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             coherence = np.abs(cross.y) ** 2 / (auto * pair.response.y.real)
         values = coherence[np.isfinite(coherence)]
-        if values.size and np.max(values) > _OVER:
+        if values.size and np.max(values) > MOST_COHERENCE:
             where = f"{file}, datasets {cross.place}, {pair.reference.place} and {pair.response.place}"
             got = f"a coherence of {np.max(values):.3g}"
             step = "Export all as power spectra of one scale, or export frequency responses"
@@ -105,16 +113,9 @@ def _pair(cross: Function, functions: Sequence[Function]) -> _Pair | None:
 
 
 def _auto(cross: Function, node: int, direction: int, functions: Sequence[Function]) -> Function | None:
-    fitting = [
-        function
-        for function in functions
-        if function.kind == AUTO
-        and (function.node, abs(function.direction), function.load_case)
-        == (node, abs(direction), cross.load_case)
-        and len(function.x) == len(cross.x)
-        and np.allclose(function.x, cross.x, rtol=1e-6)
-    ]
-    return fitting[0] if len(fitting) == 1 else None
+    key = (AUTO, node, abs(direction), cross.load_case)
+    autos = (f for f in functions if (f.kind, f.node, abs(f.direction), f.load_case) == key)
+    return only_alike(autos, cross)
 
 
 def _axes(pair: _Pair) -> tuple[Axis, Axis] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +99,17 @@ class Function:
         return KINDS.get(self.kind, f"function of type {self.kind}")
 
 
+def only_alike(functions: Iterable[Function], other: Function) -> Function | None:
+    """Return the function with the abscissa of another one; None where there is none, or several."""
+    alike = [function for function in functions if same_abscissa(function, other)]
+    return alike[0] if len(alike) == 1 else None
+
+
+def same_abscissa(first: Function, second: Function) -> bool:
+    """Return whether two functions have the same abscissa, to the digits that files have."""
+    return len(first.x) == len(second.x) and np.allclose(first.x, second.x)
+
+
 def read_function(dataset: Dataset, file: str) -> Function:
     """Read a dataset 58 or 58b.
 
@@ -180,10 +192,10 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
     """Read first value and increment of an even abscissa from record 7: format 3I10,3E13.5."""
     cells = [record[30:43], record[43:56]]
     try:
-        first, step = (_number(cell) for cell in cells)
+        first, step = (fortran_number(cell) for cell in cells)
     except ValueError:
         try:
-            first, step = (_number(cell) for cell in record.split()[3:5])
+            first, step = (fortran_number(cell) for cell in record.split()[3:5])
         except ValueError as fault:
             raise KinematicsError.of(
                 "the abscissa of a function", "a first value and a step", shown(record), where
@@ -195,7 +207,7 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
     return first, step
 
 
-def _number(text: str) -> float:
+def fortran_number(text: str) -> float:
     """Read a Fortran number: D for E, and exponents of three digits without the letter."""
     text = text.strip().replace("D", "E").replace("d", "e")
     if "_" in text:
@@ -289,7 +301,7 @@ def _by_line(dataset: Dataset, widths: tuple[int, ...], file: str) -> list[float
             if not cell.strip():
                 continue
             try:
-                numbers.append(_number(cell))
+                numbers.append(fortran_number(cell))
             except ValueError:
                 where = f"{dataset.at(file, row)}, column {column}"
                 faults.append(

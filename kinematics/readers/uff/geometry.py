@@ -12,6 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff.datasets import CUT, Dataset
+from kinematics.readers.uff.functions import fortran_number
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.warnings import Notice
@@ -173,10 +174,7 @@ def _reals(text: str) -> list[float]:
         if between.strip() or (not between and numbers and word[0] not in "+-"):
             return []
         last = match.end()
-        plain = word.replace("D", "E").replace("d", "e")
-        numbers.append(
-            float(plain if "E" in plain.upper() else re.sub(r"([\d.])([+-]\d{3})$", r"\1E\2", plain))
-        )
+        numbers.append(fortran_number(word))
     return [] if text[last:].strip() else numbers
 
 

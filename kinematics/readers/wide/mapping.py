@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.mapping_file import read_mapping_file
 from kinematics.readers.wide.columns import Beam
 from stapeskit.faults import Fault, raise_all
+from stapeskit.option_names import suggestion
 
 _PARTS = {
     "value_re": "re",
@@ -97,6 +97,5 @@ def _labels(pattern: str, names: Sequence[str]) -> list[str]:
 
 
 def _missing(name: str, names: Sequence[str], file: str) -> Fault:
-    near = get_close_matches(name, list(names), 1)
-    step = f"Did you mean {near[0]}?" if near else f"It has {', '.join(names[:12])}"
+    step = suggestion(name, names) or f"It has {', '.join(names[:12])}"
     return Fault(f"the column {name}", "in the table", "no such one", file, step)

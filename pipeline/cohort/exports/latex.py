@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,44 +12,12 @@ from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.compare_ears import labels, quantities
 from pipeline.cohort.law_labels import law_name
 from stapeskit.page.numbers import plus_minus
-
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "±": r"$\pm$",
-    "·": r"$\cdot$",
-    "−": "$-$",
-    "–": "--",
-}
-_LOWERED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-_RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+from stapeskit.tables.latex import PACKAGE, escaped, tabular
 
 
-def escaped(text: str) -> str:
-    """Return a text whose special signs LaTeX prints as they are."""
-    plain = "".join(_SPECIAL.get(sign, sign) for sign in text)
-    return _RAISED.sub(lambda power: f"$^{{{power.group().translate(_LOWERED)}}}$", plain)
-
-
-def _table(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [" & ".join(map(escaped, row)) + r" \\" for row in (header, *rows)]
-    return "\n".join(
-        [
-            r"\begin{table}",
-            rf"\caption{{{escaped(caption)}}}",
-            rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}",
-            r"\toprule",
-            lines[0],
-            r"\midrule",
-            *lines[1:],
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
-            "",
-        ]
-    )
+def _table(caption: str, rows: Sequence[Sequence[str]]) -> str:
+    begin = [r"\begin{table}", rf"\caption{{{escaped(caption)}}}"]
+    return "\n".join([*begin, *tabular(rows), r"\end{table}", ""])
 
 
 def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None:
@@ -69,7 +36,7 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
         for k, name in enumerate(labels(cohort.ears))
     ]
     header = ["ear", *(f"{quantity.name.replace('_', ' ')} ({quantity.unit})" for quantity in shown)]
-    parts = [r"% \usepackage{booktabs}", _table("Ears with standard deviations, SI units.", header, rows)]
+    parts = [PACKAGE, _table("Ears with standard deviations, SI units.", [header, *rows])]
     laws = [law for law in cohort.laws if law.family == "primary"]
     if laws:
         rows = [
@@ -85,7 +52,7 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
             for law in laws
         ]
         header = ["law", "exponent", "95 % interval", "p", "q", "scatter (ln)", "ears"]
-        parts.append(_table("Planned laws.", header, rows))
+        parts.append(_table("Planned laws.", [header, *rows]))
     (folder / "cohort.tex").write_text("\n".join(parts), encoding="utf-8")
 
 

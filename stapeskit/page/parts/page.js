@@ -22,10 +22,13 @@
   // An apostrophe before what a spreadsheet would run as a formula (stapeskit/tables/text_cells.py has the same rule).
   const harmless = (text) => (/^[=+\-@]/.test(text) && !/^[+-]?[\d.]/.test(text) ? "'" : "") + text;
   const quoted = (cell) => '"' + harmless(words(cell)).replace(/"/g, '""') + '"';
-  const SIGNS = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$",
-    "×": "$\\times$", "°": "$^\\circ$", "µ": "$\\mu$", "μ": "$\\mu$", "√": "$\\surd$", "φ": "$\\varphi$", "²": "$^2$", "³": "$^3$", "−": "$-$",
+  const SIGNS = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "·": "$\\cdot$",
+    "×": "$\\times$", "°": "$^\\circ$", "µ": "$\\mu$", "μ": "$\\mu$", "√": "$\\surd$", "φ": "$\\varphi$", "−": "$-$", "–": "--",
     "α": "$\\alpha$", "β": "$\\beta$", "γ": "$\\gamma$", "ω": "$\\omega$", "ζ": "$\\zeta$", "σ": "$\\sigma$", "χ": "$\\chi$" };
-  const latex = (cell) => words(cell).replace(/[&%$#_{}\\~^±×°µμ√²³−αβγωζσχφ]/g, (sign) => SIGNS[sign] || "\\" + sign);
+  const POWERS = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻";
+  const lowered = (power) => "$^{" + Array.from(power, (sign) => "0123456789-"[POWERS.indexOf(sign)]).join("") + "}$";
+  const latex = (cell) => words(cell).replace(/[&%$#_{}\\~^±·×°µμ√−–αβγωζσχφ]/g, (sign) => SIGNS[sign] || "\\" + sign)
+    .replace(/[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+/g, lowered);
   function tabular(table) {
     const rows = Array.from(table.rows), width = Math.max(...rows.map((row) => row.cells.length));
     const lines = rows.map((row, place) => Array.from(row.cells, latex).join(" & ") + " \\\\" + (place === 0 ? "\n\\midrule" : ""));

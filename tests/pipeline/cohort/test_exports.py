@@ -12,7 +12,6 @@ import pytest
 
 from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.exports import EXPORTS
-from pipeline.cohort.exports.latex import escaped
 from pipeline.cohort.files import write_cohort
 from tests.pipeline.cohort.simulated_ears import ear
 
@@ -74,7 +73,3 @@ def test_the_crate_lists_every_file(written):
     assert others <= set(described)
     assert {part["@id"] for part in described["./"]["hasPart"]} >= others
     assert all(int(described[name]["contentSize"]) == Path(folder, name).stat().st_size for name in others)
-
-
-def test_latex_prints_special_signs():
-    assert escaped("a_b 5 % ± 1·10⁻³") == r"a\_b 5 \% $\pm$ 1$\cdot$10$^{-3}$"
