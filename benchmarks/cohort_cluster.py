@@ -21,7 +21,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.runners import Where, cluster, local
-from pipeline.runners.process import Task
+from pipeline.runners.study_process import Task
 from pipeline.stages import STAGES, run_stage
 from sample_volumes.make_cohort import Population, make_cohort
 from tests.pipeline.runners.test_cluster import processes

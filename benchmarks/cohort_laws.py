@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.independent_parameters import independent_parameters
-from pipeline.cohort.law import Profile, fit_law
 from pipeline.cohort.log_pairs import LogPairs
+from pipeline.cohort.power_law import Profile, fit_law
 from pipeline.cohort.prediction import Predictor
 from tests.pipeline.cohort.simulated import cohort
 

@@ -57,9 +57,9 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome] | None:
 def _one(options: ParsedOptions) -> Outcome:
     from pathlib import Path
 
-    from pipeline.progress import Progress
     from pipeline.report_summary import key_results
     from pipeline.scan2kd import run_study
+    from pipeline.stage_progress import Progress
     from stapeskit.command import Outcome
 
     path = options.studies[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from pipeline.runners.process import End
+from pipeline.runners.study_process import End
 from stapeskit.own_files import RECORDS
 from stapeskit.process import on_forced_end
 

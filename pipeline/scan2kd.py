@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pipeline.errors import PipelineError
-from pipeline.progress import Progress
 from pipeline.results import StageRun, StudyResult
+from pipeline.stage_progress import Progress
 from pipeline.stage_records import (
     FOLDER,
     StageRecord,

@@ -9,13 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pipeline.cohort.cohort_files import LOG_FILE, cohort_names, cohort_outputs, write_cohort
 from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.compare_ears import Ear, read_ear
 from pipeline.cohort.ear_description import about_of
-from pipeline.cohort.files import LOG_FILE, cohort_names, cohort_outputs, write_cohort
 from pipeline.cohort_log import CohortLog
 from pipeline.runners import Where, runner_of
-from pipeline.runners.process import End, Task
+from pipeline.runners.study_process import End, Task
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet

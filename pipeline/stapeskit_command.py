@@ -143,7 +143,7 @@ def _figures(words: Sequence[str]) -> None:
         step = "Write for example stapeskit figures results/report.html figures"
         got = " ".join(words) or "nothing"
         raise StapeskitError.of("stapeskit figures", "given a page and a folder", got, "", step)
-    from pipeline.figures import write_figures
+    from pipeline.figure_files import write_figures
 
     files = write_figures(Path(names[0]), Path(names[1]), force="--force" in words)
     sys.stdout.write(f"{len(files)} files written into {names[1]}\n")

@@ -31,7 +31,7 @@ def drawings():
     names = [
         module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")
     ]
-    names += ["fitting.plan.plan_page", "pipeline.cohort.page", "pipeline.cohort.law_page"]
+    names += ["fitting.plan.plan_page", "pipeline.cohort.cohort_page", "pipeline.cohort.law_page"]
     return [
         (module, name)
         for module in map(import_module, names)

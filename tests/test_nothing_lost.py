@@ -21,7 +21,7 @@ from kinematics.cli import work as points2dof
 from kinematics.options import LdvOptions, PointsFiles
 from pipeline.cli import work as scan2kd
 from pipeline.runners.child_process import run_child
-from pipeline.runners.process import End
+from pipeline.runners.study_process import End
 from pipeline.sample_study import FILES as SAMPLE
 from pipeline.scan2kd import output_set
 from pipeline.stapeskit_command import work as stapeskit

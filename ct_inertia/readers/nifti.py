@@ -121,7 +121,9 @@ def _header(path: Path) -> _Header:
 def _read_header(head: bytes, order: str, fields: Mapping[str, tuple[str, int]], alone: bool) -> _Header:
     """Read the fields of a header, whose forms and offsets a table gives."""
     values = {name: struct.unpack_from(order + form, head, at) for name, (form, at) in fields.items()}
-    arrays: dict[str, Any] = {name: np.array(values.pop(name), dtype=float) for name in ("pixdim", "quaternion", "shift")}
+    arrays: dict[str, Any] = {
+        name: np.array(values.pop(name), dtype=float) for name in ("pixdim", "quaternion", "shift")
+    }
     rows = np.array(values.pop("rows"), dtype=float).reshape(3, 4)
     dim, offset = values.pop("dim"), _whole(values.pop("offset")[0])
     single = {name: value for name, (value,) in values.items()}

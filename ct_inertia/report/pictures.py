@@ -14,7 +14,7 @@ from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
-from stapeskit.page.shading import View, views
+from stapeskit.page.shaded_surface import View, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -307,7 +307,7 @@ def write_hdf5(
         A shape, unit or name that `read` would refuse.
     """
     from stapeskit.outputs import stage_outputs
-    from stapeskit.records.hdf5_file import write_h5
+    from stapeskit.records.hdf5_writing import write_h5
 
     path = Path(path)
     numbers = np.asarray(value, dtype=complex)

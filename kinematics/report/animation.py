@@ -20,7 +20,7 @@ from kinematics.report.stapes_surface import Scenery, packed, packed_mesh
 from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.drawings import colour, decimate_lines, log_spaced, shorten_name
-from stapeskit.page.shading import View, views
+from stapeskit.page.shaded_surface import View, views
 from stapeskit.spatial import DOF_UNITS
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from kinematics.report.stapes_surface import Scenery
 from stapeskit.arrays import Array
 from stapeskit.page.drawings import FAULT, INK, colour, plain, shorten_name
 from stapeskit.page.page import new_figure
-from stapeskit.page.shading import Shaded, View, shade, views
+from stapeskit.page.shaded_surface import Shaded, View, shade, views
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ import numpy as np
 
 from stapeskit.arrays import Array
 from stapeskit.page.drawings import FAULT, colour, distinct_short_names, plain
-from stapeskit.page.shading import View
+from stapeskit.page.shaded_surface import View
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from kinematics.report.draw_geometry import equal_panels
 from kinematics.report.stapes_surface import Scenery, coarse
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page.drawings import INK, colour, plain, shorten_name
-from stapeskit.page.shading import View, shade, silhouette, views
+from stapeskit.page.shaded_surface import View, shade, silhouette, views
 from stapeskit.spatial import DOF_NAMES
 
 if TYPE_CHECKING:

@@ -63,7 +63,7 @@ class Cohort(CohortLaws, Result):
         StapeskitError
             A file of another origin has the name of an output.
         """
-        from pipeline.cohort.files import cohort_outputs, write_cohort
+        from pipeline.cohort.cohort_files import cohort_outputs, write_cohort
 
         outputs = cohort_outputs(Path(folder), (), force, export)
         outputs.check()

@@ -13,10 +13,10 @@ from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.covariates import covariates_of, stated
 from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.independent_parameters import Components, independent_parameters
-from pipeline.cohort.law import Law, fit_law
 from pipeline.cohort.log_pairs import LogPairs
 from pipeline.cohort.log_table import LogTable, log_table
 from pipeline.cohort.mass_content import mass_content
+from pipeline.cohort.power_law import Law, fit_law
 from pipeline.cohort.prediction import LeftOut, Prediction, Predictor, left_out
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all

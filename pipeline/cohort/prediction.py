@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.cohort.law import Profile
 from pipeline.cohort.likelihood import RestrictedLikelihood, covariance_between_ears
 from pipeline.cohort.log_pairs import LogPairs
+from pipeline.cohort.power_law import Profile
 from stapeskit.arrays import Array
 
 # Points of the grid over (ln tau, b, ln sigma). Twice as many of each change no limit by more than 1 % of its

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from pipeline.runners.process import End, Task
+    from pipeline.runners.study_process import End, Task
 
 HERE = "local"
 

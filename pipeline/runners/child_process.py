@@ -37,8 +37,8 @@ def end_with_parent() -> None:
 
 def run_child(words: list[str]) -> dict[str, Any]:
     """Run a study and return how it ended: ``code``, and its ``name`` or, when it failed, ``fault``."""
-    from pipeline.progress import Progress
     from pipeline.scan2kd import run_study
+    from pipeline.stage_progress import Progress
 
     try:
         result = run_study(Path(words[0]), Path(words[1]), "--force" in words, Progress())

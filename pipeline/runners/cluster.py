@@ -16,7 +16,7 @@ from typing import Any
 
 from pipeline.errors import PipelineError
 from pipeline.runners import Where
-from pipeline.runners.process import AGAIN, End, Task, run_task
+from pipeline.runners.study_process import AGAIN, End, Task, run_task
 
 # Patience with a scheduler that does not answer, and pause between two looks.
 _CONNECT_S = 10.0

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from pipeline.runners import Where
-from pipeline.runners.process import End, Task, run_task
+from pipeline.runners.study_process import End, Task, run_task
 
 # Pause between two checks: short against a study, long against a check.
 _POLL_S = 0.1

@@ -16,7 +16,7 @@ from stapeskit.guard import read_apart
 from stapeskit.json_toml import parse_json
 from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
-from stapeskit.records.hdf5_file import larger_than_file, write_h5
+from stapeskit.records.hdf5_writing import larger_than_file, write_h5
 from stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, SharedErrors
 from stapeskit.records.motion_columns import MotionColumns, columns_of
 from stapeskit.tables.csv_table import Table, read_table

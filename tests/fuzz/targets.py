@@ -12,7 +12,7 @@ PRELOADED = (
     "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
     "fitting.options kinematics.measure_motion kinematics.readers.assemble_measurement "
     "kinematics.readers.formats kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
-    "pipeline.study pipeline.report pipeline.figures matplotlib.figure matplotlib.backends.backend_pdf "
+    "pipeline.study pipeline.report pipeline.figure_files matplotlib.figure matplotlib.backends.backend_pdf "
     "kinematics.registration.scan_surfaces stapeskit.records.mass_record stapeskit.records.motion_files"
 )
 """Imported once, before the process that reads is forked."""

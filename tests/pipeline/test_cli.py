@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import cli
-from pipeline.progress import Progress
+from pipeline.stage_progress import Progress
 from pipeline.template import TEMPLATE
 from stapeskit.faults import StapeskitError
 

@@ -11,8 +11,8 @@ import pytest
 
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from pipeline import scan2kd, stages
-from pipeline.progress import Progress
 from pipeline.scan2kd import output_set, run_study
+from pipeline.stage_progress import Progress
 from pipeline.stage_records import StageReport
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError

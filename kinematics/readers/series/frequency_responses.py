@@ -18,7 +18,7 @@ from kinematics.errors import KinematicsError
 from kinematics.options import LOCAL, SeriesOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series.channel_table import Channel, read_channels
-from kinematics.readers.series.files import Series, read_series
+from kinematics.readers.series.series_files import Series, read_series
 from kinematics.signals.frf import Welch, segment_for, welch_frf
 from kinematics.signals.frf_local import Local, local_frf
 from kinematics.signals.frf_noise import Frf
@@ -41,7 +41,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     Parameters
     ----------
     path : Path
-        CSV, NPZ, WAV, MATLAB or HDF5; see kinematics.readers.series.files.
+        CSV, NPZ, WAV, MATLAB or HDF5; see kinematics.readers.series.series_files.
     options : SeriesOptions, optional
         Must be given: it names the channel table.
 

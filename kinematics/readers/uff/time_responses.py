@@ -11,8 +11,8 @@ from kinematics.errors import KinematicsError
 from kinematics.options import SeriesOptions
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.series.channel_table import Channel
-from kinematics.readers.series.files import Series, check_finite, sampling_rate
 from kinematics.readers.series.frequency_responses import empty_band, estimated
+from kinematics.readers.series.series_files import Series, check_finite, sampling_rate
 from kinematics.readers.uff.functions import TIME, Function
 from kinematics.readers.uff.geometry import Geometry
 from kinematics.readers.uff.motion_functions import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
-from stapeskit.records.hdf5_file import write_h5
+from stapeskit.records.hdf5_writing import write_h5
 
 SCHEMA = "stapeskit.cohort_matrices/1"
 _NOTE = (

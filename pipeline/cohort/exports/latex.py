@@ -12,7 +12,7 @@ from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.compare_ears import labels, quantities
 from pipeline.cohort.law_labels import law_name
 from stapeskit.page.numbers import plus_minus
-from stapeskit.tables.latex import PACKAGE, escaped, tabular
+from stapeskit.tables.latex_tables import PACKAGE, escaped, tabular
 
 
 def _table(caption: str, rows: Sequence[Sequence[str]]) -> str:

@@ -13,8 +13,8 @@ from scipy.io import savemat, wavfile
 
 from kinematics.options import SeriesOptions
 from kinematics.readers.series.channel_table import read_channels, sensitivity
-from kinematics.readers.series.files import read_series
 from kinematics.readers.series.frequency_responses import read, read_steps
+from kinematics.readers.series.series_files import read_series
 from stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 

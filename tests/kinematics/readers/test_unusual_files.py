@@ -11,7 +11,7 @@ from kinematics.measure_motion import MotionInputs
 from kinematics.readers import InputOptions, read_measurement
 from kinematics.readers.containers.matlab_file import read_mat
 from kinematics.readers.formats import read_recordings
-from kinematics.readers.series.files import read_series
+from kinematics.readers.series.series_files import read_series
 from kinematics.readers.unit_labels import motion_unit
 from stapeskit.faults import StapeskitError
 

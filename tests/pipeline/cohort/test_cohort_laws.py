@@ -14,10 +14,10 @@ from pipeline.cohort.cohort_laws import (
     planned_law,
     primary_family,
 )
+from pipeline.cohort.cohort_page import write_cohort_page
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
-from pipeline.cohort.law import fit_law
 from pipeline.cohort.log_table import log_table
-from pipeline.cohort.page import write_cohort_page
+from pipeline.cohort.power_law import fit_law
 from pipeline.errors import PipelineError
 from tests.pipeline.cohort.simulated_ears import ear
 

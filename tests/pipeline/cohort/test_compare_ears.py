@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.cohort.cohort_page import write_cohort_page
 from pipeline.cohort.compare_ears import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
-from pipeline.cohort.page import write_cohort_page
-from pipeline.runners.process import Task
+from pipeline.runners.study_process import Task
 from pipeline.several_studies import folder_names, run_studies
 from stapeskit.faults import StapeskitError
 

@@ -8,8 +8,8 @@ from scipy import stats
 
 from pipeline.cohort.compare_ears import Ear
 from pipeline.cohort.covariates import covariates_of
-from pipeline.cohort.law import fit_law
 from pipeline.cohort.log_pairs import LogPairs
+from pipeline.cohort.power_law import fit_law
 from pipeline.cohort.prediction import Predictor, left_out
 from pipeline.errors import PipelineError
 

@@ -20,7 +20,7 @@ from distributed import KilledWorker
 from pipeline.errors import PipelineError
 from pipeline.runners import Where, cluster, local
 from pipeline.runners.cluster import _end_of, _Order, _refusal
-from pipeline.runners.process import Task
+from pipeline.runners.study_process import Task
 from pipeline.several_studies import run_studies
 from pipeline.stage_records import code_hash
 from tests.pipeline.runners.helpers import Report, results, tasks
@@ -148,7 +148,7 @@ def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
 
 def test_a_study_that_takes_its_workers_down_is_named():
     fault = KilledWorker("a", SimpleNamespace(address="tcp://10.0.0.2:1"), 3)
-    end = _end_of(SimpleNamespace(status="error", exception=lambda: fault), lost=False)
+    end = _end_of(SimpleNamespace(status="error", exception=lambda: fault), disconnected=False)
     assert end.code == 2
     assert "tcp://10.0.0.2:1" in end.fault
 

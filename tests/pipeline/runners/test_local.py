@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.runners import Where
 from pipeline.runners.local import run
-from pipeline.runners.process import run_task
+from pipeline.runners.study_process import run_task
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 

@@ -27,7 +27,7 @@ from stapeskit.page.drawings import (
     unit,
 )
 from stapeskit.page.page import new_figure
-from stapeskit.page.shading import View, shade, silhouette, views
+from stapeskit.page.shaded_surface import View, shade, silhouette, views
 from tests.kinematics.simulated import body, measurement, scene
 
 

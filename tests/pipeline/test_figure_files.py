@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pipeline.figure_files import write_figures
 from pipeline.figure_pdf import figure_pdf, replayed
-from pipeline.figures import write_figures
 from stapeskit.faults import StapeskitError
 from stapeskit.page import page
 

@@ -18,7 +18,7 @@ from typing import Any
 from pipeline.figure_pdf import figure_pdf
 from stapeskit.faults import StapeskitError
 from stapeskit.own_files import OutputSet
-from stapeskit.tables.latex import PACKAGE, tabular
+from stapeskit.tables.latex_tables import PACKAGE, tabular
 from stapeskit.tables.text_cells import as_text_cell
 
 _PICTURE = re.compile(r"data:image/(svg|png)(?:\+xml)?;base64,(.*)", re.DOTALL)

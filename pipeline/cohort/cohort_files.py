@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cohort.cohort_laws import CohortLaws
+from pipeline.cohort.cohort_page import write_cohort_page
 from pipeline.cohort.compare_ears import write_cohort_csv
 from pipeline.cohort.exports import EXPORTS
-from pipeline.cohort.page import write_cohort_page
 from stapeskit.own_files import OutputSet
 from stapeskit.provenance import record
 

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from pipeline.cohort.intrinsic_scatter import scatter_interval
-from pipeline.cohort.law import Profile, fit_law
 from pipeline.cohort.likelihood import RestrictedLikelihood
 from pipeline.cohort.log_pairs import LogPairs
+from pipeline.cohort.power_law import Profile, fit_law
 from tests.pipeline.cohort.simulated import cohort
 
 

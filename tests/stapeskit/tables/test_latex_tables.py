@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stapeskit.tables.latex import escaped, tabular
+from stapeskit.tables.latex_tables import escaped, tabular
 
 
 def test_special_signs_are_printed():
