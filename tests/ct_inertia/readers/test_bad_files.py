@@ -106,7 +106,7 @@ def test_headers_that_claim_terabytes_are_refused_before_allocation(tmp_path):
         with pytest.raises(CtInertiaError, match=r"32000 x 32000 x 32000 voxels, 65\.5 TB"):
             read_volume(tmp_path / name)
     with pytest.raises(CtInertiaError, match="small enough to unpack"):
-        check_size((10**4, 10**4, 10**5), np.dtype("u2"), 10**12, "x.tif", packing="deflate", held=True)
+        check_size((10**4, 10**4, 10**5), np.dtype("u2"), 10**12, "x.tif", packing="deflate", in_memory=True)
 
 
 def test_a_zarr_that_claims_terabytes_is_refused(tmp_path):
