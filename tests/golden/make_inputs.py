@@ -128,6 +128,7 @@ def _ears(folder: Path) -> None:
 def _formats(folder: Path) -> None:
     """One small scan in every format; rounded, so that it packs."""
     from tests.ct_inertia.ears import ear
+    from tests.ct_inertia.readers import scanner_writers as scanners
     from tests.ct_inertia.readers import writers as f
 
     made = folder / "formats"
@@ -144,11 +145,11 @@ def _formats(folder: Path) -> None:
     f.itk(made / "itk.mhd", grey)
     f.nifti(made / "scan.nii", grey)
     f.dicom(made / "dicom", grey)
-    f.isq(made / "scan.isq", grey)
-    f.aim(made / "scan.aim", grey)
-    f.aim30(made / "scan30.aim", grey)
-    f.vgi(made / "scan.vgi", grey.astype(np.uint16))
-    f.amira(made / "scan.am", grey)
+    scanners.isq(made / "scan.isq", grey)
+    scanners.aim(made / "scan.aim", grey)
+    scanners.aim30(made / "scan30.aim", grey)
+    scanners.vgi(made / "scan.vgi", grey.astype(np.uint16))
+    scanners.amira(made / "scan.am", grey)
     f.raw(made / "scan.raw", grey, header=77)
     f.ome_zarr(made / "scan.zarr", grey, "0.5", chunk=64)
     f.ome_zarr(made / "scan2.zarr", grey, "0.4", chunk=64)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 
 INTEGERS = ("u1", "i1", "u2", "i2", "u4", "i4")
@@ -81,20 +82,20 @@ CASES = {
     "folder_lzw": Case(f.slices, "blocks", ("u2",), {"compression": "lzw"}, asks=True),
     "folder_png": Case(f.slices, "blocks", ("u1", "u2"), {"ending": "png"}, asks=True),
     "folder_bmp": Case(f.slices, "blocks", ("u1",), {"ending": "bmp"}, asks=True),
-    "a.isq": Case(f.isq, "map", ("i2",)),
-    "a.ISQ;1": Case(f.isq, "map", ("i2",)),
-    "a.AIM": Case(f.aim, "map", ("i1", "u1", "i2", "u2", "i4", "f4")),
-    "a30.aim": Case(f.aim30, "map", ("i1", "u1", "i2", "u2", "i4", "f4")),
-    "a.vgi": Case(f.vgi, "map", ("u1", "u2", "i2", "f4")),
-    "a_um.vgi": Case(f.vgi, "map", ("u2",), {"unit": "um", "skip": 100}),
-    "a_parts.vgi": Case(f.vgi, "blocks", ("u2",), {"parts": 3}),
-    "a.am": Case(f.amira, "map", ("u1", "i2", "u2", "i4", "f4", "f8")),
-    "a_big.am": Case(f.amira, "map", ("u2", "f4"), {"big": True, "unit": "mm"}),
-    "a_um.am": Case(f.amira, "map", ("u2",), {"unit": "um"}),
-    "a_text.am": Case(f.amira, "whole", ("u1", "f8"), {"form": "ASCII"}),
-    "a_runs.am": Case(f.amira, "whole", ("u1", "u2"), {"form": "HxByteRLE"}),
-    "a_zip.am": Case(f.amira, "whole", ("u2", "f4"), {"form": "HxZip", "big": True}),
-    "a_mu.am": Case(f.amira, "map", ("u2",), {"unit": "µm"}),
+    "a.isq": Case(scanners.isq, "map", ("i2",)),
+    "a.ISQ;1": Case(scanners.isq, "map", ("i2",)),
+    "a.AIM": Case(scanners.aim, "map", ("i1", "u1", "i2", "u2", "i4", "f4")),
+    "a30.aim": Case(scanners.aim30, "map", ("i1", "u1", "i2", "u2", "i4", "f4")),
+    "a.vgi": Case(scanners.vgi, "map", ("u1", "u2", "i2", "f4")),
+    "a_um.vgi": Case(scanners.vgi, "map", ("u2",), {"unit": "um", "skip": 100}),
+    "a_parts.vgi": Case(scanners.vgi, "blocks", ("u2",), {"parts": 3}),
+    "a.am": Case(scanners.amira, "map", ("u1", "i2", "u2", "i4", "f4", "f8")),
+    "a_big.am": Case(scanners.amira, "map", ("u2", "f4"), {"big": True, "unit": "mm"}),
+    "a_um.am": Case(scanners.amira, "map", ("u2",), {"unit": "um"}),
+    "a_text.am": Case(scanners.amira, "whole", ("u1", "f8"), {"form": "ASCII"}),
+    "a_runs.am": Case(scanners.amira, "whole", ("u1", "u2"), {"form": "HxByteRLE"}),
+    "a_zip.am": Case(scanners.amira, "whole", ("u2", "f4"), {"form": "HxZip", "big": True}),
+    "a_mu.am": Case(scanners.amira, "map", ("u2",), {"unit": "µm"}),
     "a.raw": Case(f.raw, "map", ALL, {"header": 12}, True, raw={"header_bytes": 12}),
     "a_big.raw": Case(f.raw, "map", ALL, {"big": True}, True, raw={"byte_order": "big"}),
     "dicom": Case(f.dicom, "blocks", ("i2", "u2", "u1"), anatomical=True),

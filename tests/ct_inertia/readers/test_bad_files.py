@@ -12,6 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_volume
 from ct_inertia.readers.checks import check_size
 from ct_inertia.readers.raw_layout import RawLayout
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import picture
 
@@ -38,10 +39,10 @@ WRITERS = {
     "a_zip.mha": f.itk,
     "a.nii": f.itk,
     "a.nii.gz": f.itk,
-    "a.isq": f.isq,
-    "a.aim": f.aim,
-    "a30.aim": f.aim30,
-    "a.am": f.amira,
+    "a.isq": scanners.isq,
+    "a.aim": scanners.aim,
+    "a30.aim": scanners.aim30,
+    "a.am": scanners.amira,
 }
 
 
@@ -85,17 +86,17 @@ def test_headers_that_claim_terabytes_are_refused_before_allocation(tmp_path):
     data[42:48] = np.array([32000, 32000, 32000], "<i2").tobytes()
     nifti.write_bytes(bytes(data))
     (tmp_path / "z.nii.gz").write_bytes(gzip.compress(bytes(data)))
-    isq = f.isq(tmp_path / "a.isq", small)
+    isq = scanners.isq(tmp_path / "a.isq", small)
     data = bytearray(isq.read_bytes())
     data[44:56] = np.array([50000, 60000, 70000], "<i4").tobytes()
     isq.write_bytes(bytes(data))
-    aim = f.aim30(tmp_path / "a.aim", small)
+    aim = scanners.aim30(tmp_path / "a.aim", small)
     data = bytearray(aim.read_bytes())
     data[96:120] = np.array([50000, 60000, 70000], "<i8").tobytes()
     aim.write_bytes(bytes(data))
-    vgi = f.vgi(tmp_path / "a.vgi", small)
+    vgi = scanners.vgi(tmp_path / "a.vgi", small)
     vgi.write_text(vgi.read_text().replace("5 6 7", HUGE))
-    amira = f.amira(tmp_path / "a.am", small)
+    amira = scanners.amira(tmp_path / "a.am", small)
     amira.write_bytes(
         amira.read_bytes().replace(b"define Lattice 5 6 7", b"define Lattice 50000 60000 70000")
     )
@@ -124,8 +125,8 @@ def test_header_without_spacing_or_data(tmp_path):
     for path in (
         tmp_path / "b.mhd",
         f.nrrd(tmp_path / "a.nrrd", picture(), spacings=None),
-        f.vgi(tmp_path / "a.vgi", picture(), unit=""),
-        f.amira(tmp_path / "a.am", picture(), unit=""),
+        scanners.vgi(tmp_path / "a.vgi", picture(), unit=""),
+        scanners.amira(tmp_path / "a.am", picture(), unit=""),
     ):
         with pytest.raises(
             CtInertiaError, match=r"voxel spacing must be in the file or given; got none.*--spacing"
@@ -286,14 +287,14 @@ def test_bad_dicom_folders(tmp_path):
 
 
 def test_bad_scanco_files(tmp_path):
-    data = f.isq(tmp_path / "a.isq", picture()).read_bytes()
+    data = scanners.isq(tmp_path / "a.isq", picture()).read_bytes()
     (tmp_path / "head.isq").write_bytes(data[:100])
     with pytest.raises(CtInertiaError, match="100 bytes, less than its header of 512"):
         read_volume(tmp_path / "head.isq")
     (tmp_path / "zero.isq").write_bytes(data[:44] + bytes(12) + data[56:])
     with pytest.raises(CtInertiaError, match="size in the header must be positive"):
         read_volume(tmp_path / "zero.isq")
-    packed = bytearray(f.aim(tmp_path / "a.aim", picture()).read_bytes())
+    packed = bytearray(scanners.aim(tmp_path / "a.aim", picture()).read_bytes())
     packed[40:44] = np.array([0x00080002], "<i4").tobytes()
     (tmp_path / "packed.aim").write_bytes(bytes(packed))
     with pytest.raises(CtInertiaError, match="not packed; got type 0x80002"):
@@ -304,7 +305,7 @@ def test_bad_scanco_files(tmp_path):
 
 
 def test_bad_vgi_and_amira_files(tmp_path):
-    path = f.vgi(tmp_path / "a.vgi", picture())
+    path = scanners.vgi(tmp_path / "a.vgi", picture())
     text = path.read_text()
     for old, new, message in (
         ("BitsPerElement = 16", "BitsPerElement = 12", "BitsPerElement = 12"),
@@ -315,7 +316,7 @@ def test_bad_vgi_and_amira_files(tmp_path):
         path.write_text(text.replace(old, new))
         with pytest.raises(CtInertiaError, match=message):
             read_volume(path)
-    data = f.amira(tmp_path / "a.am", picture()).read_bytes()
+    data = scanners.amira(tmp_path / "a.am", picture()).read_bytes()
     for old, new, message in (
         (b"BINARY-LITTLE-ENDIAN", b"ASCII", "a readable text file"),
         (b"Data } @1", b"Data } @1(HxByteRLE,99)", r"packed volume must be complete \(420 bytes"),

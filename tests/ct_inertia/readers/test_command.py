@@ -11,6 +11,7 @@ from ct_inertia.cli import main, parser
 from ct_inertia.options import MassOptions
 from stapeskit.faults import StapeskitError
 from tests.ct_inertia.ears import ear
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -113,7 +114,7 @@ def test_a_bad_file_is_told_in_one_sentence(tmp_path, monkeypatch, capsys):
 def test_the_voxels_beside_a_header_are_inputs_too(tmp_path):
     array = f.picture()
     f.itk(tmp_path / "scan.mhd", array)
-    f.vgi(tmp_path / "ear.vgi", array, parts=2)
+    scanners.vgi(tmp_path / "ear.vgi", array, parts=2)
     f.itk(tmp_path / "a.nhdr", array)
     f.itk(tmp_path / "b.img", array.astype(np.int16))
     expected = {

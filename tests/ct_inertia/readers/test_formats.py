@@ -13,6 +13,7 @@ from ct_inertia.read_scan import read_volume
 from ct_inertia.readers.companions import data_files, with_data_files
 from ct_inertia.readers.formats import FORMATS, RAW, Format, ReadOptions, format_of
 from ct_inertia.readers.raw_layout import RawLayout
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.contract import CASES
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
@@ -135,7 +136,7 @@ def test_companions_are_read_with_a_scan(tmp_path):
     pair = f.itk(tmp_path / "b.img", array)
     assert data_files(pair.with_suffix(".hdr")) == [pair]
     assert data_files(pair) == [pair.with_suffix(".hdr")]
-    parts = f.vgi(tmp_path / "c.vgi", array, parts=3)
+    parts = scanners.vgi(tmp_path / "c.vgi", array, parts=3)
     assert len(data_files(parts)) == 3
     assert data_files(f.plain(tmp_path / "d.tif", array)) == []
     named = with_data_files({"scan": parts, "labels": None, "landmarks": header})

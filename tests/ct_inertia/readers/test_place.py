@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_labels, read_volume
 from ct_inertia.readers.raw_layout import RawLayout
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
@@ -273,7 +274,7 @@ def test_dicom_rescaling_is_applied(tmp_path):
 
 
 def test_scanco_place_and_density(tmp_path):
-    for write in (f.aim, f.aim30):
+    for write in (scanners.aim, scanners.aim30):
         volume = read_volume(write(tmp_path / "a.aim", picture(np.int16), position=(10, 20, -30)))
         assert volume.origin_mm == pytest.approx(SPACING * [10, 20, -30])
         text = {n.code: n.text for n in volume.notices}["density_in_header"]
@@ -282,7 +283,7 @@ def test_scanco_place_and_density(tmp_path):
 
 
 def test_an_isq_density_in_the_extended_header(tmp_path):
-    path = f.isq(tmp_path / "a.isq", picture(np.int16))
+    path = scanners.isq(tmp_path / "a.isq", picture(np.int16))
     data = bytearray(path.read_bytes())
     head, voxels = data[:512], data[1024:]
     head[508:512] = (6).to_bytes(4, "little")
@@ -340,7 +341,7 @@ def test_raw_voxels_beside_a_header(tmp_path):
     array = picture()
     f.itk(tmp_path / "scan.mhd", array)
     assert np.array_equal(np.asarray(read_volume(tmp_path / "scan.raw").array), array)
-    path = f.vgi(tmp_path / "ear.vgi", array)
+    path = scanners.vgi(tmp_path / "ear.vgi", array)
     (tmp_path / "ear-0.vol").rename(tmp_path / "ear.vol")
     path.write_text(path.read_text().replace("ear-0.vol", "ear.vol"))
     assert read_volume(tmp_path / "ear.vol").spacing_mm == pytest.approx(SPACING)

@@ -9,6 +9,7 @@ import pytest
 from ct_inertia.read_scan import read_labels, read_volume
 from ct_inertia.readers.raw_layout import RawLayout
 from ct_inertia.volume.lazy_arrays import BlockArray, sampled
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.contract import CASES
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
@@ -80,7 +81,7 @@ print(tracemalloc.get_traced_memory()[1] / 2**20, int(np.asarray(part, dtype=np.
         ("a.nrrd", f.nrrd, {"big": True}),
         ("a.mha", f.meta, {}),
         ("a.nii", f.nifti, {}),
-        ("a.vgi", f.vgi, {"parts": 2}),
+        ("a.vgi", scanners.vgi, {"parts": 2}),
         ("folder", f.slices, {}),
         ("a.zarr", f.ome_zarr, {"compressors": None}),
     ],

@@ -16,6 +16,7 @@ from PIL import Image
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_labels, read_volume
 from stapeskit.provenance import content_hash
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
@@ -122,7 +123,7 @@ def test_numbers_in_words_that_the_voxels_cannot_hold(tmp_path):
 
 
 def test_materials_name_the_labels_of_amira(tmp_path):
-    path = f.amira(
+    path = scanners.amira(
         tmp_path / "a.am", picture("u1"), form="HxByteRLE", materials=("Exterior", "Plate", '"left Stapes"')
     )
     labels = read_labels(path)
@@ -134,7 +135,7 @@ def test_amira_runs_of_every_length(tmp_path):
     array = np.zeros((20, 20, 20), np.uint8)
     array[5:9] = np.random.default_rng(1).integers(0, 3, (4, 20, 20))
     array[12, 3:, 4:] = np.arange(17 * 16, dtype=np.uint16).reshape(17, 16) % 251
-    read_back(f.amira(tmp_path / "a.am", array, form="HxByteRLE"), array)
+    read_back(scanners.amira(tmp_path / "a.am", array, form="HxByteRLE"), array)
 
 
 def element(group, number, kind, value):
@@ -203,7 +204,7 @@ def test_a_stream_that_becomes_longer_than_its_volume_fills_the_volume_only(tmp_
     head = path.read_bytes().split(b"\n\n")[0] + b"\n\n"
     path.write_bytes(head + gzip.compress(picture().tobytes() + bytes(1 << 20)))
     read_back(path, picture())
-    path = f.amira(tmp_path / "a.am", picture(), form="HxZip")
+    path = scanners.amira(tmp_path / "a.am", picture(), form="HxZip")
     path.write_bytes(path.read_bytes().rpartition(b"@1\n")[0] + b"@1\n" + zlib.compress(bytes(1 << 20)))
     with pytest.raises(CtInertiaError, match="differing grey values"):
         read_volume(path)
