@@ -63,7 +63,6 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
 
     Parameters
     ----------
-    studies : sequence of Path
     dataset : Path
         Made when missing; studies that it holds already stay.
 

@@ -25,7 +25,6 @@ class CohortLog:
 
     Parameters
     ----------
-    out : Path
     ears : int
         How many there are.
     tell : callable, optional

@@ -39,7 +39,6 @@ def figure_pdf(kind: str, content: bytes) -> bytes:
     Parameters
     ----------
     kind : {"svg", "png"}
-    content : bytes
     """
     from matplotlib.figure import Figure
 

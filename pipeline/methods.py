@@ -18,7 +18,6 @@ def methods(mass: Mapping[str, Any], kd: Mapping[str, Any], motion: RigidMotion)
     ----------
     mass, kd : mapping
         Content of mass.json and kd.json.
-    motion : RigidMotion
     """
     voxel = (mass.get("segmentation") or {}).get("voxel_size_mm")
     scan = f"a micro-CT scan with voxels of {_sizes(voxel)} µm" if voxel else "a surface of the stapes"

@@ -65,11 +65,8 @@ def write_report(
 
     Parameters
     ----------
-    path : Path
-    study_file : Path
     name : str
         What the study is called.
-    study : Study
     work : Workspace
         Where the result files are.
     reports : mapping of str to StageReport

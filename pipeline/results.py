@@ -36,15 +36,10 @@ class StudyResult(Result):
 
     Attributes
     ----------
-    study : Study
     name : str
         Its name, or the stem of its file.
-    out : Path
     mass, kd : mapping
         Content of mass.json and kd.json.
-    stages : tuple of StageRun
-    files : tuple of Path
-    notices : tuple of Notice
     """
 
     study: Study

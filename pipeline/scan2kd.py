@@ -100,9 +100,6 @@ def output_set(
     ----------
     path : Path
         The study file.
-    study : Study
-    out : Path
-    force : bool
     records : mapping of str to StageRecord, optional
         Of finished stages, whose outputs count as known; read from ``out`` when left out.
     hashes : Hashes, optional

@@ -28,8 +28,6 @@ class CohortChoices:
 
     Attributes
     ----------
-    mix : bool
-    covariates : tuple of str
     planned : tuple of (response, predictor)
         Empty: the default family.
     exports : tuple of str
@@ -53,14 +51,12 @@ class CohortResult:
 
     Attributes
     ----------
-    out : Path
     ears : tuple of Ear
         Those that were finished.
     faults : mapping of str to str
         By study.
     codes : mapping of str to int
         Exit code of each study that failed.
-    files : tuple of Path
     notices : tuple of Notice
         About the cohort; those of an ear are in its own files.
     """
@@ -113,7 +109,6 @@ def run_studies(
 
     Parameters
     ----------
-    studies : sequence of Path
     out : Path
         Gets one subfolder per study and the files of the cohort.
     jobs : int

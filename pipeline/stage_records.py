@@ -25,7 +25,6 @@ class StageRecord:
 
     Attributes
     ----------
-    stage : str
     fingerprint : mapping of str to str
         Everything its outputs depend on: ``code``, ``input scan``, ``spacing_mm`` ...
     outputs : mapping of str to str
@@ -100,7 +99,6 @@ def fingerprint(
     ----------
     rooms : iterable of str
         Packages, or files as ``package/file.py``, whose code makes the outputs.
-    inputs : mapping of str to Path or None
     parameters : mapping
         JSON-able; paths left out.
     hashes : Hashes

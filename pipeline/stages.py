@@ -27,7 +27,6 @@ class Stage:
 
     Attributes
     ----------
-    name, title : str
     table : str
         Table of the study file that holds its options.
     rooms : tuple of str
@@ -60,7 +59,6 @@ def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) ->
     ----------
     name : str
         ``scan``, ``motion`` or ``fit``.
-    study_file, folder_in, folder_out : Path
 
     Returns
     -------

@@ -30,7 +30,6 @@ class Reason:
         What it alone would make of the study.
     code : str
         Of the warning; empty where a number is the reason.
-    text : str
     """
 
     level: str
@@ -61,7 +60,6 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
     ----------
     kd : mapping
         Content of kd.json.
-    notices : iterable of Notice
     """
     notices = list(notices)
     codes = {notice.code for notice in notices}

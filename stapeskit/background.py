@@ -27,7 +27,6 @@ class Later(Generic[Result]):
 
     Parameters
     ----------
-    work : callable
     *arguments
         What to call it with.
     """

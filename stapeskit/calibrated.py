@@ -36,7 +36,6 @@ class CalibratedNumber:
 
     Attributes
     ----------
-    value : float, int or tuple
     meaning : str
         What the number decides or states, with its unit.
     fitted_on, checked_on : str

@@ -22,7 +22,6 @@ def library_name(folder: Path, library: bytes) -> str:
 
     Parameters
     ----------
-    folder : Path
     library : bytes
         Content of the library.
     """

@@ -95,7 +95,6 @@ def render(fault: Fault, vocabulary: Vocabulary = named) -> str:
 
     Parameters
     ----------
-    fault : Fault
     vocabulary : callable
         Takes the name of an option, returns what the reader calls it; default that of the edge.
     """
@@ -183,7 +182,6 @@ def format_faults(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> st
 
     Parameters
     ----------
-    faults : sequence of Fault
     vocabulary : callable
         As of `render`.
     """

@@ -60,7 +60,6 @@ def read_apart(
     ----------
     read : callable
         Reads the file. Its result must be plain data: arrays, texts, data classes.
-    path : Path
     wanted : str
         What the file is, for the message.
     error : type of StapeskitError

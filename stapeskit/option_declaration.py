@@ -30,7 +30,6 @@ class Option:
         Name in Python and, with dashes, on the command line: ``box``.
     table, key : str
         Place in a study file: ``scan``, ``box_mm``. The table is empty for options of commands alone.
-    kind : Kind
     help : str
         What it does, one phrase.
     default : object
@@ -41,7 +40,6 @@ class Option:
         Heading in the help.
     example : object
         A value, as in a study file.
-    positional, required : bool
     recommended : bool
         Whether the template of a study file sets it to the example.
     """
@@ -127,10 +125,8 @@ def option(
 
     Parameters
     ----------
-    kind : Kind
     text : str
         The help.
-    default : object
     unit : str
         Suffix of its key in a study file, as in ``box_mm``; its name on the command line is without it.
     key : str

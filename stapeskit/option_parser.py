@@ -65,7 +65,6 @@ class Parser(argparse.ArgumentParser):
 
     Parameters
     ----------
-    prog, description, epilog : str
     *tables : type
         Tables of options; positional options keep their order.
     rules : tuple of Rule

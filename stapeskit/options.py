@@ -129,7 +129,6 @@ def read_table(
 
     Parameters
     ----------
-    kind : type
     values : mapping
         The table as TOML gives it.
     where : str

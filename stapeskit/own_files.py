@@ -39,7 +39,6 @@ class OutputSet:
     ----------
     command : str
         Its name; together with the first of ``names`` it names the record.
-    folder : Path
     names : tuple of str
         Files that this run may write, or that would contradict its result if others stood there.
     inputs : tuple of Path

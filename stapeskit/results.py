@@ -53,7 +53,6 @@ class Result:
 
         Parameters
         ----------
-        folder : Path or str
         force : bool
             Replace files that are not known as written by the command. Inputs are never replaced.
 

@@ -31,7 +31,6 @@ class Unit:
         Time derivatives: 0 displacement, 1 velocity, 2 acceleration.
     scale : float
         Factor to SI peak amplitude.
-    rms : bool
     """
 
     part: str

@@ -34,10 +34,8 @@ class WarningEntry:
 
     Attributes
     ----------
-    meaning : str
     room : str
         The package that gives the warning, one of `ROOMS`.
-    what_to_do : str
     verdict : str
         On a study that has the warning, one of `VERDICTS`.
     """

@@ -103,7 +103,6 @@ def check_size(
     ----------
     shape : sequence of int
         Claimed number of voxels along each axis.
-    dtype : dtype
     stored_bytes : int
         Bytes that the file has for them.
     name : str

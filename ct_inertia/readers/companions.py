@@ -11,12 +11,7 @@ from ct_inertia.surface.surface import SURFACE_SUFFIXES
 
 
 def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]:
-    """Return inputs by role, with the data files of headers as ``<role>_data``, ``<role>_data_2``, ...
-
-    Parameters
-    ----------
-    inputs : mapping of str to Path or None
-    """
+    """Return inputs by role, with the data files of headers as ``<role>_data``, ``<role>_data_2``, ..."""
     files: dict[str, Path | None] = {}
     for role, path in inputs.items():
         files[role] = path
@@ -27,10 +22,6 @@ def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]
 
 def data_files(path: Path | None) -> list[Path]:
     """Return the other files that are read with a scan: voxels of a header, or the header of raw voxels.
-
-    Parameters
-    ----------
-    path : Path or None
 
     Returns
     -------

@@ -15,7 +15,6 @@ def unpack(codec: str, data: bytes, most: int) -> bytes:
     ----------
     codec : str
         One of `CODECS`.
-    data : bytes
     most : int
         Bytes that there can be.
 

@@ -59,7 +59,6 @@ class Grid:
         Slices in each file but the last, which may hold fewer; 0: as many in each.
     known : str
         The part of an incomplete spacing that the header has, for the message.
-    notices : tuple of Notice
     """
 
     size: tuple[int, int, int]

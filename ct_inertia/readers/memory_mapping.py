@@ -28,8 +28,6 @@ def mapped(
 
     Parameters
     ----------
-    file : Path
-    dtype : dtype
     offset : int
         Of the first voxel; -1 counts back from the end of the file.
     shape : sequence of int

@@ -34,10 +34,6 @@ class Calibration:
 def ome_calibration(xml: str) -> Calibration | None:
     """Return voxel size and place of the first image, or None when the XML has none.
 
-    Parameters
-    ----------
-    xml : str
-
     Notes
     -----
     Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame

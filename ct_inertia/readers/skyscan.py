@@ -14,10 +14,6 @@ _NUMBER = r"\s*=\s*([0-9.]+(?:[eE][-+]?\d+)?)"
 def log_spacing(folder: Path) -> NDArray[np.float64] | None:
     """Return the voxel spacing in a reconstruction log in the folder, mm.
 
-    Parameters
-    ----------
-    folder : Path
-
     Returns
     -------
     ndarray, (3,), or None

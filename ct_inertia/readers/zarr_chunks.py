@@ -40,10 +40,8 @@ class ZarrArray:
 
     Attributes
     ----------
-    folder : Path
     shape, chunks : tuple of int
         Along every axis; of a sharded array the chunks inside the shards.
-    dtype : dtype
     fill : object
         Value of voxels that are not stored, as the metadata has it.
     read : callable

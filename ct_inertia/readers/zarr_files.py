@@ -25,7 +25,6 @@ class ZarrFiles:
 
     Attributes
     ----------
-    folder : Path
     shape, stored : tuple of int
         Voxels of the array and of a file along every axis.
     separator : str

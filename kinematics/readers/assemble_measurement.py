@@ -54,7 +54,6 @@ def assemble(
 
     Parameters
     ----------
-    files : sequence of Recordings
     points : Points, optional
         From a points file: the body of a point, and its position where the files have none; a position that
         both have must be the same.

@@ -24,7 +24,6 @@ def with_common_noise(
 
     Parameters
     ----------
-    recordings : sequence of Recording
     take_of : sequence of int
         Run of each recording.
     lines_of : sequence of ndarray

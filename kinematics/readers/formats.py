@@ -59,7 +59,6 @@ class Format:
 
     Attributes
     ----------
-    name : str
     module : str
         Has ``read(path, *options)``; empty for the tidy table, which `kinematics.tidy` reads.
     words : str

@@ -35,7 +35,6 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
 
     Parameters
     ----------
-    path : Path
     mapping : Path, optional
         Which data set is what, for files of other layouts; see kinematics.readers.matlab.mapping.
 

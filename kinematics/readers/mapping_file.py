@@ -39,7 +39,6 @@ def read_mapping_file(
 
     Parameters
     ----------
-    path : Path
     keys : mapping of str to sequence of str
         The keys of the file with the values that they may have; any text where there are none.
     signal_keys : iterable of str

@@ -148,8 +148,6 @@ class Recordings:
 
     Attributes
     ----------
-    recordings : tuple of Recording
-    notices : tuple of Notice
     frame_units : str
         What the file says about its coordinate system and units, for messages and provenance.
     file : str

@@ -22,7 +22,6 @@ def body_noise(
 
     Parameters
     ----------
-    body : str
     entries : sequence of (place, Recording)
         Place: run, channel and lines.
     value : ndarray, (run, channel, freq), complex

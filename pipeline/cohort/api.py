@@ -52,7 +52,6 @@ class Cohort(CohortLaws, Result):
 
         Parameters
         ----------
-        folder : Path or str
         force : bool
             Replace files that are not known as written here.
         export : sequence of str

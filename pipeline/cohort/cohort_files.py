@@ -44,8 +44,6 @@ def write_cohort(
 
     Parameters
     ----------
-    folder : Path
-    cohort : CohortLaws
     parameters : mapping
         For the provenance.
     files : mapping of str to Path, optional

@@ -46,8 +46,6 @@ class CohortLaw:
 
     Attributes
     ----------
-    response, predictor : str
-    law : Law
     family : str
         ``primary`` or ``exploratory``.
     q_value : float
@@ -98,9 +96,6 @@ class CohortLaws:
         Name and reason of each ear that enters no law: its study failed, or it has no standard deviation.
     table : LogTable or None
         None when there are no ears.
-    laws : tuple of CohortLaw
-    components : Components or None
-    notices : tuple of Notice
     """
 
     ears: tuple[Ear, ...]
@@ -143,7 +138,6 @@ class CohortLaws:
         ----------
         mass : MassResult, StudyResult, path or mapping
             The result of its scan, its mass.json or the content of it.
-        response, predictor : str
         about : mapping, optional
             Covariates of the ear, where the cohort was adjusted for some.
 
@@ -235,7 +229,6 @@ def cohort_laws(
 
     Parameters
     ----------
-    ears : sequence of Ear
     failed : mapping of str to str, optional
         Studies without a result, and why.
     mix : bool

@@ -35,7 +35,6 @@ class Ear:
         Content of mass.json and kd.json.
     about : mapping
         What the study says of the ear: subject, age, sex, group and further covariates.
-    warnings : int
     """
 
     name: str
@@ -58,7 +57,6 @@ class Quantity:
 
     Attributes
     ----------
-    name, unit : str
     values, deviations : ndarray, (ears,)
         NaN where an ear has none.
     turns : bool
@@ -289,8 +287,6 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] 
 
     Parameters
     ----------
-    path : Path
-    ears : sequence of Ear
     faults : mapping of str to str, optional
         Studies that failed, by folder, and why: rows at the end with nothing but the column error.
     """

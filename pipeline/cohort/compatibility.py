@@ -19,7 +19,6 @@ def faults_of_cohort(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
 
     Parameters
     ----------
-    ears : sequence of Ear
     mix : bool
         Allow different estimators, damping laws and states of cochlea and incus.
     """

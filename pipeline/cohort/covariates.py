@@ -20,7 +20,6 @@ class Coding:
 
     Attributes
     ----------
-    name : str
     centre, scale : float
         Mean and standard deviation over the ears, of a number.
     groups : tuple of str
@@ -61,7 +60,6 @@ class Covariates:
 
     Attributes
     ----------
-    codings : tuple of Coding
     columns : ndarray, (n, c)
     """
 
@@ -99,7 +97,6 @@ def covariates_of(ears: Sequence[Ear], names: Sequence[str]) -> Covariates:
 
     Parameters
     ----------
-    ears : sequence of Ear
     names : sequence of str
         Numbers are scaled to a standard deviation of 1; texts have a column for each value but the first.
 

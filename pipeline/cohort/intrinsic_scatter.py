@@ -14,9 +14,6 @@ def scatter_interval(
 
     Parameters
     ----------
-    pairs : LogPairs
-    exponent : float
-    level : float
     rho : float
         Correlation of the scatter of ears of one person.
 

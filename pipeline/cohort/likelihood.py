@@ -46,12 +46,7 @@ class _Group:
 
 
 class RestrictedLikelihood:
-    """Minus the restricted log likelihood of the ears, up to a constant.
-
-    Parameters
-    ----------
-    pairs : LogPairs
-    """
+    """Minus the restricted log likelihood of the ears, up to a constant."""
 
     def __init__(self, pairs: LogPairs) -> None:
         self.pairs = pairs

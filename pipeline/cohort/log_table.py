@@ -47,7 +47,6 @@ class LogTable:
 
     Attributes
     ----------
-    predictors, responses : tuple of str
     values : ndarray, (n, p)
         Natural logarithms in SI, predictors first; NaN where an ear lacks one or it is not positive.
     own : ndarray, (n, p, p)
@@ -57,8 +56,6 @@ class LogTable:
     sources : tuple of str
         Names of the shared errors.
     subject : ndarray of int, (n,)
-    notices : tuple of Notice
-    covariates : Covariates
     ears : tuple of str
         Folders of the ears, one a row.
     """

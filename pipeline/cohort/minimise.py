@@ -19,7 +19,6 @@ class Minimum:
     Attributes
     ----------
     point : ndarray, (p,)
-    value : float
     curvature : ndarray, (p, p)
         Second derivatives there.
     """

@@ -74,7 +74,6 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> Law:
 
     Parameters
     ----------
-    pairs : LogPairs
     level : float
         Of the intervals.
 

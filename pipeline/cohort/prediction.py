@@ -55,10 +55,6 @@ class Predictor:
     likelihood is the exponential of the restricted one. tau and sigma have flat priors, b a wide normal
     one: a flat one would be improper where tau may be zero. The correlation of ears of one person is kept
     at its estimate.
-
-    Parameters
-    ----------
-    pairs : LogPairs
     """
 
     def __init__(self, pairs: LogPairs) -> None:

@@ -51,8 +51,6 @@ class Run(Protocol):
 
         Parameters
         ----------
-        tasks : sequence of Task
-        where : Where
         tell : callable
             Gets the name of a study (empty for a line about all of them) and a line of its progress.
         ended : callable

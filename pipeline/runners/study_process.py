@@ -76,7 +76,6 @@ def run_task(
 
     Parameters
     ----------
-    task : Task
     tell : callable
         Gets each line of progress.
     stopped : callable

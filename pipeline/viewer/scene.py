@@ -30,7 +30,6 @@ def viewer(mass: MeasuredMass, kd: Mapping[str, Any]) -> Markup:
 
     Parameters
     ----------
-    mass : MeasuredMass
     kd : mapping
         Content of kd.json.
     """

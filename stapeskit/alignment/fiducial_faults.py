@@ -38,7 +38,6 @@ class Explanation:
         The fiducials concerned.
     energy : float
         Weighted sum of squared residuals that is left.
-    n_dof : int
     cost : float
         What the explanation must gain: for its parameters and for being one of many.
     size_mm : float
@@ -167,12 +166,10 @@ def fault_notices(
 
     Parameters
     ----------
-    suspects : sequence of Explanation
     rotation : ndarray, (3, 3)
         Of the fit of all.
     energy : float
         Weighted sum of squares that the fit of all leaves.
-    names : sequence of str
     stated : bool
         Whether the weights are absolute.
 
@@ -229,7 +226,6 @@ def refuse_exchanged(
         Weighted sum of squares that the order as given leaves.
     stated : bool
         Whether the weights are absolute.
-    names : sequence of str
     left_out : float
         What the best of the faults of a single point leaves.
 

@@ -117,7 +117,6 @@ def amplitude_axis(view: Axes, most_minor: float = 0.4) -> None:
 
     Parameters
     ----------
-    view : Axes
     most_minor : float
         Decades up to which all ticks between powers of ten have numbers; see matplotlib's LogFormatter.
     """

@@ -20,10 +20,6 @@ def lay_out(drawing: Figure) -> None:
     With the engine, matplotlib would draw all of the figure twice to save it. The engine itself measures what
     stands around the axes a second time when it has placed them; that is done only where other ticks may have
     made it wider.
-
-    Parameters
-    ----------
-    drawing : Figure
     """
     engine = drawing.get_layout_engine()
     if engine is None:
@@ -41,10 +37,6 @@ class _MeasuredOnce:
 
     It is measured again where other ticks may have made it wider: those along x, whose last label stands out,
     or longer labels along y.
-
-    Parameters
-    ----------
-    axes : Axes
     """
 
     def __init__(self, axes: Axes) -> None:

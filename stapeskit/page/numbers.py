@@ -17,7 +17,6 @@ def plus_minus(value: float, sd: float | None) -> str:
 
     Parameters
     ----------
-    value : float
     sd : float, optional
         None, NaN or infinite: unknown.
 

@@ -95,8 +95,6 @@ class Section:
 
     Attributes
     ----------
-    heading : str
-    blocks : list of Markup
     key : str
         Stable name, by which pages order and link sections; empty where nothing refers to it.
     group : str
@@ -303,8 +301,6 @@ def figure(
 
     Parameters
     ----------
-    drawing : Figure
-    caption, alt : str
     dpi : int
         Dots per inch of pixels.
     vector : bool

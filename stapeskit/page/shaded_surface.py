@@ -84,7 +84,6 @@ def shade(vertices_mm: Array, faces: Faces, view: View, pixels: int = 380) -> Sh
     ----------
     vertices_mm : ndarray, (n, 3)
     faces : ndarray, (m, 3), int
-    view : View
     pixels : int
         Along the longer side of the picture.
     """

@@ -203,7 +203,6 @@ def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
 
     Parameters
     ----------
-    raw : mapping
     name : str
         What it is called in messages.
 

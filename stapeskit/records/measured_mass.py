@@ -51,7 +51,6 @@ class MeasuredMass:
 
     Attributes
     ----------
-    record : MassRecord
     file : Path or None
         The mass.json; surfaces and labels are in its folder. None: everything is in memory.
     meshes : mapping of str to (vertices_mm (n, 3), faces (m, 3))

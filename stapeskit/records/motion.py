@@ -187,7 +187,6 @@ class RowColumn:
 
     Attributes
     ----------
-    name : str
     meaning : str
         For docs/schemas.md.
     values : callable, optional

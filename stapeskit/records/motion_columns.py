@@ -17,7 +17,6 @@ class MotionColumns:
 
     Attributes
     ----------
-    dof : tuple of str
     per_reference : bool
         Whether q is per unit of a reference motion.
     """

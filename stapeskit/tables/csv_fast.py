@@ -45,7 +45,6 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Columns | Non
 
     Parameters
     ----------
-    sheet : Sheet
     numbers, texts : set of str
         Names of the columns.
 

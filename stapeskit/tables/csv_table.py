@@ -38,7 +38,6 @@ class Table:
         Name of the file, for messages.
     numbers : mapping of str to ndarray, (rows,)
         NaN where a cell is empty.
-    texts : mapping of str to TextColumn
     lines : ndarray, (rows,)
         Line of each row in the file, counted from 1.
     faults : tuple of str
@@ -79,7 +78,6 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
 
     Parameters
     ----------
-    path : Path
     choose : callable
         Takes the column names and the file's name, returns the names of the number columns and of the text
         columns to read, and raises when the header is not as it must be.

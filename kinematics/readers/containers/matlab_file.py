@@ -24,10 +24,6 @@ _HEADER = 128
 def read_mat(path: Path) -> Tree:
     """Read all variables of a MATLAB file.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     dict

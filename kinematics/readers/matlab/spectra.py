@@ -35,7 +35,6 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
 
     Parameters
     ----------
-    path : Path
     mapping : Path, optional
         Which variable is what; ``<path>.toml`` is taken by itself when it exists.
 

@@ -58,10 +58,6 @@ def looks_like_fastscan(text: str) -> bool:
 def read(path: Path) -> Recordings:
     """Read a folder with one file per frequency, or one such file.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     KinematicsError

@@ -39,10 +39,6 @@ def looks_like_points(text: str) -> bool:
 def read(path: Path) -> Recordings:
     """Read a folder (with its folders) of per-point files, or one file.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     KinematicsError

@@ -38,7 +38,6 @@ class Block:
 
     Attributes
     ----------
-    file : str
     line : int
         Of the column names, from 1.
     fields : mapping of str to str
@@ -97,7 +96,6 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
 
     Parameters
     ----------
-    path : Path
     read : callable
         What to make of one table.
     deep : bool
@@ -147,7 +145,6 @@ def blocks(path: Path, faults: list[Fault]) -> list[Block]:
 
     Parameters
     ----------
-    path : Path
     faults : list of str
         What is wrong is added to it: a file without table, a header that does not fit its table, rows that
         are not as long as it, and cells that are no number.

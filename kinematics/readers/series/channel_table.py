@@ -45,7 +45,6 @@ class Channel:
         Column or variable.
     role : str
         ``response`` or ``reference``.
-    body, point, run, file : str
     direction : ndarray, (3,)
         Unit vector towards the laser head; NaN for a reference and where not stated.
     position_mm : ndarray, (3,)

@@ -83,11 +83,8 @@ def estimated(
 
     Parameters
     ----------
-    series : Series
-    responses : sequence of Channel
     reference : Channel or None
         None is possible with a stepped sine alone.
-    options : SeriesOptions
 
     Raises
     ------

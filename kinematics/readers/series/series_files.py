@@ -41,8 +41,6 @@ class Series:
 
     Attributes
     ----------
-    file : str
-    sample_rate_hz : float
     start_s : float
         Time of the first sample.
     channels : mapping of str to tuple of ndarray, (sample,)
@@ -63,7 +61,6 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
 
     Parameters
     ----------
-    path : Path
     names : sequence of str
         As in the channel table; upper and lower case are one when only one name matches.
 
@@ -204,7 +201,6 @@ def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
     ----------
     channels : mapping of str to tuple of ndarray (sample,)
         Records of every channel.
-    file : str
 
     Raises
     ------

@@ -45,7 +45,6 @@ def from_cross_spectra(
     ----------
     functions : sequence of Function
         All of a file.
-    file : str
     faults : list of str
         Cross spectra that contradict the auto spectra are added to it.
 

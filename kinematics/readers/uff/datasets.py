@@ -34,8 +34,6 @@ class Dataset:
         The text below the identifier line; of a binary dataset its header alone.
     data : bytes
         The numbers of a function: text, or binary from the end of the header on.
-    binary : bool
-    big_endian : bool
     line : int
         Of the identifier, from 1.
     """
@@ -76,8 +74,6 @@ def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> It
 
     Parameters
     ----------
-    content : bytes
-    file : str
     faults : list of str, optional
         What is wrong is added to it, and the reading goes on behind it; without it the faults are raised at
         the end.

@@ -67,7 +67,6 @@ class Function:
     y : ndarray, (n,), complex
     real : bool
         Whether the file holds real numbers.
-    abscissa, ordinate, denominator : Axis
     place : int
         Which dataset of the file.
     names : tuple of str

@@ -49,7 +49,6 @@ class Geometry:
         Rows are the directions +x, +y, +z of measurement at a node, in the global system.
     length_factor : float or None
         File length per metre, by dataset 164; None without it.
-    notices : tuple of Notice
     """
 
     positions_m: Mapping[int, Array] = field(default_factory=dict)
@@ -81,8 +80,6 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
 
     Parameters
     ----------
-    datasets : iterable of Dataset
-    file : str
     used : set of int
         The nodes that functions refer to: only what these need must be right.
 

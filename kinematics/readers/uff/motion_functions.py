@@ -39,9 +39,6 @@ def usable_motions(
 
     Parameters
     ----------
-    functions : sequence of Function
-    geometry : Geometry
-    file : str
     faults : list of str
         What is wrong with functions of motion is added to it.
     """

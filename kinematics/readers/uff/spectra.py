@@ -33,7 +33,6 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
 
     Parameters
     ----------
-    path : Path
     series : SeriesOptions, optional
         How time responses are turned into frequency responses. With it, or where a file holds nothing but
         time responses, these are read; else they are left out.

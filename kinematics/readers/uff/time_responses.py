@@ -55,10 +55,6 @@ def read_responses(
 
     Parameters
     ----------
-    functions : sequence of Function
-    geometry : Geometry
-    file : str
-    options : SeriesOptions
     faults : list of str
         Faults of the file that are known already; they are reported with those found here.
 

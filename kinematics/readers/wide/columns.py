@@ -42,8 +42,6 @@ class Beam:
         ``x``, ``-y`` ... or three numbers; empty where the names do not say it.
     unit, phase_unit : str
         Empty: as in the header.
-    body, run : str
-    n_avg : float or None
     """
 
     columns: dict[str, int] = field(default_factory=dict)

@@ -27,7 +27,6 @@ class Sheet:
 
     Attributes
     ----------
-    file : str
     line : int
         Of the names, from 1.
     names, units : tuple of str

@@ -51,7 +51,6 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
 
     Parameters
     ----------
-    path : Path
     mapping : Path, optional
         Which column is what; ``<path>.toml`` is taken by itself when it exists.
 

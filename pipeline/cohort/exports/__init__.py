@@ -23,8 +23,6 @@ class Export(NamedTuple):
 
         Parameters
         ----------
-        folder : Path
-        cohort : CohortLaws
         content : mapping
             Of cohort.json.
         """
