@@ -30,7 +30,7 @@ from stapeskit.option_values import toml
 from stapeskit.options import declared
 from stapeskit.outputs import stage_outputs
 
-# Files of other tables, such as the true values of a simulated ear, stay beside the study.
+# Files of other tables, such as the true values of a simulated ear, stay next to the study file.
 _FOLDERS = {"scan": "uct", "ldv": "ldv"}
 _STUDY = "_study.toml"
 _VERSION = "1.10.0"

@@ -90,5 +90,5 @@ def _state(file: Path) -> _State:
     except (OSError, ValueError):
         return ()
     state = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
-    # A folder changes with every file beside its own that comes and goes: its files are looked at.
+    # A folder changes with every other file in it that comes and goes: its files are looked at.
     return state[:2] if os.path.isdir(file) else state

@@ -1,6 +1,6 @@
 """The outputs of one run: nothing that the command reads and nothing that it did not make is replaced.
 
-What a command wrote is recorded by name and content hash in a hidden folder beside the outputs, so that the
+What a command wrote is recorded by name and content hash in a hidden folder next to the outputs, so that the
 record moves with them, and a file that was edited since no longer counts as the command's own.
 """
 
@@ -23,7 +23,7 @@ from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice
 
 RECORDS = ".stapeskit"
-"""Folder of the records beside the outputs; what lies in it is the program's."""
+"""Folder of the records next to the outputs; what lies in it is the program's."""
 SCHEMA = "stapeskit.outputs/1"
 FOREIGN_FILE_KEPT = "foreign_file_kept"
 _LONGEST_NAME = 180  # bytes, of what a record is named after
@@ -40,7 +40,7 @@ class OutputSet:
     command : str
         Its name; together with the first of ``names`` it names the record.
     names : tuple of str
-        Files that this run may write, or that would contradict its result if others stood there.
+        Files that this run may write, or that would contradict its result if others were there.
     inputs : tuple of Path
         Every file and folder that the command reads; those that do not exist count for nothing.
     force : bool
@@ -72,7 +72,7 @@ class OutputSet:
         ------
         StapeskitError
             An output is an input, also by a link; a file that the command did not write, or that was edited
-            since, stands at its name; or a folder does. All of it in one error.
+            since, has its name; or a folder has it. All of it in one error.
         """
         existing_folder(self.folder)
         self._check(self.names)

@@ -70,7 +70,7 @@ class Format:
     suffixes : tuple of str
         Of files, lower case.
     headers : tuple of str
-        Those of them that belong to a header beside a file of voxels.
+        Those of them that belong to the header of a separate file of voxels.
     sniffs : tuple of str
         ``file`` and ``folder``: recognised by content, in the order of the table, where no suffix decides.
     placed : bool
@@ -123,7 +123,7 @@ RAW = Format(
     "raw voxels",
     "raw",
     "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`), "
-    "or as a header beside them",
+    "or as a header in their folder says",
     (".raw", ".vol", ".bin", ".dat", ".img"),
 )
 FORMATS = (

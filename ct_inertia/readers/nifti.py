@@ -159,7 +159,7 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
     data = path if header.alone else path.with_suffix(".img")
     start = max(0, header.offset)
     if header.alone and start < header.bytes:
-        # 0 stands for the least there is: the header and four bytes that say whether extensions follow.
+        # 0 means the least that is possible: the header and four bytes that say whether extensions follow.
         if start:
             raise header_fault(path, "NIfTI volume", f"voxels at byte {start}, within its header")
         start = header.bytes

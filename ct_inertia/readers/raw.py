@@ -16,7 +16,7 @@ _HEADERS = tuple(ending for entry in FORMATS for ending in entry.headers if endi
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """Map raw voxels; without a layout they are read with the header beside them.
+    """Map raw voxels; without a layout they are read with the header in their folder.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def companion_files(path: Path) -> list[Path]:
-    """Return the header beside a raw file, and the files that it names."""
+    """Return the header of a raw file, and the files that it names."""
     header = _header_beside(path)
     return [] if header is None else [header, *format_of(header).companion_files(header)]
 
@@ -69,10 +69,10 @@ def _header_beside(path: Path) -> Path | None:
 
 
 def _layout_missing(path: Path) -> CtInertiaError:
-    """Make the error for a raw file with neither a header beside it nor a layout given."""
+    """Make the error for a raw file with neither a header in its folder nor a layout given."""
     return CtInertiaError.of(
         "raw voxels",
-        f"beside a header ({', '.join(_HEADERS)}) or described by {{shape}} and {{dtype}}",
+        f"in the folder of their header ({', '.join(_HEADERS)}) or described by {{shape}} and {{dtype}}",
         "neither",
         path.name,
         "Give {shape} NX,NY,NZ {dtype} uint16 [{byte_order} big] [{header_bytes} N] {spacing} H",

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-# Unpacked at once: bounds the memory beside the volume itself.
+# Unpacked at once: bounds the memory in addition to the volume itself.
 _STREAM_BYTES = 16 << 20
 # Read at once of what holds numbers as text: each word becomes objects of some ten times its length.
 _TEXT_BYTES = 1 << 20

@@ -1,4 +1,4 @@
-"""VGStudio volumes: a .vgi header beside one or several .vol files, memory-mapped."""
+"""VGStudio volumes: a .vgi header with one or several .vol files, memory-mapped."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
         KinematicsError,
         [
             Fault(name, f"left out for a tidy table, whose {columns[name]}", "it", path.name, step)
-            for name in options.said
+            for name in options.stated_names
         ],
     )
 

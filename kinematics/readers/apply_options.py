@@ -61,7 +61,7 @@ def apply_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[li
     faults = [
         Fault(option, "left out where the files say it themselves", "it", "", step)
         for option, needed in silent.items()
-        if option in options.said and not needed
+        if option in options.stated_names and not needed
     ]
     raise_all(KinematicsError, faults)
     return entries, notices

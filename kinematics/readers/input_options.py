@@ -103,7 +103,7 @@ class InputOptions:
         raise_all(KinematicsError, faults)
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def stated_names(self) -> tuple[str, ...]:
         """Names of the options that were given."""
         by_option = {
             "{body}": self.body,

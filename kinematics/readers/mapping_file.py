@@ -1,4 +1,4 @@
-"""Mapping files, TOML beside a measurement or by ``--mapping FILE``: what readers of them share."""
+"""Mapping files, TOML in the folder of a measurement or by ``--mapping FILE``: what readers of them share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units as measuring systems write them beside their numbers: ``m/s``, ``[ um/s / V ]``, ``(m/s^2)/N``."""
+"""Units as measuring systems write them next to their numbers: ``m/s``, ``[ um/s / V ]``, ``(m/s^2)/N``."""
 
 from __future__ import annotations
 

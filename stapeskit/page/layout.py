@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 def lay_out(drawing: Figure) -> None:
     """Place the axes of a figure as its layout engine does, then remove the engine.
 
-    With the engine, matplotlib would draw all of the figure twice to save it. The engine itself measures what
-    stands around the axes a second time when it has placed them; that is done only where other ticks may have
-    made it wider.
+    With the engine, matplotlib would draw all of the figure twice to save it. The engine itself measures
+    labels and ticks a second time when it has placed the axes; that is done only where other ticks may have
+    made them wider.
     """
     engine = drawing.get_layout_engine()
     if engine is None:
@@ -35,8 +35,8 @@ def lay_out(drawing: Figure) -> None:
 class _MeasuredOnce:
     """The box around axes with their labels and ticks, pixels: it moves with the axes.
 
-    It is measured again where other ticks may have made it wider: those along x, whose last label stands out,
-    or longer labels along y.
+    It is measured again where other ticks may have made it wider: those along x, whose last label
+    reaches beyond the axes, or longer labels along y.
     """
 
     def __init__(self, axes: Axes) -> None:

@@ -228,7 +228,7 @@ def _frames(checked: Checked) -> None:
     if len(plate_poses) == 1:
         present = plate_poses.pop()
         other = "plate_from_footplate" if present == "scan_from_plate" else "scan_from_plate"
-        checked.fault(f"frames.{other}", f"given beside {present}", "none")
+        checked.fault(f"frames.{other}", f"given together with {present}", "none")
     if len(checked.transforms) == 3:
         wanted = (
             checked.transforms["scan_from_plate"].inverse() @ checked.transforms["scan_from_footplate"]

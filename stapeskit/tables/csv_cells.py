@@ -148,7 +148,7 @@ def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> F
     others = [mark for mark in (",", ";", "\t") if mark != sheet.separator and mark in row[0]]
     if got == 1 and others:
         names = {",": "commas", ";": "semicolons", "\t": "tabs"}
-        hint = f"Part all rows by {names[sheet.separator]}, as the header is, not by {names[others[0]]}"
+        hint = f"Separate all cells by {names[sheet.separator]}, as in the header, not by {names[others[0]]}"
         return _row_fault(sheet, line, got, hint)
     if height > 1:
         hint = "Close the quotation mark that the row opens"

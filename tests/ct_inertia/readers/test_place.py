@@ -346,7 +346,9 @@ def test_raw_voxels_beside_a_header(tmp_path):
     path.write_text(path.read_text().replace("ear-0.vol", "ear.vol"))
     assert read_volume(tmp_path / "ear.vol").spacing_mm == pytest.approx(SPACING)
     lone = f.raw(tmp_path / "lone.raw", array)
-    with pytest.raises(CtInertiaError, match=r"beside a header .* Give --shape NX,NY,NZ --dtype"):
+    with pytest.raises(
+        CtInertiaError, match=r"in the folder of their header .* Give --shape NX,NY,NZ --dtype"
+    ):
         read_volume(lone)
     with pytest.raises(CtInertiaError, match="raw voxels do not have it"):
         read_volume(lone, raw=RawLayout((5, 6, 7), "uint16"))

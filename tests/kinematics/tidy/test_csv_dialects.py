@@ -157,7 +157,9 @@ def test_runs_and_levels_named_in_some_rows_only_are_refused(tmp_path):
 
 
 def test_rows_parted_otherwise_than_the_header(tmp_path):
-    with pytest.raises(StapeskitError, match="Part all rows by commas, as the header is, not by semicolons"):
+    with pytest.raises(
+        StapeskitError, match="Separate all cells by commas, as in the header, not by semicolons"
+    ):
         read_ldv(written(tmp_path, plain([semicolons(row) for row in ROWS])))
 
 
