@@ -9,7 +9,7 @@ from ct_inertia.mass.budget import mass_sd_missing
 from pipeline.verdict import BELIEVE, CHECK, DO_NOT_USE, Verdict
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus, printed
-from stapeskit.page.quantities import MASS, ShownUnit, diagonal_unit, time_unit
+from stapeskit.page.quantities import MASS, ShownUnit, diagonal_unit, si_unit
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -112,15 +112,13 @@ def si_table(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> Markup:
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
     shown = "" if mass_sd_missing(mass) else f"{sd:.2g}"
     rows: list[Sequence[object]] = [("m", f"{mass['mass_kg']:.6g}", shown, "kg")]
-    seconds = time_unit(kd["model"]["damping_exponent"])
+    exponent = kd["model"]["damping_exponent"]
     for letter, key in _KEYS.items():
         for i, first in enumerate(kd["dof"]):
             for j, second in enumerate(kd["dof"][i:], i):
                 name = f"{letter}({first})" if i == j else f"{letter}({first}, {second})"
                 value, spread = (kd[f"{key}{end}"][i][j] for end in ("_si", "_sd_si"))
-                turns = (first not in "xyz") + (second not in "xyz")
-                time = seconds if letter == "D" else ""
-                unit = (f"N{time}/m", f"N{time}", f"N m{time}")[turns]
+                unit = si_unit(letter, first, second, exponent)
                 rows.append((name, f"{value:.6g}", "" if spread is None else f"{spread:.2g}", unit))
     return page.folded("In SI units, every entry", page.table(("", "value", "sd", "unit"), rows))
 

@@ -152,9 +152,10 @@ def _comparison(ears: Sequence[Ear], tests: Sequence[Quantity]) -> list[Any]:
     sides = [str(stated(ear).get("side", "")) for ear in ears]
     known = set(sides) <= {"left", "right"}
     right = np.array([side == "right" for side in sides])
+    mixed = damping_exponent(ears) is None
     rows = []
     for compared in (quantity.mirrored(right) for quantity in tests):
-        if compared.turns and not known:
+        if (compared.turns and not known) or (compared.name.startswith("D_") and mixed):
             continue
         q, count, p = compared.homogeneity()
         sd = compared.deviations if compared.own is None else compared.own

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
-from stapeskit.page.quantities import MASS, matrix_units
+from stapeskit.page.quantities import MASS, matrix_units, si_unit
 from stapeskit.tables.text_cells import as_text_cell
 
 SHARED_SOURCES = ("density", "voxel_size", "mass")
@@ -83,7 +84,7 @@ class Quantity:
         good = self.values[np.isfinite(self.values)]
         return float(np.std(good, ddof=1)) if len(good) > 1 else float("nan")
 
-    def shown(self, exponent: float) -> Quantity:
+    def shown(self, exponent: float | None) -> Quantity:
         """Return the quantity in the unit of pages; ``exponent`` is the power of time in the unit of D."""
         letter, *dof = self.name.split("_")
         if letter not in ("mass", "K", "D"):
@@ -129,46 +130,27 @@ def read_ear(folder: Path, name: str) -> Ear:
 
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears."""
-    common = _common_sources(ears)
-    rows = [
-        _quantity(
-            ears,
-            "mass",
-            "kg",
-            lambda ear: ear.mass["mass_kg"],
-            lambda ear: _mass_sd(ear.mass),
-            shared=lambda ear: _mass_shared(ear.mass, common),
-        )
-    ]
+    common, exponent = _common_sources(ears), damping_exponent(ears)
+    sds = [ear.mass["mass_matrix"]["standard_deviation_si"][0][0] for ear in ears]
+    variances = [_mass_shared(ear.mass, common) for ear in ears]
+    rows = [_quantity("mass", "kg", [ear.mass["mass_kg"] for ear in ears], sds, variances)]
     dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
     for letter, key in (("K", "stiffness"), ("D", "damping")):
-        for row, first in enumerate(dof):
-            for second in dof[row:]:
-                unit = unit_of_entry(letter, first, second)
-                rows.append(
-                    _quantity(
-                        ears,
-                        f"{letter}_{first}_{second}",
-                        unit,
-                        lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_si", a, b),
-                        lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_sd_si", a, b),
-                        turns=(first in _ODD) != (second in _ODD),
-                        shared=lambda ear, k=letter, a=first, b=second: _entry_shared(ear, common, k, a, b),
-                    )
-                )
-    for mode in range(max(len(ear.kd["modes"]) for ear in ears)):
-        for name, unit in (("frequency", "Hz"), ("damping_ratio", "")):
-            key = "frequency_hz" if unit else name
-            spread = "frequency_sd_hz" if unit else "damping_ratio_sd"
-            rows.append(
-                _quantity(
-                    ears,
-                    f"mode{mode + 1}_{name}",
-                    unit,
-                    lambda ear, m=mode, k=key: _mode(ear.kd, m, k),
-                    lambda ear, m=mode, k=spread: _mode(ear.kd, m, k),
-                )
+        for first, second in combinations_with_replacement(dof, 2):
+            values, sds = (
+                [_entry(ear.kd, f"{key}{end}", first, second) for ear in ears] for end in ("_si", "_sd_si")
             )
+            variances = [_entry_shared(ear, common, letter, first, second) for ear in ears]
+            unit = si_unit(letter, first, second, exponent)
+            turns = (first in _ODD) != (second in _ODD)
+            rows.append(_quantity(f"{letter}_{first}_{second}", unit, values, sds, variances, turns))
+    for mode in range(max(len(ear.kd["modes"]) for ear in ears)):
+        for name, unit, keys in (
+            ("frequency", "Hz", ("frequency_hz", "frequency_sd_hz")),
+            ("damping_ratio", "", ("damping_ratio", "damping_ratio_sd")),
+        ):
+            values, sds = ([_mode(ear.kd, mode, key) for ear in ears] for key in keys)
+            rows.append(_quantity(f"mode{mode + 1}_{name}", unit, values, sds))
     return rows
 
 
@@ -209,29 +191,21 @@ def _entry_shared(ear: Ear, common: Sequence[str], letter: str, first: str, seco
 
 
 def _quantity(
-    ears: Sequence[Ear],
     name: str,
     unit: str,
-    value: Any,
-    deviation: Any,
+    values: Sequence[float | None],
+    deviations: Sequence[float | None],
+    shared: Sequence[float] | None = None,
     turns: bool = False,
-    shared: Any = None,
 ) -> Quantity:
-    numbers = [np.array([_float(read(ear)) for ear in ears]) for read in (value, deviation)]
+    """Return a quantity of all ears; ``shared`` is the variance by errors that they have in common."""
+    value, sd = (np.array(numbers, dtype=float) for numbers in (values, deviations))
     own = None
     if shared is not None:
-        variance = numbers[1] ** 2 - np.array([shared(ear) for ear in ears])
+        variance = sd**2 - np.array(shared)
         # What rounding leaves of a difference is no error of an ear.
-        own = np.sqrt(np.where(variance < 1e-9 * numbers[1] ** 2, 0.0, variance))
-    return Quantity(name, unit, numbers[0], numbers[1], turns, own)
-
-
-def _float(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
-
-
-def _mass_sd(mass: Mapping[str, Any]) -> float:
-    return float(mass["mass_matrix"]["standard_deviation_si"][0][0])
+        own = np.sqrt(np.where(variance < 1e-9 * sd**2, 0.0, variance))
+    return Quantity(name, unit, value, sd, turns, own)
 
 
 def _entry(kd: Mapping[str, Any], key: str, first: str, second: str) -> float | None:
@@ -246,16 +220,14 @@ def _mode(kd: Mapping[str, Any], mode: int, key: str) -> float | None:
     return kd["modes"][mode].get(key) if mode < len(kd["modes"]) else None
 
 
-def unit_of_entry(letter: str, first: str, second: str) -> str:
-    """Return the SI unit of an entry of K or D between two degrees of freedom."""
-    turns = sum(name in ("alpha", "beta", "gamma") for name in (first, second))
-    force = "N" if letter == "K" else "N s"
-    return (f"{force}/m", force, f"{force} m/rad")[turns]
+def damping_exponent(ears: Sequence[Ear]) -> float | None:
+    """Return the power of time in the unit of D; None where ears differ, whose D cannot be compared."""
+    exponents = {_exponent(ear) for ear in ears}
+    return exponents.pop() if len(exponents) == 1 else None
 
 
-def damping_exponent(ears: Sequence[Ear]) -> float:
-    """Return the power of time in the unit of D, that of the first ear: damping laws do not mix."""
-    return float(ears[0].kd.get("model", {}).get("damping_exponent", 1.0))
+def _exponent(ear: Ear) -> float:
+    return float(ear.kd.get("model", {}).get("damping_exponent", 1.0))
 
 
 def labels(ears: Sequence[Ear]) -> list[str]:
@@ -273,6 +245,7 @@ def ear_table(ears: Sequence[Ear]) -> Any:
         "folder": [as_text_cell(ear.folder) for ear in ears],
         "side": [as_text_cell(ear.side) for ear in ears],
         "estimator": [ear.kd["estimator"] for ear in ears],
+        "damping_exponent": [_exponent(ear) for ear in ears],
         "warnings": [ear.warnings for ear in ears],
     }
     for quantity in quantities(ears):

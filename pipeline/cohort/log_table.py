@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cohort.compare_ears import SHARED_SOURCES, Ear, source_id
+from pipeline.cohort.compare_ears import SHARED_SOURCES, Ear, damping_exponent, source_id
 from pipeline.cohort.covariates import Covariates
 from pipeline.cohort.log_pairs import LogPairs
 from stapeskit.arrays import Array
 from stapeskit.spatial import central_tensor
-from stapeskit.warnings import Notice
+from stapeskit.warnings import Notice, unique
 
 # How a relative error of the voxel size enters: masses and forces go with its third power, moments of
 # inertia and rotational stiffnesses with its fifth, lengths and areas with their own.
@@ -125,10 +125,17 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
     covariates : Covariates, optional
     """
     dof = list(ears[0].kd["dof"])
-    responses = tuple(f"{letter}{k}{k}" for letter in "KD" for k in range(1, len(dof) + 1))
+    letters = "K" if damping_exponent(ears) is None else "KD"
+    responses = tuple(f"{letter}{k}{k}" for letter in letters for k in range(1, len(dof) + 1))
     if all((ear.kd.get("principal_axes") or {}).get("stiffness_si") for ear in ears):
         responses += ("K_principal_2", "K_principal_3")
     rows = [_ear_logs(ear, responses) for ear in ears]
+    notices = [notice for row in rows for notice in row.notices]
+    if letters == "K":
+        text = (
+            "D has no common unit: the power of time differs between the damping laws. No law of D is fitted."
+        )
+        notices.append(Notice("damping_not_comparable", text))
     sources = tuple(sorted({source for row in rows for source in row.shared}))
     p = len(PREDICTORS) + len(responses)
     shared = np.zeros((len(ears), p, len(sources)))
@@ -149,7 +156,7 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
         shared[:, keep],
         sources,
         np.array([known.index(person) for person in persons]),
-        tuple(dict.fromkeys(notice for row in rows for notice in row.notices)),
+        unique(notices),
         Covariates((), np.zeros((len(ears), 0))) if covariates is None else covariates,
         tuple(ear.folder for ear in ears),
     )

@@ -83,12 +83,26 @@ FIRST_MOMENT = MASS.times(LENGTH)
 INERTIA = MASS.times(AREA)
 
 
-def time_unit(exponent: float) -> str:
-    """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0."""
+def time_unit(exponent: float | None) -> str:
+    """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0, None any."""
+    if exponent is None:
+        return " s^a"
     return {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
 
 
-def diagonal_unit(letter: str, dof: str, exponent: float = 1.0) -> ShownUnit:
+def si_unit(letter: str, first: str, second: str, exponent: float | None = 1.0) -> str:
+    """Return the SI unit of an entry of K or D between two degrees of freedom, as text.
+
+    Examples
+    --------
+    >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha", 0.0)
+    ('N/m', 'N s', 'N m/rad')
+    """
+    time = time_unit(exponent) if letter == "D" else ""
+    return (f"N{time}/m", f"N{time}", f"N{time} m/rad")[(first not in "xyz") + (second not in "xyz")]
+
+
+def diagonal_unit(letter: str, dof: str, exponent: float | None = 1.0) -> ShownUnit:
     """Return the unit in which a diagonal entry of K or D is shown.
 
     Parameters
@@ -96,8 +110,8 @@ def diagonal_unit(letter: str, dof: str, exponent: float = 1.0) -> ShownUnit:
     letter : {"K", "D"}
     dof : str
         Degree of freedom: ``x``, ``y``, ``z``, or a rotation.
-    exponent : float
-        Power of time in the unit of D, of the damping law.
+    exponent : float or None
+        Power of time in the unit of D, of the damping law; None where it differs between ears.
 
     Examples
     --------
@@ -107,7 +121,7 @@ def diagonal_unit(letter: str, dof: str, exponent: float = 1.0) -> ShownUnit:
     return _entry_unit(letter, 2 * (dof not in "xyz"), exponent)
 
 
-def matrix_units(letter: str, dof: Sequence[str], exponent: float = 1.0) -> list[list[ShownUnit]]:
+def matrix_units(letter: str, dof: Sequence[str], exponent: float | None = 1.0) -> list[list[ShownUnit]]:
     """Return the unit in which each entry of K, D or M is shown, (n, n).
 
     Examples
@@ -126,7 +140,7 @@ _BY_TURNS = {
 }
 
 
-def _entry_unit(letter: str, turns: int, exponent: float) -> ShownUnit:
+def _entry_unit(letter: str, turns: int, exponent: float | None) -> ShownUnit:
     if letter != "D" or exponent == 1.0:
         return _BY_TURNS[letter][turns]
     unit = _BY_TURNS["K"][turns]

@@ -15,6 +15,7 @@ from pipeline.cohort.cohort_laws import (
     primary_family,
 )
 from pipeline.cohort.cohort_page import write_cohort_page
+from pipeline.cohort.compare_ears import ear_table
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.log_table import log_table
 from pipeline.cohort.power_law import fit_law
@@ -142,6 +143,31 @@ def test_a_mixture_that_is_asked_for_is_allowed(ears):
     mixed = [*ears[:5], replace(ears[5], kd={**ears[5].kd, "estimator": "pinv"})]
     assert faults_of_cohort(mixed)
     assert not faults_of_cohort(mixed, mix=True)
+
+
+def test_damping_of_different_units_enters_no_law(ears, tmp_path):
+    powers = np.linspace(0.6, 0.9, len(ears))
+    fractional = []
+    for ear_, power in zip(ears, powers, strict=True):
+        model = {"damping_law": "fractional", "damping_exponent": float(power)}
+        fractional.append(replace(ear_, kd={**ear_.kd, "model": model}))
+    laws = cohort_laws(fractional)
+    assert {law.response[0] for law in laws.laws} == {"K"}
+    assert "damping_not_comparable" in {notice.code for notice in laws.notices}
+    table = ear_table(fractional)
+    assert table["damping_exponent"].tolist() == powers.tolist()
+    assert "D_y_y_n_s^a_per_m" in table.columns
+    write_cohort_page(tmp_path / "cohort.html", fractional, {}, laws)
+    with pytest.raises(PipelineError, match="D11"):
+        cohort_laws(fractional, planned=(("D11", "mass_kg"),))
+
+
+def test_the_unit_of_damping_is_that_of_its_law(ears):
+    hysteretic = [
+        replace(ear_, kd={**ear_.kd, "model": {"damping_law": "hysteretic", "damping_exponent": 0.0}})
+        for ear_ in ears
+    ]
+    assert {"D_y_y_n_per_m", "D_y_alpha_n", "D_gamma_gamma_n_m_per_rad"} <= set(ear_table(hysteretic).columns)
 
 
 def test_few_ears_stand_side_by_side_only(ears):
