@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.errors import PipelineError
 from pipeline.results import StageRun, StudyResult
-from pipeline.stage_progress import Progress
+from pipeline.stage_progress import Progress, Step
 from pipeline.stage_records import (
     FOLDER,
     StageRecord,
@@ -142,8 +142,7 @@ def _stage(
         reason = _reason(old, now, work)
         stored_report = None if reason else read_stage_report(work.find(stage_report_name(stage.name)))
         if stored_report is not None:
-            step.note = "unchanged, reused"
-            runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
+            _reuse(stage.name, old, step, runs)
             return stored_report
         reason = reason or "its sections are not as this program writes them"
         try:
@@ -154,15 +153,8 @@ def _stage(
         except StapeskitError as error:
             raise PipelineError(*error.faults) from error
         write_stage_report(work.fresh, stage.name, report)
-        record = StageRecord(
-            stage.name,
-            now,
-            {file: work.hash_of(file) for file in (*names, stage_report_name(stage.name))},
-            step.seconds,
-        )
-        write_record(work.fresh, record)
         step.note = "" if old is None else reason
-        runs.append(StageRun(stage.name, False, step.seconds, reason, _names(record)))
+        runs.append(_finish(stage.name, now, (*names, stage_report_name(stage.name)), reason, step, work))
         return report
 
 
@@ -199,17 +191,25 @@ def _report(
         now = fingerprint(_REPORT_CODE, {"study": path, "truth": study.study.truth}, parts, work.hashes)
         reason = _reason(old, now, work)
         if not reason:
-            step.note = "unchanged, reused"
-            runs.append(StageRun(REPORT, True, 0.0, "", _names(old)))
+            _reuse(REPORT, old, step, runs)
             return
         write_report(work.fresh / REPORT_FILE, path, name, study, work, reports)
-        record = StageRecord(REPORT, now, {REPORT_FILE: work.hash_of(REPORT_FILE)}, step.seconds)
-        write_record(work.fresh, record)
-        runs.append(StageRun(REPORT, False, step.seconds, reason, _names(record)))
+        runs.append(_finish(REPORT, now, (REPORT_FILE,), reason, step, work))
 
 
-def _names(record: StageRecord | None) -> tuple[str, ...]:
-    return () if record is None else tuple(record.outputs)
+def _reuse(name: str, record: StageRecord | None, step: Step, runs: list[StageRun]) -> None:
+    """Note that a stage was reused with the outputs of its record."""
+    step.note = "unchanged, reused"
+    runs.append(StageRun(name, True, 0.0, "", () if record is None else tuple(record.outputs)))
+
+
+def _finish(
+    name: str, now: Mapping[str, str], files: Sequence[str], reason: str, step: Step, work: Workspace
+) -> StageRun:
+    """Write the record of a stage that has run, and return how it came about."""
+    record = StageRecord(name, now, {file: work.hash_of(file) for file in files}, step.seconds)
+    write_record(work.fresh, record)
+    return StageRun(name, False, step.seconds, reason, tuple(files))
 
 
 def _outputs(runs: Sequence[StageRun]) -> list[str]:
