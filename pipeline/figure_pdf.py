@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _LINK = "{http://www.w3.org/1999/xlink}href"
 _STEP = re.compile(r"([MLCQz])([^MLCQz]*)")
 _TURN = re.compile(r"(\w+)\(([^)]*)\)")
-_POINTS_PER_INCH = 72.0
+_POINTS_PER_INCH = 72.0  # of PDF and of matplotlib's SVG
 # Dots per inch of a figure that is a picture, as pages draw them.
 _PICTURE_DPI = 130.0
 # Our figures have some thousand; elements that use one another in turn can be drawn without end.

@@ -81,7 +81,8 @@ class Option:
         step = self.kind.advise(got) if self.kind.advise else ""
         if not step and isinstance(got, str) and _DECIMAL_COMMA.fullmatch(got):
             step = f"Write a decimal point: {got.replace(',', '.')}"
-        step = step or suggestion(str(got), self.kind.choices) or self._example_step(in_toml=bool(thing))
+        wrong = (word for word in shorten_value(got).split(",") if word.strip() not in self.kind.choices)
+        step = step or suggestion(next(wrong, ""), self.kind.choices) or self._example_step(bool(thing))
         return Fault(thing or f"{{{self.name}}}", self.kind.expected, shorten_value(got), where, step)
 
     def _example_step(self, in_toml: bool) -> str:

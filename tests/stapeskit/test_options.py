@@ -80,6 +80,12 @@ def test_a_mistyped_word_is_recognised():
     assert one.fault("neural", "fit.estimator").next_step == 'Write for example "ml"'
 
 
+def test_the_mistyped_word_of_a_list_is_recognised():
+    one = next(entry.values[0] for entry in EVERY if entry.id == "scan2kd-export")
+    assert one.fault("csv,latx").next_step == "Did you mean latex?"
+    assert one.fault(["csv", "xls"], "export").next_step == "Did you mean xlsx?"
+
+
 @pytest.mark.parametrize("one", [*EVERY, *OF_STUDIES])
 def test_the_fault_of_an_unfit_value_says_what_to_do(one):
     assert one.fault("?").next_step

@@ -16,6 +16,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.options import LOCAL, SeriesOptions
+from kinematics.readers.input_options import is_file
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series.channel_table import Channel, read_channels
 from kinematics.readers.series.series_files import Series, read_series
@@ -55,7 +56,11 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise KinematicsError.of("time series", "read with {channels} FILE", "none", path.name, step)
-    rows = [channel for channel in read_channels(options.channels) if _belongs(channel, path.name)]
+    rows = [
+        channel
+        for channel in read_channels(options.channels)
+        if not channel.file or is_file(channel.file, path.name)
+    ]
     responses = [row for row in rows if row.role == "response"]
     if not responses:
         step = "Add a row, or leave the column file empty"
@@ -112,10 +117,6 @@ def estimated(
         length_stated=True,
         from_series=True,
     )
-
-
-def _belongs(channel: Channel, file: str) -> bool:
-    return not channel.file or channel.file in (file, file.rsplit(".", 1)[0])
 
 
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:

@@ -155,7 +155,10 @@ POSE = ("frames", "pose_covariance", "scan_from_footplate", "matrix_si")
         (change("frames", []), "frames must be an object; got \\[\\]"),
         (change("frames", "scan_from_footplate", 0, 0, "x"), "frames.scan_from_footplate must be finite"),
         (change("frames", "scan_from_plate", "abc"), 'frames.scan_from_plate must be .* got "abc"'),
-        (change("frames", "scan_from_plate", None), "scan_from_plate must be given together with plate_from_foot"),
+        (
+            change("frames", "scan_from_plate", None),
+            "scan_from_plate must be given together with plate_from_foot",
+        ),
         (change("frames", "plate_from_footplate", None), "null in a file without|given beside"),
         (moved_plate, r"plate_from_footplate must be inverse\(scan_from_plate\).*1 mm"),
         (
