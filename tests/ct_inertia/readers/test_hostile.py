@@ -19,6 +19,7 @@ from ct_inertia.read_scan import read_labels, read_volume
 from ct_inertia.readers import checks
 from ct_inertia.readers.decompression import CODECS, unpack
 from ct_inertia.readers.dicom_lengths import dicom_size
+from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as w
 from tests.ct_inertia.readers.writers import picture
 
@@ -211,7 +212,7 @@ def test_metadata_that_are_nested_too_deeply(tmp_path):
 
 
 def test_a_lattice_of_many_digits(tmp_path):
-    path = w.amira(tmp_path / "a.am", picture())
+    path = scanners.amira(tmp_path / "a.am", picture())
     text = path.read_bytes().replace(b"define Lattice 5 6 7", b"define Lattice " + b"9" * 5000 + b" 6 7")
     path.write_bytes(text)
     assert "not a uniform one" in refused(path).got
