@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.grey.partial_volume import sensitivity, with_contribution
+from ct_inertia.grey.partial_volume import voxel_effects, with_contribution
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
@@ -36,10 +36,7 @@ def with_bent_scale(
     bend: NDArray[np.float32], own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments
 ) -> tuple[Moments, Notice]:
     """Add the whole effect of a bent scale to the budget, and name it."""
-    index = np.argwhere(own)
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    amount = bend[own].astype(float) * volume.voxel_mm3
-    step = amount @ sensitivity(away, moments.volume_mm3, 0.0)
+    step = voxel_effects(bend, own, cut.first, volume, moments)[0].sum(axis=0)
     share = 100.0 * float(step[0]) / moments.volume_mm3
     text = (
         f"Edges of the bone are not symmetric between air and bone, as on a grey scale that is not linear: "
