@@ -186,7 +186,7 @@ def bare_bone(
     edges = ready.edges
     skewness = 0.0
     if edges is not None and not ready.overshoot:
-        skewness = edges.skewness(air.level, bone.level, bone.sd)
+        skewness = edges.skewness(air.level, bone.level_at, bone.sd)
     suspected: CoatImage | None = None
     if coat is None and edges is not None and (edges.softened or skewness > 0.0):
         suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])

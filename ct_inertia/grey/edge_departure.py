@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +34,21 @@ class Profiles:
         At ``PLACES``, from air to bone.
     cells : ndarray of int, (n,)
         Edges of one cell share noise and curvature.
+    points_mm : ndarray, (n, 3)
+        Where the edges lie, along x, y, z from the first voxel of the box.
     shared_sd : float
         Standard deviation of an error that all edges share, independent between places.
     """
 
     values: Array
     cells: NDArray[np.int64]
+    points_mm: Array
     shared_sd: float
 
-    def rescaled(self, offset: float, factor: float) -> Profiles:
-        """Return the same grey values as shares of other levels."""
-        return Profiles(offset + factor * self.values, self.cells, self.shared_sd)
+    def between(self, now: tuple[float, float], air: float, bone: Array) -> Profiles:
+        """Return shares between the levels ``now`` as those between air and the level of bone (n,)."""
+        grey = now[0] + (now[1] - now[0]) * self.values
+        return replace(self, values=(grey - air) / (bone - air)[:, None])
 
 
 def sharpening(edges: Profiles) -> tuple[float, float, bool]:
@@ -63,16 +67,20 @@ def sharpening(edges: Profiles) -> tuple[float, float, bool]:
     return strength, overshoot, False
 
 
-def skewness(edges: Profiles, level_sd: float, independent: Callable[[], Profiles | None]) -> float:
+def skewness(
+    edges: Callable[[], Profiles | None], independent: Callable[[], Profiles | None], level_sd: float
+) -> float:
     """Return the factor of He2(u) phi(u) in the mean edge; 0 where it is not significant.
 
     Parameters
     ----------
-    edges : Profiles
+    edges : callable
+        Returns the profiles that were found, None with too few.
+    independent : callable
+        Returns profiles whose noise is not that by which edges were found, where there is noise; asked where
+        the first ones are skewed.
     level_sd : float
         Standard deviation of the level of bone, as a share of the contrast.
-    independent : callable
-        Returns profiles whose noise is not that by which edges were found, where there is noise.
 
     Notes
     -----
@@ -80,7 +88,7 @@ def skewness(edges: Profiles, level_sd: float, independent: Callable[[], Profile
     and grey value b adds b t^3 / 6. A scale that is not linear adds, to second order, a multiple of
     Phi (1 - Phi). Curved faces add little, which is known on average.
     """
-    for seen in (lambda: edges, independent):
+    for seen in (edges, independent):
         found = seen()
         if found is None:
             return 0.0

@@ -76,16 +76,14 @@ class EdgeShape:
     edges: Profiles
     independent: Callable[[], Profiles | None]
 
-    def skewness(self, air: float, bone: float, bone_sd: float) -> float:
-        """Return `edge_departure.skewness` of the edges between these levels."""
-        contrast = bone - air
-        offset, factor = (self.levels[0] - air) / contrast, (self.levels[1] - self.levels[0]) / contrast
+    def skewness(self, air: float, bone_at: Callable[[Array], Array], bone_sd: float) -> float:
+        """Return `edge_departure.skewness` between air and the level (n,) of bone at the edges (n, 3)."""
 
-        def independent() -> Profiles | None:
-            found = self.independent()
-            return None if found is None else found.rescaled(offset, factor)
+        def rescaled(found: Profiles | None) -> Profiles | None:
+            return None if found is None else found.between(self.levels, air, bone_at(found.points_mm))
 
-        return skewness(self.edges.rescaled(offset, factor), bone_sd / contrast, independent)
+        share_sd = bone_sd / (self.levels[1] - self.levels[0])
+        return skewness(lambda: rescaled(self.edges), lambda: rescaled(self.independent()), share_sd)
 
 
 def uneven_notice(shape: EdgeShape) -> Notice:
@@ -218,7 +216,8 @@ class _Profiles:
 
     def as_shares(self, shared_sd: float) -> Profiles:
         """Return the shares with the cells of their edges."""
-        return Profiles(self.values, cells_of(self.places_mm, self.cell_mm), shared_sd)
+        cells = cells_of(self.places_mm, self.cell_mm)
+        return Profiles(self.values, cells, self.places_mm[:, ::-1], shared_sd)
 
 
 def _like_noise(

@@ -15,12 +15,12 @@ SHAPE = (56, 60, 64)
 
 def profiles(mean, scatter=1e-3, seed=0):
     noise = scatter * np.random.default_rng(seed).standard_normal((400, len(PLACES)))
-    return Profiles(mean + noise, np.arange(400) // 4, 0.0)
+    return Profiles(mean + noise, np.arange(400) // 4, np.arange(1200.0).reshape(400, 3), 0.0)
 
 
 def factor(mean, level_sd=0.0):
     edges = profiles(mean)
-    return skewness(edges, level_sd, lambda: edges)
+    return skewness(lambda: edges, lambda: edges, level_sd)
 
 
 def bent(height):
@@ -56,9 +56,17 @@ def test_a_level_of_bone_that_may_be_wrong_hides_the_skewness_that_it_makes():
 
 def test_profiles_found_in_other_noise_have_the_last_word():
     seen = profiles(bent(0.12))
-    assert skewness(seen, 0.0, lambda: seen) < 0.0
-    assert skewness(seen, 0.0, lambda: profiles(ndtr(PLACES))) == 0.0
-    assert skewness(seen, 0.0, lambda: None) == 0.0
+    assert skewness(lambda: seen, lambda: seen, 0.0) < 0.0
+    assert skewness(lambda: seen, lambda: profiles(ndtr(PLACES)), 0.0) == 0.0
+    assert skewness(lambda: seen, lambda: None, 0.0) == 0.0
+
+
+def test_bone_whose_level_slopes_is_compared_with_its_own_level():
+    edges = profiles(ndtr(PLACES))
+    bone = 900.0 + 0.2 * edges.points_mm[:, 1]
+    grey = 100.0 + (bone - 100.0)[:, None] * edges.values
+    seen = Profiles((grey - 100.0) / 800.0, edges.cells, edges.points_mm, 0.0)
+    assert seen.between((100.0, 900.0), 100.0, bone).values == pytest.approx(edges.values)
 
 
 @pytest.mark.parametrize(("gamma", "sign"), [(0.7, -1.0), (1.0, 0.0), (1.5, 1.0)])
@@ -70,7 +78,8 @@ def test_a_ball_exported_with_a_gamma_shows_it_between_any_levels(gamma, sign):
     air, bone = (0.2 / 1.7) ** gamma, (1.2 / 1.7) ** gamma
     nothing = np.zeros(SHAPE, dtype=bool)
     shape = edge_shape(grey, ~nothing, nothing, (air, air + 0.95 * (bone - air)), np.full(3, H), 0.02)
-    assert np.sign(shape.skewness(air, bone, 1e-3 * (bone - air))) == sign
+    found = shape.skewness(air, lambda points: np.full(len(points), bone), 1e-3 * (bone - air))
+    assert np.sign(found) == sign
 
 
 def test_a_bent_scale_brightens_the_middle_and_neither_air_nor_bone():
