@@ -185,7 +185,8 @@ def bare_bone(
         cut = replace(cut, grey=cut.grey - np.float32(contrast) * stated.share)
     edges = ready.edges
     skewness = 0.0
-    if edges is not None and not ready.overshoot:
+    # What moved, and what was sharpened, has edges that are not symmetric either.
+    if edges is not None and not ready.overshoot and not edges.uneven:
         skewness = edges.skewness(air.level, bone.level_at, bone.sd)
     suspected: CoatImage | None = None
     if coat is None and edges is not None and (edges.softened or skewness > 0.0):
