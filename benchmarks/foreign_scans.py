@@ -24,7 +24,8 @@ class Scene:
     """What a scan shows. Lengths in mm, voxel in um, blur in voxels, levels and noise in contrasts air-bone.
 
     ``motion`` blurs along x, voxels; ``jump`` moves the sample by so many voxels half way; ``fringe``
-    subtracts so much of the Laplacian. ``window`` are the contrasts of the lowest and the highest grey value,
+    subtracts so much of the Laplacian; ``gamma`` is the exponent of a tone curve from 0.2 contrasts below air
+    to 0.5 above bone. ``window`` are the contrasts of the lowest and the highest grey value,
     ``steps`` their number.
     """
 
@@ -48,6 +49,7 @@ class Scene:
     motion: float = 0.0
     jump: float = 0.0
     fringe: float = 0.0
+    gamma: float = 1.0
     cropped_mm: float | None = None
 
 
@@ -101,6 +103,8 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
         noise = gaussian_filter(noise, scene.correlation)
         noise /= noise.std()
     grey += np.float32(scene.noise) * noise
+    if scene.gamma != 1.0:
+        grey = np.float32(1.7) * np.clip((grey + np.float32(0.2)) / np.float32(1.7), 0.0, 1.0) ** scene.gamma
     low, high = scene.window
     step = (high - low) / (scene.steps - 1)
     stored = np.clip(np.rint((grey - low) / step), 0, scene.steps - 1)

@@ -7,9 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.surface.surface_field import Diffusion, Patch, step_response
 from stapeskit.arrays import Array
 
+_SECTORS = int(calibrated("footplate_uncertainty.rim_sectors"))
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
 
 
@@ -147,8 +149,8 @@ def edge_covariance(
     -----
     Blur b moves an edge of radius R inward by b^2 / 2R + b^4 / 8R^3, of which the first term was restored.
     Chords of length h lie up to h^2 / 8R within it, h^2 / 27R in the standard deviation over places; edges of
-    triangles are 0.7 grid spacings long. Both are taken as standard deviations common to an eighth of
-    the rim: shape of the edge and place on the grid change along it. The eighths are those of a circle that
+    triangles are 0.7 grid spacings long. Both are taken as standard deviations common to a sector of
+    the rim: shape of the edge and place on the grid change along it. The sectors are those of a circle that
     the face is stretched to: by angles on the face itself two of them would be its whole ends.
     """
     influence, length = rim_influence(frame, patch, areas, centres, angle_deg, weight)
@@ -159,8 +161,8 @@ def edge_covariance(
     middle = (patch.segments.mean(axis=1) - origin) @ axes
     length_mm, width_mm = np.ptp(middle[:, [0, 2]], axis=0)
     angle = np.arctan2(middle[:, 2] / width_mm, middle[:, 0] / length_mm)
-    octant = np.floor(angle / (0.25 * np.pi)).astype(int) % 8
-    parts = np.array([steps[octant == k].sum(axis=0) for k in range(8)])
+    sector = np.floor(angle / (2.0 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    parts = np.array([steps[sector == k].sum(axis=0) for k in range(_SECTORS)])
     return np.asarray(parts.T @ parts * np.outer(_SI, _SI))
 
 

@@ -18,13 +18,8 @@ from stapeskit.frames import vector_from_rotation
 
 _RIM_DEG_PER_MM = calibrated("footplate_uncertainty.rim_deg_per_mm")
 _SEEN_RIM_DEG_PER_MM = calibrated("footplate_uncertainty.seen_rim_deg_per_mm")
-_RIM_LEFT = np.array(calibrated("footplate_uncertainty.rim_left"))
-_RESOLUTION_LEFT = np.array(calibrated("footplate_uncertainty.resolution_left"))
-_LEFT_UM = calibrated("footplate_uncertainty.left_um")
-_LEFT_UM_MM2 = calibrated("footplate_uncertainty.left_um_mm2")
-_LEFT_ASIDE_UM = calibrated("footplate_uncertainty.left_aside_um")
-_LEFT_RAD_MM = calibrated("footplate_uncertainty.left_rad_mm")
-_LEFT_RAD_MM2 = calibrated("footplate_uncertainty.left_rad_mm2")
+_SHAPE_LEFT = np.array(calibrated("footplate_uncertainty.shape_left"))
+_BLUR_LEFT = calibrated("footplate_uncertainty.blur_left")
 _BLUR_SHIFT_1_MM = calibrated("footplate_uncertainty.blur_shift_1_mm")
 _BLUR_TILT_RAD_MM2 = calibrated("footplate_uncertainty.blur_tilt_rad_mm2")
 _BLUR_MOST_MM = calibrated("footplate_uncertainty.blur_most_mm")
@@ -44,9 +39,8 @@ def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]
 
     Notes
     -----
-    Where the blur was taken back, a share of what a step of the angle or of the scale does is left, found
-    on phantoms at 25 and 40 um: edges sharper than the blur do not come back. It is small along x and y,
-    where the errors of the two ends, and of all the rim, cancel.
+    Where the blur was taken back, what a step of the angle or of the scale does shows how sensitive this
+    shape is to edges sharper than the blur, which do not come back.
     """
     region = solved.region
     y_axis = solved.axes[:, 1]
@@ -74,7 +68,7 @@ def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]
     blur = 2.0 * (region.resolution_mm / NORMAL_SCALE_MM) ** 2
     resolution = min(blur, 4.0) * _displacement(solved, smoother, solved)
     if seen:
-        rim, resolution = _RIM_LEFT * rim, _RESOLUTION_LEFT * resolution
+        rim, resolution = _SHAPE_LEFT * rim, _SHAPE_LEFT * resolution
     face = solved.face
     edges = np.zeros((6, 6))
     if seen:
@@ -106,17 +100,12 @@ def _remaining_blur(blur_mm: float, heights: Array) -> Array:
 
     Notes
     -----
-    Blur leaves errors of the height. They tilt a face less about its short axis (gamma) than about its long
-    one (alpha), for arms along x are longer.
-    What was found on phantoms of the real stapes and of an analytic one, 16 to 40 um. Along y: about 0.25 um,
-    and 200 um times the square of the blur in mm, as the next order in blur over radius asks; along x and
-    z 0.5 um from where the voxels lie; alpha and the turn about y with the blur and with its square.
+    Blur leaves errors of the height, in proportion to its variance: the next order of what was taken back, in
+    the curvatures of the face. They tilt a face less about its short axis (gamma) than about its long one
+    (alpha), for arms along x are longer.
     """
-    square = blur_mm**2
-    shift = float(np.hypot(_LEFT_UM, _LEFT_UM_MM2 * square)) * 1e-6
-    turn = float(np.hypot(_LEFT_RAD_MM * blur_mm, _LEFT_RAD_MM2 * square))
-    aside = _LEFT_ASIDE_UM * 1e-6
-    covariance = np.diag(np.square([aside, shift, aside, 0.0, turn, 0.0]))
+    aside, shift, turn = np.array(_BLUR_LEFT) * blur_mm**2
+    covariance = np.diag(np.square([aside * 1e-3, shift * 1e-3, aside * 1e-3, 0.0, turn, 0.0]))
     tilts = np.ix_([3, 5], [3, 5])
     covariance[tilts] = turn**2 * heights[tilts] / heights[3, 3]
     return covariance

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone
+from ct_inertia.grey.grey_scale import bend_of_scale, with_bent_scale
 from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.neighbours import away_from_others
@@ -60,6 +61,8 @@ class BareBone:
         Grey values given back where bone displaces the plastic.
     coat, suspected : CoatImage or None
         The coat that was stated, or the usual one where edges look coated and none was stated.
+    bend : ndarray of float32, [z, y, x], or None
+        By how much shares are too bright if the asymmetry of edges comes from the grey scale.
     voids : Voids or None
     soft : SoftTissue or None
     unfitted_plate : bool
@@ -75,6 +78,7 @@ class BareBone:
     displaced: Field | None
     coat: CoatImage | None
     suspected: CoatImage | None
+    bend: Field | None
     voids: Voids | None
     soft: SoftTissue | None
     unfitted_plate: bool
@@ -107,6 +111,9 @@ class BareBone:
         if self.suspected is not None:
             moments, notice = with_suspected_coat(self.suspected, own, self.cut, volume, moments)
             notices.append(notice)
+        if self.bend is not None:
+            moments, notice = with_bent_scale(self.bend, own, self.cut, volume, moments)
+            notices.append(notice)
         if self.face is not None:
             covariance = face_covariance(
                 self.face, volume, self.cut, self._near, contrast, moments, self.displaced
@@ -129,6 +136,8 @@ class BareBone:
             parts.append(self.coat.doubt)
         if self.suspected is not None:
             parts.append(self.suspected.share)
+        if self.bend is not None:
+            parts.append(self.bend)
         if self.face is not None:
             plate = face_doubt(self.face, volume, self.cut, self._near, contrast)
             parts += [] if plate is None else [plate]
@@ -174,8 +183,13 @@ def bare_bone(
     if coat is not None and coat.thickness_mm > 0.0:
         stated = coat_image(cut, coat, near, spacing, (air.level, bone.level), blur[0])
         cut = replace(cut, grey=cut.grey - np.float32(contrast) * stated.share)
+    edges = ready.edges
+    skewness = 0.0
+    # What moved, and what was sharpened, has edges that are not symmetric either.
+    if edges is not None and not ready.overshoot and not edges.uneven:
+        skewness = edges.skewness(air.level, bone.level_at, bone.sd)
     suspected: CoatImage | None = None
-    if coat is None and ready.softened:
+    if coat is None and edges is not None and (edges.softened or skewness > 0.0):
         suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     unfitted = face is None and bool(np.any(cut.plate & (distance <= reach)))
@@ -195,8 +209,11 @@ def bare_bone(
             blur = clear
             soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
         cut = replace(cut, grey=soft.grey)
+    bend: Field | None = None
+    if skewness < 0.0 or (skewness > 0.0 and stated is None and suspected is None):
+        bend = bend_of_scale((cut.grey - np.float32(air.level)) / np.float32(contrast), skewness)
     return BareBone(
-        cut, blur, reach, distance, away, face, displaced, stated, suspected, voids, soft, unfitted
+        cut, blur, reach, distance, away, face, displaced, stated, suspected, bend, voids, soft, unfitted
     )
 
 

@@ -61,6 +61,11 @@ class Bone:
     cupping: Cupping | None = None
     seen: float = 1.0
 
+    def level_at(self, places_mm: Array) -> Array:
+        """Return the level (n,) at places (n, 3) from the box's first voxel along x, y, z."""
+        level = self.level + (places_mm - self.place_mm) @ self.slope
+        return np.asarray(level if self.cupping is None else level + self.cupping.at(places_mm))
+
     def moved_to(self, place_mm: Array) -> Bone:
         """Return the same bone with its level at another place (3,) of the box."""
         return replace(self, level=float(self.level + self.slope @ (place_mm - self.place_mm)))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.edge_departure import PLACES, Profiles, cells_of, sharpening, skewness, sums
 from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import gaussian, interpolated
-from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -24,28 +26,21 @@ _ROUNDS, _OUTLIER = 6, 3.0
 # Width of the cells in which neighbouring edges, which share noise and curvature, count once: six widths of
 # the blur, beyond which two edges share no voxel.
 _CELL_WIDTHS = 6.0
-# Places across an edge, in widths, where the shape is compared; further in, the far side of a wall begins.
-_PLACES = np.arange(-4.4, 1.41, 0.4)
 # Widths of an edge between it and another body, whose own tail is below 0.0013 there.
 _CLEAR_WIDTHS = 3.0
 # Grey value beyond the tails of an edge, as a share of the contrast, above which it is no edge in air: a
 # fifth of that of mucosa (15 %). Chosen by judgement.
 _LEAST_MEDIUM = 0.03
-# Standard deviations of a significant departure: a normal variate exceeds 4 with a probability of 6e-5.
-_SIGNIFICANT = 4.0
 # Probability with which an even point spread is called uneven; its deviation from even has five freedoms.
 _FALSE_ALARMS, _UNEVEN_FREEDOMS = 1e-3, 5
 # Scheffe's limit with infinitely many cells, the root of chi2's quantile with the numbers above: below it
 # nothing is uneven, and scipy.stats, slow to import, is not asked.
 _LEAST_UNEVEN = 4.529
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
-_SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
 # Noise that is added where edges are sought, as a share of the scan's own: little, for they shall be found.
 _ADDED = 0.5
 # Width of a Gaussian, in voxels, below which noise smoothed by it is white.
 _LEAST_CORRELATED = 0.3
-# Trials of the sharpening, as a share of the apparent variance of the point spread.
-_TRIALS = np.arange(0.05, 1.51, 0.05)
 
 
 @dataclass(frozen=True)
@@ -65,13 +60,30 @@ class EdgeShape:
         Largest departure from a blurred step outside the surface, as a share of the contrast.
     softened : bool
         Edges have longer tails than a Gaussian: something soft on the bone, or bone less dense there.
+    levels : (air, bone)
+        Grey values of which ``edges`` are shares.
+    edges : Profiles
+    independent : callable
+        Returns profiles of edges that were found in noise which is not theirs; None with too few.
     """
 
     covariance_mm2: Array
     uneven: bool
     sharpening_mm2: float
     overshoot: float
-    softened: bool = False
+    softened: bool
+    levels: tuple[float, float]
+    edges: Profiles
+    independent: Callable[[], Profiles | None]
+
+    def skewness(self, air: float, bone_at: Callable[[Array], Array], bone_sd: float) -> float:
+        """Return `edge_departure.skewness` between air and the level (n,) of bone at the edges (n, 3)."""
+
+        def rescaled(found: Profiles | None) -> Profiles | None:
+            return None if found is None else found.between(self.levels, air, bone_at(found.points_mm))
+
+        share_sd = bone_sd / (self.levels[1] - self.levels[0])
+        return skewness(lambda: rescaled(self.edges), lambda: rescaled(self.independent()), share_sd)
 
 
 def uneven_notice(shape: EdgeShape) -> Notice:
@@ -147,20 +159,33 @@ def edge_shape(
     seen = _profiles(grey, grey, region, noise)
     if seen is None:
         return None
-    strength, overshoot, softened = _departure(seen, shared_sd)
-    if strength and noise:
+
+    @cache
+    def independent() -> Profiles | None:
+        """Return profiles of edges that were found in other noise; the same ones without noise."""
+        if not noise:
+            return seen.as_shares(shared_sd)
         more = np.float32(_ADDED) * _like_noise(grey.shape, levels, noise, correlation)
         less = more / np.float32(_ADDED**2)
         pairs = ((grey + sign * more, grey - sign * less) for sign in (np.float32(1.0), np.float32(-1.0)))
         halves = [_profiles(*pair, region, float(np.hypot(1.0, _ADDED)) * noise) for pair in pairs]
         found = [half for half in halves if half is not None]
-        strength, overshoot, _ = _departure(_together(found), shared_sd) if found else (0.0, 0.0, False)
+        return _together(found).as_shares(shared_sd) if found else None
+
+    shares = seen.as_shares(shared_sd)
+    strength, overshoot, softened = sharpening(shares)
+    if strength and noise:
+        again = independent()
+        strength, overshoot, _ = (0.0, 0.0, False) if again is None else sharpening(again)
     return EdgeShape(
         np.ascontiguousarray(seen.covariance_mm2[::-1, ::-1]),
         seen.uneven,
         strength * seen.sigma_mm**2,
         overshoot,
         softened,
+        levels,
+        shares,
+        independent,
     )
 
 
@@ -188,6 +213,11 @@ class _Profiles:
     covariance_mm2: Array
     uneven: bool
     sigma_mm: float
+
+    def as_shares(self, shared_sd: float) -> Profiles:
+        """Return the shares with the cells of their edges."""
+        cells = cells_of(self.places_mm, self.cell_mm)
+        return Profiles(self.values, cells, self.places_mm[:, ::-1], shared_sd)
 
 
 def _like_noise(
@@ -261,7 +291,7 @@ def _profiles(
     size, axes = np.linalg.eigh(covariance)
     covariance = (axes * np.maximum(size, least)) @ axes.T
     sigma = np.sqrt(np.maximum(width**2 - edges.smoothing_mm**2, least))[clean]
-    offsets = (_PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
+    offsets = (PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
     values = np.stack([share_at(foot[clean] + step, looked_at) for step in offsets], axis=1)
     return _Profiles(
         values,
@@ -316,8 +346,8 @@ def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
         values = np.linalg.solve(normal, design[good].T @ seen[good])
         left = seen - design @ values
         good = np.abs(left) < _OUTLIER * float(np.median(np.abs(left)))
-    cells = _cells(edges.places_mm[used][good], _CELL_WIDTHS * float(np.median(edges.total_mm)))
-    scores = _sums(design[good] * left[good][:, None], cells)
+    cells = cells_of(edges.places_mm[used][good], _CELL_WIDTHS * float(np.median(edges.total_mm)))
+    scores = sums(design[good] * left[good][:, None], cells)
     inverse = np.linalg.inv(normal)
     covariance = np.asarray(inverse @ (scores.T @ scores) @ inverse, dtype=np.float64)
     return _Fit(np.asarray(values, dtype=np.float64), covariance, len(scores))
@@ -332,60 +362,3 @@ def _squares(normals: Array) -> Array:
     """Return the factors (n, 6) of zz, yy, xx, zy, zx, yx in n C n."""
     z, y, x = normals.T
     return np.column_stack([z * z, y * y, x * x, 2.0 * z * y, 2.0 * z * x, 2.0 * y * x])
-
-
-def _cells(points_mm: Array, size_mm: float) -> NDArray[np.int64]:
-    """Return the number (n,) of the cubic cell of each point (n, 3)."""
-    cell = np.floor((points_mm - points_mm.min(axis=0)) / size_mm).astype(np.int64)
-    width = cell.max(axis=0) + 1
-    return np.asarray((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2])
-
-
-def _sums(rows: Array, cells: NDArray[np.int64]) -> Array:
-    """Return the sums (m, k) of rows (n, k) over each cell."""
-    number = np.unique(cells, return_inverse=True)[1]
-    return np.stack([np.bincount(number, column) for column in rows.T], axis=1)
-
-
-def _bell(t: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi))
-
-
-def _fit_edge(profile: Array, strength: float) -> tuple[Array, Array, float]:
-    """Fit shift and width of an edge of given sharpening to a profile; return them, the model, the misfit."""
-    shift, width = 0.0, np.sqrt(1.0 + 2.0 * strength)
-
-    def model(shift: float, width: float) -> Array:
-        u = (_PLACES - shift) / width
-        return normal_cdf(u) + strength / width**2 * u * _bell(u)
-
-    for _ in range(8):
-        now = model(shift, width)
-        design = np.column_stack([model(shift + 1e-4, width) - now, model(shift, width + 1e-4) - now]) / 1e-4
-        step = np.linalg.lstsq(design, profile - now, rcond=None)[0]
-        shift, width = shift + float(step[0]), float(np.clip(width + step[1], 0.3, 4.0))
-    now = model(shift, width)
-    return np.array([shift, width]), now, float(np.sum((profile - now) ** 2))
-
-
-def _departure(seen: _Profiles, shared_sd: float) -> tuple[float, float, bool]:
-    """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long."""
-    profile = seen.values.mean(axis=0)
-    (shift, width), smooth, _ = _fit_edge(profile, 0.0)
-    u = (_PLACES - shift) / width
-    bell = _bell(u)
-    design = np.column_stack([-bell, -u * bell, -(u**3 - 3.0 * u) * bell])
-    inverse = np.linalg.inv(design.T @ design) @ design.T
-    cumulant = float(inverse[2] @ (profile - smooth))
-    cells = _cells(seen.places_mm, seen.cell_mm)
-    scores = _sums((seen.values - profile) @ inverse.T, cells)[:, 2] / len(seen.values)
-    shared = shared_sd**2 * float(np.sum(inverse[2] ** 2))
-    sd = float(np.sqrt(np.sum(scores**2) + _SHAPE_MODEL_SD**2 + shared))
-    overshoot = float(np.max(-profile[_PLACES < -0.5]))
-    if cumulant > -_SIGNIFICANT * sd or overshoot <= 0.0:
-        return 0.0, 0.0, cumulant > _SIGNIFICANT * sd
-    misfit = [_fit_edge(profile, trial)[2] for trial in _TRIALS]
-    best = int(np.clip(np.argmin(misfit), 1, len(_TRIALS) - 2))
-    second, first, _ = np.polyfit(_TRIALS[best - 1 : best + 2], misfit[best - 1 : best + 2], 2)
-    strength = float(np.clip(-0.5 * first / second if second > 0.0 else _TRIALS[best], 0.0, _TRIALS[-1]))
-    return strength, overshoot, False

@@ -15,7 +15,13 @@ from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air, Guess, Surroundings
 from ct_inertia.grey.neighbours import NeighbourSeparation, cut_through_bone, separate_from_neighbours
-from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
+from ct_inertia.grey.partial_volume import (
+    Share,
+    by_octants,
+    partial_volume_moments,
+    voxel_effects,
+    with_contribution,
+)
 from ct_inertia.grey.preparation import Prepared, blur_of, prepare
 from ct_inertia.grey.shading import (
     air_slope_covariance,
@@ -195,19 +201,9 @@ def _by_tails(parted: NeighbourSeparation, cut: Cut, volume: Volume, moments: Mo
     """
     covariance = np.zeros((10, 10))
     for share in (parted.foreign, parted.behind):
-        if share is None:
-            continue
-        index = np.argwhere(share > 1e-4)
-        if len(index) == 0:
-            continue
-        away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-        amount = share[tuple(index.T)].astype(float) * volume.voxel_mm3 * _TAIL_SD
-        steps = sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None]
-        octant = (away > np.median(away, axis=0)) @ np.array([1, 2, 4])
-        for part in range(8):
-            step = steps[octant == part].sum(axis=0)
-            covariance += np.outer(step, step)
-    return covariance
+        if share is not None and np.any(share > 1e-4):
+            covariance += by_octants(*voxel_effects(share, share > 1e-4, cut.first, volume, moments))
+    return _TAIL_SD**2 * covariance
 
 
 def _bone(

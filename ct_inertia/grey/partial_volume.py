@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.native import compiled
 from ct_inertia.surface.moments import Moments
+from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 
 # Voxels a piece: ten values each, 4 MB.
@@ -166,6 +168,43 @@ def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
             x * z,
         ]
     )
+
+
+def voxel_effects(
+    share: NDArray[np.float32],
+    where: NDArray[np.bool_],
+    first: NDArray[np.int64],
+    volume: Volume,
+    moments: Moments,
+) -> tuple[Array, Array]:
+    """Return what shares of bone in voxels add to (V, c, S), and where these lie from the centroid.
+
+    Parameters
+    ----------
+    share : ndarray of float32, [z, y, x]
+    where : ndarray of bool, [z, y, x]
+        Voxels that count.
+    first : ndarray of int, (3,)
+        Index x, y, z in the volume of the first voxel.
+    volume : Volume
+    moments : Moments
+
+    Returns
+    -------
+    effects : ndarray, (n, 10)
+    away_mm : ndarray, (n, 3)
+    """
+    index = np.argwhere(where)
+    away = volume.scan_points(index[:, ::-1] + first) - moments.centroid_mm
+    amount = share[where].astype(float) * volume.voxel_mm3
+    return sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None], away
+
+
+def by_octants(effects: Array, away_mm: Array) -> Array:
+    """Return the covariance (10, 10) of effects (n, 10): common to an eighth, independent between eighths."""
+    octant = (away_mm > np.median(away_mm, axis=0)) @ np.array([1, 2, 4])
+    parts = np.array([effects[octant == part].sum(axis=0) for part in range(8)])
+    return parts.T @ parts
 
 
 def with_voxel_size(moments: Moments, relative_sd: float, origin_mm: Array) -> Moments:

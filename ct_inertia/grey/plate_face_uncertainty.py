@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.partial_volume import sensitivity
+from ct_inertia.grey.partial_volume import sensitivity, voxel_effects
 from ct_inertia.grey.plate_face import FaceFit
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
@@ -58,10 +58,8 @@ def face_covariance(
     linear = voxel * f.T @ design
     covariance = linear @ fit.covariance @ linear.T
     if displaced is not None:
-        index = np.argwhere((displaced > 0.0) & where)
-        away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-        amount = voxel * _DISPLACED_SD * displaced[tuple(index.T)].astype(float)
-        step = sensitivity(away, moments.volume_mm3, 0.0).T @ amount
+        effects, _ = voxel_effects(displaced, (displaced > 0.0) & where, cut.first, volume, moments)
+        step = _DISPLACED_SD / contrast * effects.sum(axis=0)
         covariance = covariance + np.outer(step, step)
     return np.asarray(covariance)
 

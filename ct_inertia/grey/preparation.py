@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.clipped_levels import ClippedLevels, clipped_levels, undo_storing
-from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
+from ct_inertia.grey.edge_shape import EdgeShape, edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.level_fit import blurred, body_share, grow_mask
 from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
@@ -49,8 +49,8 @@ class Prepared:
         A first width of the point spread, and how far blur reaches.
     distance_mm : ndarray of float32, [z, y, x]
         From the stapes, up to twice the reach.
-    softened : bool
-        Edges of the bone have longer tails than blur explains.
+    edges : EdgeShape or None
+        What edges of the bone show; None with too few, and in fluid.
     notices : tuple of Notice
     """
 
@@ -62,7 +62,7 @@ class Prepared:
     sigma_mm: float
     reach_mm: float
     distance_mm: NDArray[np.float32]
-    softened: bool
+    edges: EdgeShape | None
     notices: tuple[Notice, ...]
 
 
@@ -107,10 +107,10 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     uneven = shapes[-1] if shapes and shapes[-1].uneven else None
     if uneven is not None:
         grey = equalise_blur(grey, uneven.covariance_mm2, spacing_mm)
-    softened = bool(shapes) and shapes[-1].softened
+    edges = shapes[-1] if shapes else None
     if grey is cut.grey:
         reach, distance = first.reach_mm, first.distance_mm
-        return Prepared(cut, around, air, stored, 0.0, sigma, reach, distance, softened, ())
+        return Prepared(cut, around, air, stored, 0.0, sigma, reach, distance, edges, ())
     again = _located(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
     air = replace(again.air, clipped=air.clipped, sd=max(air.sd, again.air.sd))
     long = spacing_mm.max() > _LONG_VOXELS * spacing_mm.min()
@@ -126,7 +126,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
         sigma_mm=again.sigma_mm,
         reach_mm=again.reach_mm,
         distance_mm=again.distance_mm,
-        softened=softened,
+        edges=edges,
         notices=tuple(notices),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.grey.level_fit import blurred, body_share
-from ct_inertia.grey.partial_volume import sensitivity, with_contribution
+from ct_inertia.grey.partial_volume import voxel_effects, with_contribution
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
@@ -139,12 +139,10 @@ def with_coat_sd(
     image: CoatImage, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments
 ) -> Moments:
     """Add the contribution of thickness and grey value of the coat, each common to all of the surface."""
-    index = np.argwhere(own & (image.share > 0.0))
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    by_share = sensitivity(away, moments.volume_mm3, 0.0) * volume.voxel_mm3
+    where = own & (image.share > 0.0)
     covariance = np.zeros((10, 10))
     for part in (image.by_thickness, image.by_grey):
-        step = part[tuple(index.T)].astype(float) @ by_share
+        step = voxel_effects(part, where, cut.first, volume, moments)[0].sum(axis=0)
         covariance += np.outer(step, step)
     return with_contribution(moments, "coat", covariance)
 
@@ -153,16 +151,15 @@ def with_suspected_coat(
     image: CoatImage, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments
 ) -> tuple[Moments, Notice]:
     """Add a coat that edges suggest to the budget, as large as a usual one, and name it."""
-    index = np.argwhere(own & (image.share > 0.0))
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    amount = image.share[tuple(index.T)].astype(float) * volume.voxel_mm3
-    step = amount @ sensitivity(away, moments.volume_mm3, 0.0)
+    where = own & (image.share > 0.0)
+    step = voxel_effects(image.share, where, cut.first, volume, moments)[0].sum(axis=0)
     share = float(step[0]) / moments.volume_mm3
     text = (
-        f"Edges of the bone fade out more slowly than blur explains: a thin soft coat (mucosa), or bone that "
-        f"is less dense at its surface. A usual coat ({1e3 * USUAL_MM:.0f} um, {100.0 * USUAL_GREY:.0f} % of "
-        f"the contrast) would add {100.0 * share:.1f} % to volume and mass; nothing was subtracted, and the "
-        f"budget holds that much (coat). State it with {named('coat')} THICKNESS+-SD (um), or clean the bone."
+        f"Edges of the bone fade out more slowly than blur explains: a thin soft coat (mucosa), bone that is "
+        f"less dense at its surface, or grey values that are not linear. A usual coat "
+        f"({1e3 * USUAL_MM:.0f} um, {100.0 * USUAL_GREY:.0f} % of the contrast) would add "
+        f"{100.0 * share:.1f} % to volume and mass; nothing was subtracted, and the budget holds that much "
+        f"(coat). State it with {named('coat')} THICKNESS+-SD (um), or clean the bone."
     )
     return with_contribution(moments, "coat", np.outer(step, step)), Notice("coat_suspected", text)
 

@@ -11,7 +11,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import neighbour_share
-from ct_inertia.grey.partial_volume import sensitivity
+from ct_inertia.grey.partial_volume import by_octants, voxel_effects
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.grid_operations import gaussian
@@ -215,18 +215,12 @@ def soft_tissue_covariance(
     half of it is common to all. The level of something faint is known to a larger part of itself.
     """
     sd = float(np.hypot(_SD, _LEVEL_SD / max(soft.level, _LEVEL_SD)))
-    index = np.argwhere(own & (np.abs(soft.taken) > 1e-4))
-    covariance = np.zeros((10, 10))
-    if len(index) == 0:
-        return covariance
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    amount = soft.taken[tuple(index.T)].astype(float) * volume.voxel_mm3 * sd
-    steps = sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None]
-    octant = (away > np.median(away, axis=0)) @ np.array([1, 2, 4])
-    parts = [steps[octant == part].sum(axis=0) for part in range(8)]
-    for step in (*parts, np.sum(parts, axis=0)):
-        covariance += 0.5 * np.outer(step, step)
-    return covariance
+    where = own & (np.abs(soft.taken) > 1e-4)
+    if not np.any(where):
+        return np.zeros((10, 10))
+    effects, away = voxel_effects(soft.taken, where, cut.first, volume, moments)
+    common = effects.sum(axis=0)
+    return np.asarray(0.5 * sd**2 * (by_octants(effects, away) + np.outer(common, common)))
 
 
 def soft_notices(soft: SoftTissue, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:

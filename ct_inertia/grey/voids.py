@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air
-from ct_inertia.grey.partial_volume import sensitivity
+from ct_inertia.grey.partial_volume import voxel_effects
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.grid_operations import dilated, labelled, used_box
@@ -174,10 +174,8 @@ def empty_voids(cut: Cut, voids: Voids, contrast: float) -> Grey:
 
 def filling_covariance(voids: Voids, cut: Cut, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) of the level of the filling, common to all voids."""
-    index = np.argwhere(voids.image > 0.0)
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    amount = voids.image[tuple(index.T)].astype(float) * volume.voxel_mm3 * voids.sd
-    step = amount @ sensitivity(away, moments.volume_mm3, 0.0)
+    effects, _ = voxel_effects(voids.image, voids.image > 0.0, cut.first, volume, moments)
+    step = voids.sd * effects.sum(axis=0)
     return np.outer(step, step)
 
 

@@ -31,6 +31,7 @@ _SOURCE_WORDS = {
     "noise": "voxel noise",
     "psf": "blur of the scan",
     "coat": "soft coat on the bone",
+    "grey_scale": "grey scale that is not linear",
     "surroundings": "fluid or tissue around the stapes",
     "separation": "cut between stapes and what touches it",
     "border": "what the border of the scan cuts",

@@ -258,6 +258,10 @@ class TestAMesh:
         found = {w["code"] for w in outcome.result["warnings"]}
         assert {"density_sd_not_given", "anterior_not_given"} <= found
         assert "density not included" in outcome.result["uncertainty"]["not_included"]
+        rows = dict(outcome.rows)
+        assert not any("±" in rows[name] for name in ("volume", "mass", "M(alpha)", "M(y, gamma)"))
+        whole = run([mesh, "--density", "1900+-60", "--out", tmp_path / "sd", "--no-report"])
+        assert "±" in dict(whole.rows)["mass"]
 
     def test_a_config_file_stands_in_for_options(self, mesh, tmp_path):
         config = tmp_path / "c.toml"

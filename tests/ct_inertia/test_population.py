@@ -93,3 +93,9 @@ def test_the_wall_of_a_gutter_is_not_parted_from_its_crus(tmp_path):
     (found,) = scores("alone", tmp_path, (31,), **fixed)
     assert found.error is not None
     assert abs(found.error) < 0.002
+
+
+def test_a_scan_exported_with_a_gamma_is_named_and_its_effect_in_the_budget(tmp_path):
+    found = scores("exported with a gamma of 0.7", tmp_path, voxel_um=28.0, noise=0.015, blur=1.3)
+    assert all("grey_scale_bent" in s.codes for s in found)
+    assert all(abs(s.error) < 2.0 * s.sd for s in found)
