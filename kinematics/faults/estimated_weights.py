@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import LEAST_SAMPLES, ChannelNoise, channel_noise, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Nuisance, estimate_nuisance
+from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
 # How many times the sd of the others noise must be to be called a fault.
@@ -65,7 +65,7 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> tuple[Packed, Array]:
             return data, nothing
     value, precision = _variances(noise, state)
     live = np.array(data.live)
-    groups = group_parallel_beams(data.assumed.directions, data.live)
+    groups = laser_channels(data.assumed.directions, data.live)
     if len(groups) < 2 or min(map(len, groups)) < 3:
         groups = [data.live]
     one_of = np.stack([np.isin(live, own) for own in groups], axis=1).astype(float)

@@ -17,12 +17,12 @@ from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, common_level
 from kinematics.faults.objective_bounds import Bounds
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.faults.point_noise import point_covariance, scaled
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import Tested, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
 # Share of clean files that may raise an alarm.
@@ -283,7 +283,7 @@ class Search:
         A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
         else is no explanation.
         """
-        groups = group_parallel_beams(self.data.assumed.directions, self.live)
+        groups = laser_channels(self.data.assumed.directions, self.live)
         many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
         return many if len(groups) > 1 and len(many) <= 8 else []
 
