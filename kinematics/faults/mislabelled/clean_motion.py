@@ -105,7 +105,7 @@ def fit_clean_motion(
     for channel, name in enumerate(body.points):
         groups.setdefault(name, []).append(channel)
     suspects: list[tuple[int, ...]] = []
-    strongest: Array = np.linalg.eigvalsh(_gram(data))[:, -1]
+    strongest = np.asarray(np.linalg.eigvalsh(_gram(data))[:, -1], dtype=float)
     for _ in range(min(max(1, len(groups) // 3), _MOST)):
         own = _next_suspect(data, groups, strongest)
         if own is None:
