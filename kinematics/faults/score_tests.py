@@ -56,7 +56,7 @@ def score_tests(
     tests = []
     varying = len(state.data.tau) >= _SEGMENTS
     for owner, places in owners.items():
-        for same in _of_one_size(places, owner == "laser"):
+        for same in of_one_size(places) if owner != "laser" else _each(places):
             size = same.shape[1]
             kinds = [
                 name
@@ -68,7 +68,7 @@ def score_tests(
             if not kinds or not len(same):
                 continue
             which = sorted({k for name in kinds for k in KINDS[name].tangents})
-            score, information = _sums(state, marginal, same, which, settled)
+            score, information = scores_at(state, marginal, same, which, settled)
             for name in kinds:
                 at = [which.index(k) for k in KINDS[name].tangents]
                 statistic, freedom = _statistic(score[:, at], information[:, at][:, :, at])
@@ -76,17 +76,28 @@ def score_tests(
     return tests
 
 
-def _of_one_size(places: Sequence[Sequence[int]], alone: bool) -> list[NDArray[np.intp]]:
-    """Return places with as many channels in one array (B, n) each; ``alone``: each by itself."""
-    if alone:
-        return [np.array([own], dtype=np.intp) for own in places]
+def _each(places: Sequence[Sequence[int]]) -> list[NDArray[np.intp]]:
+    """Return each place as an array (1, n)."""
+    return [np.array([own], dtype=np.intp) for own in places]
+
+
+def of_one_size(places: Sequence[Sequence[int]]) -> list[NDArray[np.intp]]:
+    """Return places with as many channels in one array (B, n) each."""
     sizes = sorted({len(own) for own in places})
     return [np.array([own for own in places if len(own) == size], dtype=np.intp) for size in sizes]
 
 
-def _sums(
-    state: State, marginal: Marginal | None, groups: NDArray[np.intp], which: list[int], settled: bool
+def scores_at(
+    state: State,
+    marginal: Marginal | None,
+    groups: NDArray[np.intp],
+    which: Sequence[int],
+    settled: bool = True,
 ) -> tuple[Array, Array]:
+    """Return scores (B, p) and information (B, p, p) of tangents ``which`` (p) at B sets of channels (B, n).
+
+    ``marginal`` and ``settled`` as of `score_tests`.
+    """
     scores, informations = [], []
     members = groups.shape[1]
     beam = None
