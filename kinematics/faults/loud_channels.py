@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding
 from kinematics.faults.noise_size import channel_noise_energy
-from kinematics.faults.score_information import State
-from stapeskit.arrays import Array
+
+if TYPE_CHECKING:
+    from kinematics.faults.search import Search
 
 # Share of the alarm probability that the tests of noise have.
 NOISE_SHARE = 0.05
@@ -24,29 +25,12 @@ _ALIKE = 1.2**2
 _LOUDEST, _QUIET = 5, 1.3
 
 
-class Tested(Protocol):
-    """What the tests of noise read of a round of the search."""
-
-    live: list[int]
-    known: bool
-    alarm: float
-    state: State
-    scale: float
-    sure: float
-    kept: Array
-    columns: Array
-
-    @property
-    def energy(self) -> Array:
-        """Mean residual energy of each channel, (channel,)."""
-
-
-def loud_channels(search: Tested, whole: bool, scale: float = 0.0) -> list[tuple[float, Finding]]:
+def loud_channels(search: Search, whole: bool, scale: float = 0.0) -> list[tuple[float, Finding]]:
     """Return loud channels and their log evidence.
 
     Parameters
     ----------
-    search : Tested
+    search : Search
     whole : bool
         Of all their energy, no fault fitted first.
     scale : float
