@@ -193,7 +193,7 @@ class _Diagnose:
         for finding in findings:
             if finding.kind == "noise":
                 loud[finding.channels] *= finding.size
-        return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
+        return replace(assumed, loud=loud, correlation=None)
 
     def run(self, data: Packed) -> Diagnosis:
         """Search round after round, the culprit left out each time, until nothing is found."""
@@ -207,8 +207,6 @@ class _Diagnose:
             culprit = search.best()
             if culprit is None:
                 break
-            if culprit.kind == "flexible":
-                culprit = self._single(current, culprit, findings)
             if culprit.kind == "flexible" or len(findings) >= self.most:
                 body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
                 return self._many(first, search, data, findings, body)
@@ -238,13 +236,6 @@ class _Diagnose:
             return _diagnosis(tuple(pair[0]), first, pair[1], 0.0)
         return _diagnosis((spread or otherwise,), first, last)
 
-    def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
-        """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
-        for other in bending.rivals:
-            if self.after(data, other, findings).clean():
-                return other
-        return bending
-
     def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
         """Test every finding again without the others."""
         confirmed: list[Finding] = []
@@ -265,18 +256,15 @@ class _Diagnose:
         Notes
         -----
         To leave a channel out removes whatever it holds. With few channels a motion that is not rigid shows
-        in one or two of them, and a factor that fits it partly is no explanation. A single channel is
-        believed whose residuals are its motion times a factor with any course over the measurement, or that
-        stands alone among many.
+        in one or two of them, and a factor that fits it partly is no explanation. A single channel among
+        many is believed.
         """
         scale = min(first.scale, after.scale)
         before, _ = first.excess_of_all(scale)
         left, spread = after.excess_of_all(scale)
         if left < _SURE * spread or left < _SHARE * before:
             return True
-        if len(findings) > 1 or len(findings[0].channels) > 1:
-            return False
-        return first.freedom >= _MANY or _own_course(first, findings[0].channels[0], scale)
+        return len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""
@@ -330,26 +318,7 @@ def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
     for finding in findings:
         if finding.kind == "noise":
             loud[finding.channels] = data.assumed.loud[finding.channels]
-    assumed = replace(data.assumed, loud=loud, level=left.assumed.level, correlation=left.assumed.correlation)
-    return data.under(assumed)
-
-
-def _own_course(search: Search, channel: int, scale: float) -> bool:
-    """Return whether one gain for each part of the band removes the residuals of a channel."""
-    state = search.state
-    root = np.sqrt(np.maximum(1.0 - state.leverage[:, channel], 1e-3))
-    residual = state.plain(state.e)[:, channel] / root[:, None]
-    motion = (state.own[:, channel, None] @ state.z)[:, 0]
-    parts = np.array_split(np.arange(len(residual)), min(12, len(residual)))
-    whole, left, number = 0.0, 0.0, 0
-    for own in parts:
-        x, e = motion[own].ravel(), residual[own].ravel()
-        energy = float(np.sum(np.abs(e) ** 2))
-        whole += energy
-        left += energy - float(abs(np.vdot(x, e))) ** 2 / max(float(np.sum(np.abs(x) ** 2)), 1e-300)
-        number += len(e) - 1
-    left -= scale * number
-    return bool(left < _SURE * scale * np.sqrt(max(number, 1)) or left < _SHARE * whole)
+    return data.under(replace(data.assumed, loud=loud, correlation=left.assumed.correlation))
 
 
 def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:

@@ -25,16 +25,10 @@ _ALIKE = 1.2**2
 _LOUDEST, _QUIET = 5, 1.3
 
 
-def loud_channels(search: Search, whole: bool, scale: float = 0.0) -> list[tuple[float, Finding]]:
+def loud_channels(search: Search, scale: float = 0.0) -> list[tuple[float, Finding]]:
     """Return loud channels and their log evidence.
 
-    Parameters
-    ----------
-    search : Search
-    whole : bool
-        Of all their energy, no fault fitted first.
-    scale : float
-        Noise variance of the evidence, if not that of the tests.
+    ``scale`` is the noise variance of the evidence, where it is not that of the tests.
 
     Notes
     -----
@@ -47,11 +41,9 @@ def loud_channels(search: Search, whole: bool, scale: float = 0.0) -> list[tuple
     energy, h = search.energy, 1.0 - search.kept
     limit, margin = (_NOISY_KNOWN, 1.0) if search.known else (NOISY, _ALIKE)
     for channel in sorted(search.live, key=lambda c: -energy[c])[:_LOUDEST]:
-        value, count = float(energy[channel]), float(search.columns[channel])
-        if value < _QUIET * search.scale or h[channel] > UNSEEN:
+        if energy[channel] < _QUIET * search.scale or h[channel] > UNSEEN:
             continue
-        if not whole:
-            value, count = channel_noise_energy(search.state, channel)
+        value, count = channel_noise_energy(search.state, channel)
         ratio, left = value / search.scale, 1.0 - float(h[channel])
         if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
             continue

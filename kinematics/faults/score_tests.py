@@ -39,7 +39,6 @@ def score_tests(
     state: State,
     marginal: Marginal | None,
     owners: dict[str, Sequence[Sequence[int]]],
-    settled: bool = True,
 ) -> list[Tested]:
     """Test every kind of fault at every place.
 
@@ -47,11 +46,9 @@ def score_tests(
     ----------
     state : State
     marginal : Marginal, optional
-        Of the nuisance parameters at this state.
+        Of the nuisance parameters at this state, their most probable ones.
     owners : dict of str to sequences of channels
         The places: ``channel``, ``point``, ``laser``, ``body``.
-    settled : bool
-        The nuisance parameters of the state are the most probable ones.
     """
     tests = []
     varying = len(state.data.tau) >= _SEGMENTS
@@ -68,7 +65,7 @@ def score_tests(
             if not kinds or not len(same):
                 continue
             which = sorted({k for name in kinds for k in KINDS[name].tangents})
-            score, information = scores_at(state, marginal, same, which, settled)
+            score, information = scores_at(state, marginal, same, which)
             for name in kinds:
                 at = [which.index(k) for k in KINDS[name].tangents]
                 statistic, freedom = _statistic(score[:, at], information[:, at][:, :, at])
@@ -92,11 +89,10 @@ def scores_at(
     marginal: Marginal | None,
     groups: NDArray[np.intp],
     which: Sequence[int],
-    settled: bool = True,
 ) -> tuple[Array, Array]:
     """Return scores (B, p) and information (B, p, p) of tangents ``which`` (p) at B sets of channels (B, n).
 
-    ``marginal`` and ``settled`` as of `score_tests`.
+    ``marginal`` as of `score_tests`.
     """
     scores, informations = [], []
     members = groups.shape[1]
@@ -110,12 +106,8 @@ def scores_at(
         t = state.tangents(part.ravel(), which, beam)
         t = t.reshape(*t.shape[:2], len(part), members, t.shape[-1])
         sums = state.sums(part, t, marginal is not None)
-        score, information = sums.score, sums.information
-        if marginal is not None:
-            left, information = marginal.remaining(part, t, sums)
-            score = score if settled else left
-        scores.append(score)
-        informations.append(information)
+        scores.append(sums.score)
+        informations.append(sums.information if marginal is None else marginal.remaining(part, t, sums))
     return np.concatenate(scores), np.concatenate(informations)
 
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from kinematics.calibrated import calibrated
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.flexible_body import Structure, structure_of
+from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.point_noise import point_covariance, scaled
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import Tested, score_tests
@@ -90,23 +89,7 @@ class Search:
         if data.whiten is not None and data.rest.shape[2] >= LEAST_SAMPLES and self.freedom > 0.5:
             rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
             self.scale = max(self.scale, rest)
-        self.structure = self._structure()
-
-    def _structure(self) -> Structure:
-        """Search for patterns that several points share; noise within a point is none, however correlated."""
-        structure = structure_of(self.state, self.scale)
-        if self.data.whiten is None or structure.p_value == 1.0:
-            return structure
-        both = np.concatenate([self.state.e, self.state.rest], axis=2)
-        within = point_covariance(self.state, both, float(both.shape[0] * both.shape[2]))
-        if within is None:
-            return structure
-        correlation, sd = scaled(within)
-        assumed = replace(self.data.assumed, correlation=correlation, loud=self.data.assumed.loud * sd)
-        strict = structure_of(State.of(self.data.under(assumed)))
-        if strict.p_value <= structure.p_value:
-            return structure
-        return replace(structure, ratio=strict.ratio, p_value=strict.p_value)
+        self.structure = structure_of(self.state, self.scale)
 
     def _unsure(self, spread: Array | None) -> Array:
         """Return the relative variance (channel,) of the noise that each channel's residuals should have.
@@ -196,18 +179,18 @@ class Search:
 
     def clean(self) -> bool:
         """Return whether nothing is significant, without fits of suspects."""
-        return self.empty or not (self.bends or self._lowest() <= self.alarm or loud_channels(self, False))
+        return self.empty or not (self.bends or self._lowest() <= self.alarm or loud_channels(self))
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""
         if self.empty:
             return None
-        lowest, loud, bends = self._lowest(), loud_channels(self, False), self.bends
+        lowest, loud, bends = self._lowest(), loud_channels(self), self.bends
         if lowest > self.alarm and not bends and not loud:
             return None
         fits = self._suspects(bends and not self.structure.concentrated)
         scale, strange = self._scale_without([fit.drop for fit in fits]), False
-        scored = loud_channels(self, False, scale) if scale < self.scale else list(loud)
+        scored = loud_channels(self, scale) if scale < self.scale else list(loud)
         for fit in fits:
             finding = self._finding(fit)
             if finding.p_value < self.alarm and not self._credible(fit):
@@ -219,14 +202,11 @@ class Search:
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
-            scored = loud_channels(self, True)
-        if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
-        near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
-        rivals = tuple(other for value, other in scored[1:] if value > near and differ(finding, other))
-        finding = replace(finding, rivals=rivals[:2])
+        near = [other for value, other in scored[1:] if value > top - _NEAR and differ(finding, other)]
+        finding = replace(finding, rivals=tuple(near[:2]))
         if finding.fit is None:
             return finding
         fit = self.refit.refined(finding.fit)
@@ -304,22 +284,11 @@ class Search:
             "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
         }
 
-    @cached_property
-    def suspected(self) -> list[Tested]:
-        """Tests by which suspects are chosen.
-
-        A large fault moves the nuisance parameters far off: where they are zero it shows as itself.
-        """
-        if not len(self.x):
-            return self.tested
-        given = Marginal(self.given, self.nuisance)
-        return [*self.tested, *score_tests(self.given, given, self._owners(), settled=False)]
-
     def _suspects(self, bends: bool) -> list[FaultFit]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
         for owner in _TESTED:
-            tested = [test for test in self.suspected if test.owner == owner]
+            tested = [test for test in self.tested if test.owner == owner]
             sets = list(dict.fromkeys(own for test in tested for own in test.sets))
             chosen = dict.fromkeys(sorted(sets, key=self._blame(sets).__getitem__)[: _BLAMED[owner]])
             for test in tested:
@@ -359,8 +328,7 @@ class Search:
         residuals the least sum of squares is no larger, whatever the fault makes of them.
         """
         fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
-        # Next to a body that bends, what explains less than half of that is no rival.
-        fits, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
+        fits, best = [], self.structure.gain / self.scale if bends else 0.0
         freed = dict[tuple[int, ...], float]()
         for fault in sorted(faults, key=lambda fault: fall[tuple(fault.channels)]):
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
