@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.findings import Finding, add_finding, apply_finding, correct_findings, is_redundant
+from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
 from kinematics.faults.masking import masking_pairs
 from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
@@ -210,7 +210,7 @@ class _Diagnose:
             if culprit.kind == "flexible" or len(findings) >= self.most:
                 body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
                 return self._many(first, search, data, findings, body)
-            findings = add_finding(findings, culprit)
+            findings = [*findings, culprit]
             search = self.after(current, culprit, findings)
             current = search.data
             if len(findings) == 1 and findings[0].owner != "body":
