@@ -155,25 +155,17 @@ class _Diagnose:
     def __init__(self, body: BodyChannels, prior: Array, known: bool, mixes: bool, alarm: float) -> None:
         self.prior, self.known, self.mixes, self.alarm = prior, known, mixes, alarm
         self.layout = (body.reported_positions_mm, body.file_from_here)
-        self.spread: Array | None = None
         self.most = max(2, len(set(body.points)) // 3)
 
     def searched(self, data: Packed, share: float = 1.0, prior: Array | None = None) -> Search:
         """Search data; ``share`` of the alarm probability."""
         prior = self.prior if prior is None else prior
         alarm = share * self.alarm
-        return Search(data, prior, self.layout, self.known, alarm, self.spread)
-
-    def equalised(self, data: Packed) -> Packed:
-        """Return data of unknown noise with weights by their residuals."""
-        if self.known:
-            return data
-        weighted, self.spread = equalise_noise(data, Nuisance.of(data, self.prior))
-        return weighted
+        return Search(data, prior, self.layout, self.known, alarm)
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""
-        data = self.equalised(data)
+        data = data if self.known else equalise_noise(data, Nuisance.of(data, self.prior))
         search = self.searched(data, share)
         white = with_point_noise(search.state, search.noise) if self.mixes else data
         return search if white is data else self.searched(white, share)

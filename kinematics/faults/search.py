@@ -42,8 +42,6 @@ _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _SURELY_LOUDER = 3.0
 # Share of the level that an explanation leaves, below which the level was mostly the fault: more than half.
 _INFLATED = 0.5
-# Up to so many channels their projector is made: the memory goes with the square.
-_MOST_PROJECTED = 1000
 
 
 class Search:
@@ -56,7 +54,6 @@ class Search:
         layout: tuple[Array, Array],
         known: bool,
         alarm: float = FALSE_ALARM,
-        spread: Array | None = None,
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
         self.nuisance = Nuisance.of(data, prior_m)
@@ -82,7 +79,6 @@ class Search:
         self.kept = kept / np.maximum(np.sum(data.weight > 0.0, axis=0), 1)
         self.columns = np.sum(data.weight > 0.0, axis=0) * float(self.state.z.shape[2] + data.rest.shape[2])
         self.freedom = float(np.sum(self.state.free()))
-        self.unsure = self._unsure(spread)
         self.points: dict[str, list[int]] = {}
         for channel in self.live:
             self.points.setdefault(data.points[channel], []).append(channel)
@@ -90,24 +86,6 @@ class Search:
             rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
             self.scale = max(self.scale, rest)
         self.structure = structure_of(self.state, self.scale)
-
-    def _unsure(self, spread: Array | None) -> Array:
-        """Return the relative variance (channel,) of the noise that each channel's residuals should have.
-
-        Notes
-        -----
-        A residual holds the noise of all channels by the squares of its row of the projector (Satterthwaite
-        1946, doi:10.2307/3002019); the uncertainty of the common level is added.
-        """
-        common = np.full(len(self.data.points), 2.0 / self.sure)
-        if self.known or spread is None or not np.any(spread > 0.0):
-            return common
-        span = self.state.span[0]
-        if len(span) > _MOST_PROJECTED:
-            return np.asarray(common + spread)
-        share = np.abs(np.eye(len(span)) - span @ span.conj().T) ** 2
-        share = share / np.maximum(np.sum(share, axis=1, keepdims=True), 1e-300)
-        return np.asarray(common + share**2 @ spread)
 
     @property
     def offsets_m(self) -> Array:
@@ -139,7 +117,7 @@ class Search:
         number = 2.0 * self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
         return float(chdtrc(number, 2.0 * excess)) if number > 0.0 else 1.0
 
-    def chance(self, statistic: Array, size: NDArray[np.intp], groups: NDArray[np.intp]) -> Array:
+    def chance(self, statistic: Array, size: NDArray[np.intp]) -> Array:
         """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
         from scipy.special import chdtrc, fdtrc
 
@@ -147,9 +125,9 @@ class Search:
         size = np.maximum(size, 1)
         if self.known and self.data.whiten is None:
             return np.asarray(chdtrc(size, value))
-        freedom = np.maximum(2.0 / np.mean(self.unsure[groups], axis=1), 1.0)
+        freedom = self.sure
         if self.data.whiten is not None:
-            freedom = np.minimum(freedom, 2.0 * max(self.data.rest[:, 0].size, self.least))
+            freedom = min(freedom, 2.0 * max(self.data.rest[:, 0].size, self.least))
         if self.of_all:
             # The level holds the energy of the fault itself.
             left = np.maximum(freedom - value, 1e-9) / np.maximum(freedom - size, 1.0)
@@ -160,8 +138,7 @@ class Search:
         """Return the least corrected probability of all tests."""
         return min(
             (
-                float(np.min(self.chance(test.statistic, test.freedom, test.groups)))
-                * self._number(test.owner)
+                float(np.min(self.chance(test.statistic, test.freedom))) * self._number(test.owner)
                 for test in self.tested
             ),
             default=1.0,
@@ -360,8 +337,7 @@ class Search:
     def _finding(self, fit: FaultFit) -> Finding:
         owner = _SORT.get(fit.fault.owner, fit.fault.owner)
         size = np.array([max(fit.fault.size, 1)])
-        groups = np.array(fit.fault.channels)[None]
-        chance = float(self.chance(np.array([2.0 * fit.drop]), size, groups)[0])
+        chance = float(self.chance(np.array([2.0 * fit.drop]), size)[0])
         p = min(1.0, chance * max(self._number(owner), float(fit.fault.places)))
         shown = replace(fit, covariance=fit.covariance * self.scale)
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
