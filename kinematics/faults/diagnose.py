@@ -35,8 +35,6 @@ from stapeskit.arrays import Array
 MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
-# What may remain after all findings: so many standard deviations of the energy of noise, or this share.
-_SURE, _SHARE = 6.0, 0.02
 # From so many residual directions on, a misfit of one channel alone is that channel's.
 _MANY = 30
 # Scattered positions: fewest points, sizes that are sought (m, and levers), and how much more than stated.
@@ -207,10 +205,8 @@ class _Diagnose:
             current = search.data
             if len(findings) == 1 and findings[0].owner != "body":
                 kept = search.excess() / max(first.excess(), 1e-300)
-        if findings and first.structure.significant:
-            after = self.searched(correct_findings(data, findings))
-            if not self._account_for_it(first, after, findings):
-                return self._many(first, search, data, findings, first.flexible())
+        if findings and first.structure.significant and not self._explain(first, data, findings):
+            return self._many(first, search, data, findings, first.flexible())
         if len(findings) > 1:
             spread = self._scattered(first, findings)
             if spread is not None:
@@ -242,8 +238,8 @@ class _Diagnose:
                 confirmed.append(finding)
         return confirmed
 
-    def _account_for_it(self, first: Search, after: Search, findings: list[Finding]) -> bool:
-        """Return whether findings, undone by their estimates, leave hardly more than noise.
+    def _explain(self, first: Search, data: Packed, findings: list[Finding]) -> bool:
+        """Return whether findings, undone by their estimates, leave nothing to be found.
 
         Notes
         -----
@@ -251,12 +247,10 @@ class _Diagnose:
         in one or two of them, and a factor that fits it partly is no explanation. A single channel among
         many is believed.
         """
-        scale = min(first.scale, after.scale)
-        before, _ = first.excess_of_all(scale)
-        left, spread = after.excess_of_all(scale)
-        if left < _SURE * spread or left < _SHARE * before:
+        if len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY:
             return True
-        return len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY
+        undone = correct_findings(data, findings)
+        return self.prepared(undone.under(self._as_stated(undone.assumed, findings))).clean()
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""
@@ -299,7 +293,7 @@ class _Diagnose:
                 continue
             if [other.channels for other in pair] != [[first_channel], [second_channel]]:
                 continue
-            if self._account_for_it(first, self.searched(correct_findings(data, pair)), pair):
+            if self._explain(first, data, pair):
                 return pair, last
         return None
 

@@ -103,19 +103,13 @@ class Search:
         """Return the residual energy of the columns with motion beyond that of noise, at least none."""
         return max(self.given.energy - self.scale * self.freedom * self.state.z.shape[2], 0.0)
 
-    def excess_of_all(self, scale: float) -> tuple[float, float]:
-        """Return the residual energy beyond noise of a variance, and its standard deviation."""
-        number = self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
-        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
-        return energy - scale * number, scale * float(np.sqrt(number))
-
     def level_p(self) -> float:
         """Return the probability of so large a total residual by chance."""
         from scipy.special import chdtrc
 
-        excess, _ = self.excess_of_all(0.0)
+        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
         number = 2.0 * self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
-        return float(chdtrc(number, 2.0 * excess)) if number > 0.0 else 1.0
+        return float(chdtrc(number, 2.0 * energy)) if number > 0.0 else 1.0
 
     def chance(self, statistic: Array, size: NDArray[np.intp]) -> Array:
         """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
