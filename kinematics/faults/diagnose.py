@@ -183,7 +183,7 @@ class _Diagnose:
         for finding in findings:
             if finding.kind == "noise":
                 loud[finding.channels] *= finding.size
-        return replace(assumed, loud=loud, correlation=None)
+        return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
 
     def run(self, data: Packed) -> Diagnosis:
         """Search round after round, the culprit left out each time, until nothing is found."""
@@ -304,7 +304,8 @@ def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
     for finding in findings:
         if finding.kind == "noise":
             loud[finding.channels] = data.assumed.loud[finding.channels]
-    return data.under(replace(data.assumed, loud=loud, correlation=left.assumed.correlation))
+    assumed = replace(data.assumed, loud=loud, level=left.assumed.level, correlation=left.assumed.correlation)
+    return data.under(assumed)
 
 
 def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:

@@ -24,6 +24,10 @@ _ROUNDS, _SETTLED = 6, 0.01
 _QUIETEST, _RIDGE = 0.05, 1e-3
 # Standard deviations of chi2 from which on scatter is sure.
 _SURE = 2.0
+# A part with less than this of the noise of the loudest has no channel to spare: rounding is left there.
+_ROUNDING = 1e-6
+# Parts of the lines, and lines with gaps from which on their noise is compared.
+_PARTS, _LEAST_GROUPS = 12, 24
 
 
 def equalise_noise(data: Packed, nuisance: Nuisance) -> Packed:
@@ -47,6 +51,12 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> Packed:
     noise = channel_noise(state)
     if noise.least < LEAST_SAMPLES or not noise.level > 0.0:
         return data
+    levelled = _course(data, state)
+    if levelled is not data:
+        data, state = levelled, estimate_nuisance(levelled, nuisance)[0]
+        noise = channel_noise(state)
+        if not noise.level > 0.0:
+            return data
     value, precision = _variances(noise, state)
     live = np.array(data.live)
     groups = laser_channels(data.assumed.directions, data.live)
@@ -173,3 +183,30 @@ def _scatter(value: Array, precision: Array, group: Array) -> tuple[float, bool]
     whole = precision if precision.ndim == 1 else np.diag(precision)
     trace = float(np.sum(whole) - np.trace(np.linalg.solve(inner, taken.T @ taken)))
     return max(excess / trace, 0.0), excess > _SURE * np.sqrt(2.0 * free)
+
+
+def _course(data: Packed, state: State) -> Packed:
+    """Return data with the same noise in all parts of the lines, where it differs."""
+    live = data.live
+    pieces = np.array_split(np.arange(len(data.weight)), min(_PARTS, len(data.weight)))
+    samples = data.rest.shape[2]
+    if len(pieces) < 2 or (not samples and len(data.weight) < _LEAST_GROUPS):
+        return data
+    held = state.plain(state.rest if samples else state.e)[:, live]
+    used = data.weight[:, live] > 0.0
+    left = np.where(used, np.maximum(1.0 - state.leverage[:, live], _QUIETEST), 0.0) * held.shape[2]
+    energy = np.sum(np.abs(held) ** 2, axis=2)
+    level, variance = np.ones(len(pieces)), np.ones(len(pieces))
+    for k, own in enumerate(pieces):
+        size = np.sum(energy[own], axis=0) / np.maximum(np.sum(left[own], axis=0), 1e-9)
+        level[k] = float(np.median(size[np.any(used[own], axis=0)]))
+        variance[k] = 0.5 * np.pi / max(float(np.sum(state.free()[own])) * held.shape[2], 1.0)
+    if not np.min(level) > _ROUNDING * np.max(level):
+        return data
+    value, precision = np.log(level), 1.0 / variance
+    scatter, sure = _scatter(value, precision, np.ones((len(pieces), 1)))
+    if not sure:
+        return data
+    mean = float(np.sum(value / variance) / np.sum(1.0 / variance))
+    course = np.exp(scatter / (scatter + variance) * (value - mean))
+    return data.under(replace(data.assumed, level=np.sqrt(course / float(np.mean(course)))))

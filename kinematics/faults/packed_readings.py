@@ -10,7 +10,7 @@ weight zero.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -124,6 +124,8 @@ class Assumed:
         Noise over that of the source; infinite for channels that are left out.
     factors : tuple of (list of int, Factor)
         By what readings of channels are divided.
+    level : ndarray, (parts,)
+        Noise over that of the source in equal parts of the lines.
     correlation : ndarray, (channel, channel), or None
         Of the noise of channels of one point; None without.
     """
@@ -132,6 +134,7 @@ class Assumed:
     directions: Array
     loud: Array
     factors: tuple[tuple[list[int], Factor], ...] = ()
+    level: Array = field(default_factory=lambda: np.ones(1))
     correlation: Array | None = None
 
     @property
@@ -246,6 +249,8 @@ def initial(source: Source, body: BodyChannels) -> Packed:
 
 def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
     """Pack a source under assumptions; ``fine``: for faults that change from line to line."""
+    place = np.linspace(0.0, 1.0, 2 * len(assumed.level) + 1)[1::2]
+    course = np.interp(np.linspace(0.0, 1.0, len(source.lines)), place, assumed.level)
     live = np.isfinite(assumed.loud)
     whiten = None if assumed.correlation is None else whitening(assumed.correlation, live)
     loud = np.where(live, assumed.loud, 1.0)
@@ -253,14 +258,14 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
     if source.sd is not None or single:
         value = source.value[:, source.lines]
         stated = source.share[:, None] * source.line if source.sd is None else source.sd
-        sd = stated * loud[:, None]
+        sd = stated * loud[:, None] * course
         weight = np.where(live[:, None] & np.isfinite(sd), np.sqrt(0.5) / sd, 0.0)
         value = np.where(weight > 0.0, value, 0.0)
         divide(value, weight, assumed, source.tau, source.ratio)
         weight = (weight / np.sqrt(source.spread)).T
         y = whitened((weight * value.T)[:, :, None], whiten)
         return Packed(source, assumed, y, y[:, :, :0], weight, source.tau, source.ratio, whiten)
-    gathered = _gathered(source, assumed, loud, live, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
+    gathered = _gathered(source, assumed, loud, live, course, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
     return replace(gathered, whiten=whiten)
 
 
@@ -282,6 +287,7 @@ def _gathered(
     assumed: Assumed,
     loud: Array,
     live: NDArray[np.bool_],
+    course: Array,
     whiten: Array | None,
     most: int,
 ) -> Packed:
@@ -304,7 +310,7 @@ def _gathered(
             value, weight = np.array(value), np.repeat(mean[:, None], stop - start, axis=1)
             divide(value, weight, assumed, source.tau[part], source.ratio[part])
             mean = np.sqrt(np.mean(weight**2, axis=1))
-        line = 1.0 / source.line[part]
+        line = 1.0 / (source.line[part] * course[part])
         solve = solver(whitened((mean[:, None] * basis)[None], whiten))[0]
         solve = (solve if whiten is None else solve @ whiten) * mean
         z = _product(solve, value) * line
