@@ -15,7 +15,7 @@ How a diagnosis flows, from a measurement to the verdicts:
         uncertain_positions  errors of positions with a stated size, next to the motion
         score_tests       every kind at every place at once
         refit             the fit of one fault, weighed by its evidence
-        loud_channels, flexible_body  noise of single channels, and patterns that many points share
+        flexible_body     patterns that many points share
       masking             two faults that hide each other
       variance_components errors of one common size at all places
     causes/               what many channels share, tried before a body is called flexible (explain):

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
-from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
-from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, common_level
+from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
@@ -42,6 +42,17 @@ _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _SURELY_LOUDER = 3.0
 # Share of the level that an explanation leaves, below which the level was mostly the fault: more than half.
 _INFLATED = 0.5
+
+# Share of the alarm probability that the tests of noise have.
+_NOISE_SHARE = 0.05
+# Leverage above which the residual of a channel shows nothing.
+_UNSEEN = 0.98
+# How many times the stated sd noise must be to be reported; less is a matter of chi2.
+_NOISY_KNOWN = 1.5
+# Ratio of variances by which channels of unknown noise may differ without a fault.
+_ALIKE = 1.2**2
+# How many of the loudest channels are looked at, and from which ratio of variances on.
+_LOUDEST, _QUIET = 5, 1.3
 
 
 class Search:
@@ -138,10 +149,43 @@ class Search:
             default=1.0,
         )
 
+    def loud_channels(self, scale: float = 0.0) -> list[tuple[float, Finding]]:
+        """Return loud channels and their log evidence.
+
+        ``scale`` is the noise variance of the evidence, where it is not that of the tests.
+
+        Notes
+        -----
+        The energy of N complex values is chi-squared with 2 N degrees of freedom, an F where the variance is
+        estimated; the evidence is the likelihood less a penalty (Schwarz 1978, doi:10.1214/aos/1176344136).
+        """
+        from scipy.special import chdtrc, fdtrc
+
+        loud = []
+        energy, h = self.energy, 1.0 - self.kept
+        limit, margin = (_NOISY_KNOWN, 1.0) if self.known else (NOISY, _ALIKE)
+        for channel in sorted(self.live, key=lambda c: -energy[c])[:_LOUDEST]:
+            if energy[channel] < _QUIET * self.scale or h[channel] > _UNSEEN:
+                continue
+            value, count = channel_noise_energy(self.state, channel)
+            ratio, left = value / self.scale, 1.0 - float(h[channel])
+            if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
+                continue
+            twice, size = 2.0 * count, ratio / margin
+            chance = chdtrc(twice, twice * size) if self.known else fdtrc(twice, self.sure, size)
+            p = min(1.0, float(chance) * len(self.live) / _NOISE_SHARE)
+            if p > self.alarm:
+                continue
+            over = value / (scale or self.scale)
+            score = count * (over - 1.0 - np.log(over)) - np.log(len(self.live)) - 0.5 * np.log(count)
+            louder = float(np.sqrt((ratio - h[channel]) / left))
+            loud.append((float(score), Finding("noise", [channel], p, None, louder)))
+        return loud
+
     @property
     def bends(self) -> bool:
         """Whether many channels share a pattern that noise has not."""
-        return self.structure.p_value <= NOISE_SHARE * self.alarm
+        return self.structure.p_value <= _NOISE_SHARE * self.alarm
 
     @property
     def empty(self) -> bool:
@@ -150,18 +194,18 @@ class Search:
 
     def clean(self) -> bool:
         """Return whether nothing is significant, without fits of suspects."""
-        return self.empty or not (self.bends or self._lowest() <= self.alarm or loud_channels(self))
+        return self.empty or not (self.bends or self._lowest() <= self.alarm or self.loud_channels())
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""
         if self.empty:
             return None
-        lowest, loud, bends = self._lowest(), loud_channels(self), self.bends
+        lowest, loud, bends = self._lowest(), self.loud_channels(), self.bends
         if lowest > self.alarm and not bends and not loud:
             return None
         fits = self._suspects(bends and not self.structure.concentrated)
         scale, strange = self._scale_without([fit.drop for fit in fits]), False
-        scored = loud_channels(self, scale) if scale < self.scale else list(loud)
+        scored = self.loud_channels(scale) if scale < self.scale else list(loud)
         for fit in fits:
             finding = self._finding(fit)
             if finding.p_value < self.alarm and not self._credible(fit):
@@ -247,7 +291,7 @@ class Search:
         """Return the places where faults are looked for."""
         size, used = self.data.size, self.data.weight > 0.0
         kept = np.sum(np.where(used, 1.0 - self.given.leverage, 0.0), axis=0)
-        seen = kept > (1.0 - UNSEEN) * np.sum(used, axis=0)
+        seen = kept > (1.0 - _UNSEEN) * np.sum(used, axis=0)
         return {
             "channel": [[c] for c in self.live if seen[c]],
             "point": [own for own in self.points.values() if len(self.live) - len(own) >= size],
