@@ -1,20 +1,32 @@
-"""How large a fault must be to be found: what a clean verdict on a channel excludes."""
+"""How large a fault must be to be found: what a clean verdict excludes; and errors that never show."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from kinematics.fit import symmetric_batches as packed
+from kinematics.faults.catalogue import KINDS
+from kinematics.faults.packed_readings import Source, initial
+from kinematics.faults.score_information import SHIFTS, State
+from kinematics.faults.score_tests import of_one_size, scores_at
+from kinematics.faults.uncertain_positions import Marginal, Nuisance
+from kinematics.faults.variance_components import information_of
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.spatial import dof_indices
 
 # Probability with which a fault of the stated size is found.
 POWER = 0.95
-# Lines that the information is summed over; it is scaled to all.
-_MOST_LINES = 400
+# Errors for which effects are stated (they are in proportion), and how parallel beams of one direction are.
+TURN_DEG, SHIFT_UM, PARALLEL = 1.0, 50.0, 1e-4
+# Points that are paired with each other, which bound the time.
+_MOST_POINTS = 60
+# Information along one direction over that along another, below which it is rounding; and errors, in
+# units of the motion, rad and levers, of which only rounding shows anything.
+_UNSEEN, _NEVER = 1e-9, 1e3
 
 
 @dataclass(frozen=True)
@@ -29,91 +41,164 @@ class Detectable:
         Error of the direction of one beam, in the plane in which it shows least.
     shift_m : ndarray, (channel,)
         Error of the position of the channel's point, along the line on which it shows least.
+    axes_rad : float
+        Turn of all beams against the positions, about the axis about which it shows least.
+    pairs : tuple of (str, str, float, float)
+        Two points, their distance, mm, and the probability with which an exchange of their names is found:
+        the closest pair, and the one that shows least. Of more than 60 points the first 60.
     """
 
     gain: Array
     angle_rad: Array
     shift_m: Array
+    axes_rad: float
+    pairs: tuple[tuple[str, str, float, float], ...]
 
 
-def detectable(fit: LineFit, body: BodyChannels, q: ComplexArray, alarm: float) -> Detectable:
-    """Find the smallest faults from the motion, the noise and the leverage of every channel.
+def detectable(fit: LineFit, body: BodyChannels, freq_hz: Array, alarm: float) -> Detectable:
+    """Find the smallest faults from the information that the score tests have on them.
 
     Parameters
     ----------
     fit : LineFit
-        With known noise.
+        With known noise, and at least one determined line.
     body : BodyChannels
-        Positions and directions in the frame of q.
-    q : ndarray, (freq, 6), complex
-        Fitted motion, zero where not fitted, m and rad.
+        In the frame of the fit.
+    freq_hz : ndarray, (freq,)
     alarm : float
         Probability of a false alarm that one test may have.
 
     Notes
     -----
-    With residuals r = (I - H) e the information on parameters p that change the readings by J p is
-    2 Re(J^H W (I - H) J), W = diag(1 / (2 sd^2)), summed over lines; the statistic of k parameters is
-    noncentral chi2 (Kay 1998, Detection Theory, section 6.5). Positions add their stated variance. More
-    lines than 400 are thinned evenly.
+    The statistic of k parameters is noncentral chi2 (Kay 1998, Detection Theory, section 6.5) with the
+    information beside the motion and beside the errors of positions with a stated sd.
     """
-    used = np.flatnonzero(fit.solution.good)
-    if not used.size:
-        nothing = np.full(len(body.points), np.nan)
-        return Detectable(nothing, nothing.copy(), nothing.copy())
-    pick = used[np.unique(np.linspace(0, len(used) - 1, _MOST_LINES).round().astype(int))]
-    share = len(used) / len(pick)
-    weight = 0.5 / fit.at(pick)[1] ** 2
-    inverse = packed.unpack(fit.solution.inverse[:, pick], fit.beams.basis.shape[1])
-    count = len(body.points)
-    gain, angle, shift = (np.full(count, np.nan) for _ in range(3))
-    channels: dict[str, list[int]] = {}
-    for channel, point in enumerate(body.points):
-        channels.setdefault(point, []).append(channel)
-    for own in map(np.array, channels.values()):
-        kept = _kept(fit.beams.basis[own], weight[own], inverse)
-        turns = q[pick, 3:]
-        local = q[pick, :3] + np.cross(turns, body.positions_mm[own[0]] * 1e-3)
-        for place, channel in enumerate(own):
-            alone = 2.0 * share * kept[:, place, place]
-            beam = body.directions[channel]
-            along = local @ beam
-            gain[channel] = _least(np.array([[np.sum(alone * np.abs(along) ** 2)]]), alarm)
-            across = local @ _across(beam)
-            angle[channel] = _least(np.real(np.einsum("f,fi,fj->ij", alone, across.conj(), across)), alarm)
-        slopes = np.stack([np.cross(beam, turns) for beam in body.directions[own]], axis=1)
-        about = (
-            2.0 * share * np.real(np.einsum("fai,fab,fbj->ij", slopes.conj(), kept, slopes, optimize=True))
-        )
-        shift[own] = _least(about, alarm, np.nan_to_num(body.position_sd_mm[own[0]]) * 1e-3)
-    return Detectable(gain, angle, shift)
+    data = initial(Source.of(fit, body, freq_hz, known=True), body)
+    state = State.of(data)
+    nuisance = Nuisance.of(data, np.nan_to_num(body.position_sd_mm) * 1e-3)
+    near = Marginal(state, nuisance) if len(nuisance.sd) else None
+    points: dict[str, list[int]] = {}
+    for channel in data.live:
+        points.setdefault(body.points[channel], []).append(channel)
+
+    def smallest(kind: str, places: list[list[int]]) -> Array:
+        found = np.full(len(body.points), np.nan)
+        for same in of_one_size(places):
+            information = 2.0 * scores_at(state, near, same, KINDS[kind].tangents)[1]
+            for own, one in zip(same, information, strict=True):
+                unit = fit.beams.lever_m if KINDS[kind].lengths else 1.0
+                found[own] = _least(one * unit**2, alarm) * unit
+        return found
+
+    single = [[channel] for channel in data.live]
+    return Detectable(
+        smallest("gain", single),
+        smallest("direction", single),
+        smallest("position", list(points.values())),
+        float(smallest("axes", [data.live])[data.live[0]]),
+        _pairs(state, nuisance, dict(list(points.items())[:_MOST_POINTS]), alarm),
+    )
 
 
-def _kept(basis: Array, weight: Array, inverse: Array) -> Array:
-    """Return W (I - H) of some channels, (freq, channel, channel)."""
-    scaled = basis[None] * weight.T[:, :, None]
-    taken = scaled @ inverse @ scaled.transpose(0, 2, 1)
-    whole = np.zeros_like(taken)
-    places = np.arange(len(basis))
-    whole[:, places, places] = weight.T
-    return np.asarray(whole - taken)
-
-
-def _across(direction: Array) -> Array:
-    """Return two unit vectors square to a direction and to each other, as columns (3, 2)."""
-    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
-    first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(direction, first)])
-
-
-def _least(information: Array, alarm: float, prior: float = 0.0) -> float:
-    """Return the size of a fault along its hardest direction; NaN where there is no information."""
+def _least(information: Array, alarm: float) -> float:
+    """Return the size of a fault along its hardest direction; NaN where it never shows."""
     from scipy.special import chdtri, chndtrinc
 
     size = len(information)
-    weakest = float(np.linalg.eigvalsh(information)[0])
-    strongest = float(np.max(np.diag(information)))
-    if not weakest > 1e-12 * strongest:
+    values = np.linalg.eigvalsh(information)
+    if not values[0] > _UNSEEN * values[-1]:
         return float("nan")
     needed = float(chndtrinc(float(chdtri(size, alarm)), size, 1.0 - POWER))
-    return float(np.sqrt(needed * (1.0 / weakest + prior**2)))
+    least = float(np.sqrt(needed / values[0]))
+    return least if least < _NEVER else float("nan")
+
+
+def _pairs(
+    state: State, nuisance: Nuisance, points: dict[str, list[int]], alarm: float
+) -> tuple[tuple[str, str, float, float], ...]:
+    """Return the closest pair of points, and the one whose exchange shows least.
+
+    With I the information on the shifts of all points and S their stated errors, shifts s are noncentral by
+    s^T (I - I S (1 + S I S)^-1 S I) s.
+    """
+    from scipy.special import chdtri, chndtr
+
+    if len(points) < 2:
+        return ()
+    information = 2.0 * information_of(state, list(points.values()), SHIFTS)[1]
+    first = [own[0] for own in points.values()]
+    spread = np.append(nuisance.sd, 0.0)[nuisance.owner[:, first]].T.ravel()
+    wide = spread[:, None] * information
+    seen = information - wide.T @ np.linalg.solve(np.eye(len(spread)) + wide * spread, wide)
+    places, names = state.data.assumed.arms_m[first], list(points)
+    pairs = []
+    for one, two in combinations(range(len(names)), 2):
+        apart = places[two] - places[one]
+        shift = np.zeros((len(names), 3))
+        shift[one], shift[two] = apart, -apart
+        excess = max(float(shift.ravel() @ seen @ shift.ravel()), 0.0)
+        power = 1.0 - float(chndtr(float(chdtri(3, alarm)), 3, excess)) if excess < 1e4 else 1.0
+        pairs.append((names[one], names[two], 1e3 * float(np.linalg.norm(apart)), power, excess))
+    closest = min(pairs, key=lambda pair: pair[2])
+    least = min(pairs, key=lambda pair: pair[4])
+    return tuple(pair[:4] for pair in dict.fromkeys((closest, least)))
+
+
+@dataclass(frozen=True)
+class Invisible:
+    """Largest relative change (rms) of each fitted motion by an error that leaves no residual.
+
+    Attributes
+    ----------
+    turn : ndarray, (m,)
+        All points and beams turned together by TURN_DEG, about the worst axis.
+    shift : ndarray, (m,)
+        All points shifted together by SHIFT_UM, along the worst line.
+    tilt : ndarray, (m,)
+        For beams of one direction only: motion across the beams as large as the largest translation, taken in
+        by a tilt of TURN_DEG; NaN with beams of several directions, whose tilt shows.
+    """
+
+    turn: Array
+    shift: Array
+    tilt: Array
+
+
+def invisible(q: ComplexArray, dof: tuple[str, ...], directions: Array) -> Invisible:
+    """Return what errors that never show would do to the motion.
+
+    Parameters
+    ----------
+    q : ndarray, (freq, 6), complex
+        Motion, zero where not fitted.
+    dof : tuple of str, (m,)
+        Fitted degrees of freedom.
+    directions : ndarray, (channel, 3)
+
+    Notes
+    -----
+    Frames turned by p change a twist (v, omega) by (p x v, p x omega), shifted by s by (omega x s, 0)
+    (Featherstone 2008, Rigid Body Dynamics Algorithms, section 2.8).
+    """
+    good = np.all(np.isfinite(q), axis=1)
+    v, omega = q[good, :3], q[good, 3:]
+    axes = np.eye(3)
+    turned = np.stack([np.hstack([np.cross(e, v), np.cross(e, omega)]) for e in axes], axis=-1)
+    still = np.zeros_like(v)
+    shifted = np.stack([np.hstack([np.cross(omega, e), still]) for e in axes], axis=-1)
+    places = dof_indices(dof)
+    size = np.maximum(np.sqrt(np.mean(np.abs(q[good]) ** 2, axis=0)), 1e-300)
+
+    def worst(change: ComplexArray) -> Array:
+        largest = []
+        for place in places:
+            square = np.real(change[:, place].conj().T @ change[:, place]) / max(len(change), 1)
+            largest.append(np.sqrt(max(float(np.linalg.eigvalsh(square)[-1]), 0.0)) / size[place])
+        return np.array(largest)
+
+    tilt = np.full(len(places), np.nan)
+    if np.linalg.svd(directions, compute_uv=False)[1:].max(initial=0.0) < PARALLEL * np.sqrt(len(directions)):
+        large = float(np.max(size[:3]))
+        beside = [np.tan(np.radians(TURN_DEG)) * large / size[place] for place in places]
+        tilt = np.where(np.array(places) < 3, beside, np.nan)
+    return Invisible(np.radians(TURN_DEG) * worst(turned), 1e-6 * SHIFT_UM * worst(shifted), tilt)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.findings import Finding, add_finding, apply_finding, correct_findings, is_redundant
+from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
 from kinematics.faults.masking import masking_pairs
 from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
@@ -35,8 +35,6 @@ from stapeskit.arrays import Array
 MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
-# What may remain after all findings: so many standard deviations of the energy of noise, or this share.
-_SURE, _SHARE = 6.0, 0.02
 # From so many residual directions on, a misfit of one channel alone is that channel's.
 _MANY = 30
 # Scattered positions: fewest points, sizes that are sought (m, and levers), and how much more than stated.
@@ -155,25 +153,17 @@ class _Diagnose:
     def __init__(self, body: BodyChannels, prior: Array, known: bool, mixes: bool, alarm: float) -> None:
         self.prior, self.known, self.mixes, self.alarm = prior, known, mixes, alarm
         self.layout = (body.reported_positions_mm, body.file_from_here)
-        self.spread: Array | None = None
         self.most = max(2, len(set(body.points)) // 3)
 
     def searched(self, data: Packed, share: float = 1.0, prior: Array | None = None) -> Search:
         """Search data; ``share`` of the alarm probability."""
         prior = self.prior if prior is None else prior
         alarm = share * self.alarm
-        return Search(data, prior, self.layout, self.known, alarm, self.spread)
-
-    def equalised(self, data: Packed) -> Packed:
-        """Return data of unknown noise with weights by their residuals."""
-        if self.known:
-            return data
-        weighted, self.spread = equalise_noise(data, Nuisance.of(data, self.prior))
-        return weighted
+        return Search(data, prior, self.layout, self.known, alarm)
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""
-        data = self.equalised(data)
+        data = data if self.known else equalise_noise(data, Nuisance.of(data, self.prior))
         search = self.searched(data, share)
         white = with_point_noise(search.state, search.noise) if self.mixes else data
         return search if white is data else self.searched(white, share)
@@ -207,20 +197,16 @@ class _Diagnose:
             culprit = search.best()
             if culprit is None:
                 break
-            if culprit.kind == "flexible":
-                culprit = self._single(current, culprit, findings)
             if culprit.kind == "flexible" or len(findings) >= self.most:
                 body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
                 return self._many(first, search, data, findings, body)
-            findings = add_finding(findings, culprit)
+            findings = [*findings, culprit]
             search = self.after(current, culprit, findings)
             current = search.data
             if len(findings) == 1 and findings[0].owner != "body":
                 kept = search.excess() / max(first.excess(), 1e-300)
-        if findings and first.structure.significant:
-            after = self.searched(correct_findings(data, findings))
-            if not self._account_for_it(first, after, findings):
-                return self._many(first, search, data, findings, first.flexible())
+        if findings and first.structure.significant and not self._explain(first, data, findings):
+            return self._many(first, search, data, findings, first.flexible())
         if len(findings) > 1:
             spread = self._scattered(first, findings)
             if spread is not None:
@@ -238,13 +224,6 @@ class _Diagnose:
             return _diagnosis(tuple(pair[0]), first, pair[1], 0.0)
         return _diagnosis((spread or otherwise,), first, last)
 
-    def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
-        """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
-        for other in bending.rivals:
-            if self.after(data, other, findings).clean():
-                return other
-        return bending
-
     def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
         """Test every finding again without the others."""
         confirmed: list[Finding] = []
@@ -259,24 +238,19 @@ class _Diagnose:
                 confirmed.append(finding)
         return confirmed
 
-    def _account_for_it(self, first: Search, after: Search, findings: list[Finding]) -> bool:
-        """Return whether findings, undone by their estimates, leave hardly more than noise.
+    def _explain(self, first: Search, data: Packed, findings: list[Finding]) -> bool:
+        """Return whether findings, undone by their estimates, leave nothing to be found.
 
         Notes
         -----
         To leave a channel out removes whatever it holds. With few channels a motion that is not rigid shows
-        in one or two of them, and a factor that fits it partly is no explanation. A single channel is
-        believed whose residuals are its motion times a factor with any course over the measurement, or that
-        stands alone among many.
+        in one or two of them, and a factor that fits it partly is no explanation. A single channel among
+        many is believed.
         """
-        scale = min(first.scale, after.scale)
-        before, _ = first.excess_of_all(scale)
-        left, spread = after.excess_of_all(scale)
-        if left < _SURE * spread or left < _SHARE * before:
+        if len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY:
             return True
-        if len(findings) > 1 or len(findings[0].channels) > 1:
-            return False
-        return first.freedom >= _MANY or _own_course(first, findings[0].channels[0], scale)
+        undone = correct_findings(data, findings)
+        return self.prepared(undone.under(self._as_stated(undone.assumed, findings))).clean()
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""
@@ -319,7 +293,7 @@ class _Diagnose:
                 continue
             if [other.channels for other in pair] != [[first_channel], [second_channel]]:
                 continue
-            if self._account_for_it(first, self.searched(correct_findings(data, pair)), pair):
+            if self._explain(first, data, pair):
                 return pair, last
         return None
 
@@ -332,24 +306,6 @@ def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
             loud[finding.channels] = data.assumed.loud[finding.channels]
     assumed = replace(data.assumed, loud=loud, level=left.assumed.level, correlation=left.assumed.correlation)
     return data.under(assumed)
-
-
-def _own_course(search: Search, channel: int, scale: float) -> bool:
-    """Return whether one gain for each part of the band removes the residuals of a channel."""
-    state = search.state
-    root = np.sqrt(np.maximum(1.0 - state.leverage[:, channel], 1e-3))
-    residual = state.plain(state.e)[:, channel] / root[:, None]
-    motion = (state.own[:, channel, None] @ state.z)[:, 0]
-    parts = np.array_split(np.arange(len(residual)), min(12, len(residual)))
-    whole, left, number = 0.0, 0.0, 0
-    for own in parts:
-        x, e = motion[own].ravel(), residual[own].ravel()
-        energy = float(np.sum(np.abs(e) ** 2))
-        whole += energy
-        left += energy - float(abs(np.vdot(x, e))) ** 2 / max(float(np.sum(np.abs(x) ** 2)), 1e-300)
-        number += len(e) - 1
-    left -= scale * number
-    return bool(left < _SURE * scale * np.sqrt(max(number, 1)) or left < _SHARE * whole)
 
 
 def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import LEAST_SAMPLES, ChannelNoise, channel_noise, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.parallel_beams import group_parallel_beams
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Nuisance, estimate_nuisance
+from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
 # How many times the sd of the others noise must be to be called a fault.
@@ -30,52 +30,44 @@ _ROUNDING = 1e-6
 _PARTS, _LEAST_GROUPS = 12, 24
 
 
-def equalise_noise(data: Packed, nuisance: Nuisance) -> tuple[Packed, Array]:
+def equalise_noise(data: Packed, nuisance: Nuisance) -> Packed:
     """Return data of unknown noise with weights by what the residuals show of each channel.
 
-    Returns
-    -------
-    Packed
-        Channels with more than NOISY times the noise of those along their axis keep the weight of these.
-    ndarray, (channel,)
-        Variance of the logarithm of each channel's noise variance: its uncertainty.
+    Channels with more than NOISY times the noise of those along their axis keep the weight of these.
 
     Notes
     -----
     Channels of one laser are mostly alike, and lasers too: the logarithms of their variances are taken for
     draws around a common one, and shrunk towards it by what their scatter beyond that of estimates allows
     (empirical Bayes: Smyth 2004, doi:10.2202/1544-6115.1027; scatter by DerSimonian and Laird 1986,
-    doi:10.1016/0197-2456(86)90046-2, here for correlated errors). Scatter that is not sure changes nothing,
-    and remains as uncertainty. Estimates are those of restricted likelihood, see ``_variances``.
+    doi:10.1016/0197-2456(86)90046-2, here for correlated errors). Scatter that is not sure changes nothing.
+    Estimates are those of restricted likelihood, see ``_variances``.
     """
-    nothing = np.zeros(len(data.points))
     level = common_level(data, nuisance)[0]
     if not level > 0.0:
-        return data, nothing
+        return data
     data = data.louder(float(np.sqrt(level)))
     state = estimate_nuisance(data, nuisance)[0]
     noise = channel_noise(state)
     if noise.least < LEAST_SAMPLES or not noise.level > 0.0:
-        return data, nothing
+        return data
     levelled = _course(data, state)
     if levelled is not data:
         data, state = levelled, estimate_nuisance(levelled, nuisance)[0]
         noise = channel_noise(state)
         if not noise.level > 0.0:
-            return data, nothing
+            return data
     value, precision = _variances(noise, state)
     live = np.array(data.live)
-    groups = group_parallel_beams(data.assumed.directions, data.live)
+    groups = laser_channels(data.assumed.directions, data.live)
     if len(groups) < 2 or min(map(len, groups)) < 3:
         groups = [data.live]
     one_of = np.stack([np.isin(live, own) for own in groups], axis=1).astype(float)
-    size, spread = _shrunk(_logarithm(value), precision, one_of)
-    own = nothing
-    own[live] = spread
+    size = _shrunk(_logarithm(value), precision, one_of)
     size = np.where(size > 0.0, np.exp(size), np.maximum(1.0 + np.minimum(size, 0.0), _QUIETEST))
-    factor = np.ones(len(own))
+    factor = np.ones(len(data.points))
     factor[live] = np.sqrt(size * noise.level)
-    return data.under(replace(data.assumed, loud=data.assumed.loud * factor)), own
+    return data.under(replace(data.assumed, loud=data.assumed.loud * factor))
 
 
 def _variances(noise: ChannelNoise, state: State) -> tuple[Array, Array]:
@@ -119,8 +111,8 @@ def _logarithm(value: Array) -> Array:
     return np.where(value > 1.0, np.log(np.maximum(value, 1.0)), value - 1.0)
 
 
-def _shrunk(value: Array, precision: Array, one_of: Array) -> tuple[Array, Array]:
-    """Return values (n,) shrunk towards those of their group, and the variance that they keep.
+def _shrunk(value: Array, precision: Array, one_of: Array) -> Array:
+    """Return values (n,) shrunk towards those of their group.
 
     Values far above the others of their group get what the group has.
 
@@ -142,19 +134,16 @@ def _shrunk(value: Array, precision: Array, one_of: Array) -> tuple[Array, Array
     inner = group.T @ _times(held, group)
     mean = np.linalg.solve(inner, group.T @ _times(held, x))
     between, distinct = _scatter(mean, inner, np.ones((len(mean), 1)))
-    spread = np.full(len(mean), between)
     if distinct:
         whole = np.linalg.inv(np.linalg.inv(inner) + between * np.eye(len(mean)))
         centre = float(np.sum(whole @ mean) / np.sum(whole))
-        spread = np.diag(np.linalg.inv(inner + np.eye(len(mean)) / between))
         kept = centre + between * whole @ (mean - centre)
     else:
         kept = np.full(len(mean), float(np.sum(inner @ mean) / np.sum(inner)))
-    shrunk, own = one_of @ kept, one_of @ spread + scatter
+    shrunk = one_of @ kept
     if sure:
         shrunk[usual] += scatter * _times(held, x - group @ mean)
-        own[usual] -= scatter**2 * (held if held.ndim == 1 else np.diag(held))
-    return shrunk, own
+    return np.asarray(shrunk)
 
 
 def _among(precision: Array, some: NDArray[np.bool_]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -85,15 +85,6 @@ def correct_findings(data: Packed, findings: list[Finding]) -> Packed:
         elif finding.fit is not None:
             assumed = finding.fit.fault.undone(assumed, finding.fit.parameters)
     return data.under(assumed)
-
-
-def add_finding(findings: list[Finding], finding: Finding) -> list[Finding]:
-    """Return the findings with one more; noise of a channel found noisy before raises that one's."""
-    for number, other in enumerate(findings):
-        if finding.kind == other.kind == "noise" and finding.channels == other.channels:
-            louder = replace(other, size=other.size * finding.size)
-            return [*findings[:number], louder, *findings[number + 1 :]]
-    return [*findings, finding]
 
 
 def differ(one: Finding, two: Finding) -> bool:

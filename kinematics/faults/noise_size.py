@@ -126,13 +126,14 @@ def channel_noise_energy(state: State, channel: int) -> tuple[float, float]:
     change = state.upper @ (
         state.span[:, channel].conj()[:, :, None] * (residual / (1.0 - h[:, None]))[:, None]
     )
-    z = _rows(state, state.z - change) * _column_weight(state, channel)
+    z = _rows(state, state.z - change)
     used = data.weight[:, channel] > 0.0
     number = float(np.sum(used) * residual.shape[1])
     flat = residual.ravel()
     energy = float(np.sum(np.abs(flat) ** 2))
     if number - len(z) + len(rest) >= LEAST_SAMPLES and len(z) < number:
-        energy, number = _off(flat, z), number - len(z)
+        weight = _column_weight(state, np.array([channel]))
+        energy, number = float(_off_each(flat[None], z, weight)[0]), number - len(z)
     kept = float(np.mean(1.0 - h[used])) if np.any(used) else 1.0
     number += len(rest)
     return (energy + float(np.sum(np.abs(rest) ** 2))) / kept / max(number, 1.0), number
@@ -144,8 +145,8 @@ def _flat(values: ComplexArray) -> ComplexArray:
     return np.asarray(values.transpose(1, 0, 2).reshape(rows, groups * columns))
 
 
-def _column_weight(state: State, channel: int | NDArray[np.intp]) -> Array:
-    return np.repeat(state.data.weight[:, channel].T, state.z.shape[2], axis=-1)
+def _column_weight(state: State, channels: NDArray[np.intp]) -> Array:
+    return np.repeat(state.data.weight[:, channels].T, state.z.shape[2], axis=-1)
 
 
 def _rows(state: State, z: ComplexArray) -> ComplexArray:
@@ -185,14 +186,6 @@ def _off_each(values: ComplexArray, rows: ComplexArray, weight: Array) -> Array:
     kept = held > 1e-12 * np.maximum(held[:, -1:], 1e-300)
     fall = np.sum(np.where(kept, along / np.where(kept, held, 1.0), 0.0), axis=1)
     return np.asarray(np.maximum(np.sum(np.abs(values) ** 2, axis=1) - fall, 0.0))
-
-
-def _off(values: ComplexArray, rows: ComplexArray) -> float:
-    """Return the energy of values (n,) without their multiples of rows (k, n)."""
-    size = np.linalg.norm(rows, axis=1, keepdims=True)
-    base = np.linalg.svd((rows / np.maximum(size, 1e-300)).conj().T, full_matrices=False)
-    kept = base[0][:, base[1] > 1e-6 * max(float(base[1][0]), 1e-300)]
-    return float(np.sum(np.abs(values - kept @ (kept.conj().T @ values)) ** 2))
 
 
 def common_level(data: Packed, nuisance: Nuisance) -> tuple[float, float]:

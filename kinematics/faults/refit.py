@@ -26,7 +26,7 @@ _ROUNDS = 12
 _COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5
-# Share of the information next to the motion alone below which parameters of a fault are not seen.
+# Share of a change of the readings, squared, below which what the motion leaves of it is not seen.
 _UNSEEN = 1e-9
 
 
@@ -249,7 +249,8 @@ class Refit:
         t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
         sums = now.state.sums(groups, t)
         score, information = sums.score[0], sums.information[0]
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        whole = np.diag(information) + np.sum(sums.taken[0] ** 2, axis=1)
+        unit = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
         if near is None:
             inverse = _inverse(information, unit)
             return inverse @ score, inverse
@@ -273,7 +274,8 @@ class Refit:
 def _inverse(information: Array, unit: Array) -> Array:
     """Invert the information on a fault; what the data do not show of it is left at zero.
 
-    ``unit`` (p,) scales the parameters to equal information next to the motion alone.
+    ``unit`` (p,) scales the parameters to equal changes of the readings. Of a change that is motion as well,
+    the motion leaves rounding, of either sign.
     """
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     seen = values > _UNSEEN

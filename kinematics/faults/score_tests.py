@@ -39,7 +39,6 @@ def score_tests(
     state: State,
     marginal: Marginal | None,
     owners: dict[str, Sequence[Sequence[int]]],
-    settled: bool = True,
 ) -> list[Tested]:
     """Test every kind of fault at every place.
 
@@ -47,16 +46,14 @@ def score_tests(
     ----------
     state : State
     marginal : Marginal, optional
-        Of the nuisance parameters at this state.
+        Of the nuisance parameters at this state, their most probable ones.
     owners : dict of str to sequences of channels
         The places: ``channel``, ``point``, ``laser``, ``body``.
-    settled : bool
-        The nuisance parameters of the state are the most probable ones.
     """
     tests = []
     varying = len(state.data.tau) >= _SEGMENTS
     for owner, places in owners.items():
-        for same in _of_one_size(places, owner == "laser"):
+        for same in of_one_size(places) if owner != "laser" else _each(places):
             size = same.shape[1]
             kinds = [
                 name
@@ -68,7 +65,7 @@ def score_tests(
             if not kinds or not len(same):
                 continue
             which = sorted({k for name in kinds for k in KINDS[name].tangents})
-            score, information = _sums(state, marginal, same, which, settled)
+            score, information = scores_at(state, marginal, same, which)
             for name in kinds:
                 at = [which.index(k) for k in KINDS[name].tangents]
                 statistic, freedom = _statistic(score[:, at], information[:, at][:, :, at])
@@ -76,17 +73,27 @@ def score_tests(
     return tests
 
 
-def _of_one_size(places: Sequence[Sequence[int]], alone: bool) -> list[NDArray[np.intp]]:
-    """Return places with as many channels in one array (B, n) each; ``alone``: each by itself."""
-    if alone:
-        return [np.array([own], dtype=np.intp) for own in places]
+def _each(places: Sequence[Sequence[int]]) -> list[NDArray[np.intp]]:
+    """Return each place as an array (1, n)."""
+    return [np.array([own], dtype=np.intp) for own in places]
+
+
+def of_one_size(places: Sequence[Sequence[int]]) -> list[NDArray[np.intp]]:
+    """Return places with as many channels in one array (B, n) each."""
     sizes = sorted({len(own) for own in places})
     return [np.array([own for own in places if len(own) == size], dtype=np.intp) for size in sizes]
 
 
-def _sums(
-    state: State, marginal: Marginal | None, groups: NDArray[np.intp], which: list[int], settled: bool
+def scores_at(
+    state: State,
+    marginal: Marginal | None,
+    groups: NDArray[np.intp],
+    which: Sequence[int],
 ) -> tuple[Array, Array]:
+    """Return scores (B, p) and information (B, p, p) of tangents ``which`` (p) at B sets of channels (B, n).
+
+    ``marginal`` as of `score_tests`.
+    """
     scores, informations = [], []
     members = groups.shape[1]
     beam = None
@@ -99,12 +106,8 @@ def _sums(
         t = state.tangents(part.ravel(), which, beam)
         t = t.reshape(*t.shape[:2], len(part), members, t.shape[-1])
         sums = state.sums(part, t, marginal is not None)
-        score, information = sums.score, sums.information
-        if marginal is not None:
-            left, information = marginal.remaining(part, t, sums)
-            score = score if settled else left
-        scores.append(score)
-        informations.append(information)
+        scores.append(sums.score)
+        informations.append(sums.information if marginal is None else marginal.remaining(part, t, sums))
     return np.concatenate(scores), np.concatenate(informations)
 
 

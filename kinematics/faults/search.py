@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.flexible_body import Structure, structure_of
-from kinematics.faults.loud_channels import NOISE_SHARE, UNSEEN, loud_channels
-from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, common_level
-from kinematics.faults.objective_bounds import Bounds
+from kinematics.faults.flexible_body import structure_of
+from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.parallel_beams import group_parallel_beams
-from kinematics.faults.point_noise import point_covariance, scaled
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import Tested, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
 # Share of clean files that may raise an alarm.
@@ -44,8 +42,17 @@ _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _SURELY_LOUDER = 3.0
 # Share of the level that an explanation leaves, below which the level was mostly the fault: more than half.
 _INFLATED = 0.5
-# Up to so many channels their projector is made: the memory goes with the square.
-_MOST_PROJECTED = 1000
+
+# Share of the alarm probability that the tests of noise have.
+_NOISE_SHARE = 0.05
+# Leverage above which the residual of a channel shows nothing.
+_UNSEEN = 0.98
+# How many times the stated sd noise must be to be reported; less is a matter of chi2.
+_NOISY_KNOWN = 1.5
+# Ratio of variances by which channels of unknown noise may differ without a fault.
+_ALIKE = 1.2**2
+# How many of the loudest channels are looked at, and from which ratio of variances on.
+_LOUDEST, _QUIET = 5, 1.3
 
 
 class Search:
@@ -58,7 +65,6 @@ class Search:
         layout: tuple[Array, Array],
         known: bool,
         alarm: float = FALSE_ALARM,
-        spread: Array | None = None,
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
         self.nuisance = Nuisance.of(data, prior_m)
@@ -84,48 +90,13 @@ class Search:
         self.kept = kept / np.maximum(np.sum(data.weight > 0.0, axis=0), 1)
         self.columns = np.sum(data.weight > 0.0, axis=0) * float(self.state.z.shape[2] + data.rest.shape[2])
         self.freedom = float(np.sum(self.state.free()))
-        self.unsure = self._unsure(spread)
         self.points: dict[str, list[int]] = {}
         for channel in self.live:
             self.points.setdefault(data.points[channel], []).append(channel)
         if data.whiten is not None and data.rest.shape[2] >= LEAST_SAMPLES and self.freedom > 0.5:
             rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
             self.scale = max(self.scale, rest)
-        self.structure = self._structure()
-
-    def _structure(self) -> Structure:
-        """Search for patterns that several points share; noise within a point is none, however correlated."""
-        structure = structure_of(self.state, self.scale)
-        if self.data.whiten is None or structure.p_value == 1.0:
-            return structure
-        both = np.concatenate([self.state.e, self.state.rest], axis=2)
-        within = point_covariance(self.state, both, float(both.shape[0] * both.shape[2]))
-        if within is None:
-            return structure
-        correlation, sd = scaled(within)
-        assumed = replace(self.data.assumed, correlation=correlation, loud=self.data.assumed.loud * sd)
-        strict = structure_of(State.of(self.data.under(assumed)))
-        if strict.p_value <= structure.p_value:
-            return structure
-        return replace(structure, ratio=strict.ratio, p_value=strict.p_value)
-
-    def _unsure(self, spread: Array | None) -> Array:
-        """Return the relative variance (channel,) of the noise that each channel's residuals should have.
-
-        Notes
-        -----
-        A residual holds the noise of all channels by the squares of its row of the projector (Satterthwaite
-        1946, doi:10.2307/3002019); the uncertainty of the common level is added.
-        """
-        common = np.full(len(self.data.points), 2.0 / self.sure)
-        if self.known or spread is None or not np.any(spread > 0.0):
-            return common
-        span = self.state.span[0]
-        if len(span) > _MOST_PROJECTED:
-            return np.asarray(common + spread)
-        share = np.abs(np.eye(len(span)) - span @ span.conj().T) ** 2
-        share = share / np.maximum(np.sum(share, axis=1, keepdims=True), 1e-300)
-        return np.asarray(common + share**2 @ spread)
+        self.structure = structure_of(self.state, self.scale)
 
     @property
     def offsets_m(self) -> Array:
@@ -143,21 +114,15 @@ class Search:
         """Return the residual energy of the columns with motion beyond that of noise, at least none."""
         return max(self.given.energy - self.scale * self.freedom * self.state.z.shape[2], 0.0)
 
-    def excess_of_all(self, scale: float) -> tuple[float, float]:
-        """Return the residual energy beyond noise of a variance, and its standard deviation."""
-        number = self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
-        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
-        return energy - scale * number, scale * float(np.sqrt(number))
-
     def level_p(self) -> float:
         """Return the probability of so large a total residual by chance."""
         from scipy.special import chdtrc
 
-        excess, _ = self.excess_of_all(0.0)
+        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
         number = 2.0 * self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
-        return float(chdtrc(number, 2.0 * excess)) if number > 0.0 else 1.0
+        return float(chdtrc(number, 2.0 * energy)) if number > 0.0 else 1.0
 
-    def chance(self, statistic: Array, size: NDArray[np.intp], groups: NDArray[np.intp]) -> Array:
+    def chance(self, statistic: Array, size: NDArray[np.intp]) -> Array:
         """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
         from scipy.special import chdtrc, fdtrc
 
@@ -165,9 +130,9 @@ class Search:
         size = np.maximum(size, 1)
         if self.known and self.data.whiten is None:
             return np.asarray(chdtrc(size, value))
-        freedom = np.maximum(2.0 / np.mean(self.unsure[groups], axis=1), 1.0)
+        freedom = self.sure
         if self.data.whiten is not None:
-            freedom = np.minimum(freedom, 2.0 * max(self.data.rest[:, 0].size, self.least))
+            freedom = min(freedom, 2.0 * max(self.data.rest[:, 0].size, self.least))
         if self.of_all:
             # The level holds the energy of the fault itself.
             left = np.maximum(freedom - value, 1e-9) / np.maximum(freedom - size, 1.0)
@@ -178,17 +143,49 @@ class Search:
         """Return the least corrected probability of all tests."""
         return min(
             (
-                float(np.min(self.chance(test.statistic, test.freedom, test.groups)))
-                * self._number(test.owner)
+                float(np.min(self.chance(test.statistic, test.freedom))) * self._number(test.owner)
                 for test in self.tested
             ),
             default=1.0,
         )
 
+    def loud_channels(self, scale: float = 0.0) -> list[tuple[float, Finding]]:
+        """Return loud channels and their log evidence.
+
+        ``scale`` is the noise variance of the evidence, where it is not that of the tests.
+
+        Notes
+        -----
+        The energy of N complex values is chi-squared with 2 N degrees of freedom, an F where the variance is
+        estimated; the evidence is the likelihood less a penalty (Schwarz 1978, doi:10.1214/aos/1176344136).
+        """
+        from scipy.special import chdtrc, fdtrc
+
+        loud = []
+        energy, h = self.energy, 1.0 - self.kept
+        limit, margin = (_NOISY_KNOWN, 1.0) if self.known else (NOISY, _ALIKE)
+        for channel in sorted(self.live, key=lambda c: -energy[c])[:_LOUDEST]:
+            if energy[channel] < _QUIET * self.scale or h[channel] > _UNSEEN:
+                continue
+            value, count = channel_noise_energy(self.state, channel)
+            ratio, left = value / self.scale, 1.0 - float(h[channel])
+            if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
+                continue
+            twice, size = 2.0 * count, ratio / margin
+            chance = chdtrc(twice, twice * size) if self.known else fdtrc(twice, self.sure, size)
+            p = min(1.0, float(chance) * len(self.live) / _NOISE_SHARE)
+            if p > self.alarm:
+                continue
+            over = value / (scale or self.scale)
+            score = count * (over - 1.0 - np.log(over)) - np.log(len(self.live)) - 0.5 * np.log(count)
+            louder = float(np.sqrt((ratio - h[channel]) / left))
+            loud.append((float(score), Finding("noise", [channel], p, None, louder)))
+        return loud
+
     @property
     def bends(self) -> bool:
         """Whether many channels share a pattern that noise has not."""
-        return self.structure.p_value <= NOISE_SHARE * self.alarm
+        return self.structure.p_value <= _NOISE_SHARE * self.alarm
 
     @property
     def empty(self) -> bool:
@@ -197,18 +194,18 @@ class Search:
 
     def clean(self) -> bool:
         """Return whether nothing is significant, without fits of suspects."""
-        return self.empty or not (self.bends or self._lowest() <= self.alarm or loud_channels(self, False))
+        return self.empty or not (self.bends or self._lowest() <= self.alarm or self.loud_channels())
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""
         if self.empty:
             return None
-        lowest, loud, bends = self._lowest(), loud_channels(self, False), self.bends
+        lowest, loud, bends = self._lowest(), self.loud_channels(), self.bends
         if lowest > self.alarm and not bends and not loud:
             return None
         fits = self._suspects(bends and not self.structure.concentrated)
         scale, strange = self._scale_without([fit.drop for fit in fits]), False
-        scored = loud_channels(self, False, scale) if scale < self.scale else list(loud)
+        scored = self.loud_channels(scale) if scale < self.scale else list(loud)
         for fit in fits:
             finding = self._finding(fit)
             if finding.p_value < self.alarm and not self._credible(fit):
@@ -220,14 +217,11 @@ class Search:
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
-            scored = loud_channels(self, True)
-        if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
-        near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
-        rivals = tuple(other for value, other in scored[1:] if value > near and differ(finding, other))
-        finding = replace(finding, rivals=rivals[:2])
+        near = [other for value, other in scored[1:] if value > top - _NEAR and differ(finding, other)]
+        finding = replace(finding, rivals=tuple(near[:2]))
         if finding.fit is None:
             return finding
         fit = self.refit.refined(finding.fit)
@@ -283,7 +277,7 @@ class Search:
         A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
         else is no explanation.
         """
-        groups = group_parallel_beams(self.data.assumed.directions, self.live)
+        groups = laser_channels(self.data.assumed.directions, self.live)
         many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
         return many if len(groups) > 1 and len(many) <= 8 else []
 
@@ -297,7 +291,7 @@ class Search:
         """Return the places where faults are looked for."""
         size, used = self.data.size, self.data.weight > 0.0
         kept = np.sum(np.where(used, 1.0 - self.given.leverage, 0.0), axis=0)
-        seen = kept > (1.0 - UNSEEN) * np.sum(used, axis=0)
+        seen = kept > (1.0 - _UNSEEN) * np.sum(used, axis=0)
         return {
             "channel": [[c] for c in self.live if seen[c]],
             "point": [own for own in self.points.values() if len(self.live) - len(own) >= size],
@@ -305,22 +299,11 @@ class Search:
             "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
         }
 
-    @cached_property
-    def suspected(self) -> list[Tested]:
-        """Tests by which suspects are chosen.
-
-        A large fault moves the nuisance parameters far off: where they are zero it shows as itself.
-        """
-        if not len(self.x):
-            return self.tested
-        given = Marginal(self.given, self.nuisance)
-        return [*self.tested, *score_tests(self.given, given, self._owners(), settled=False)]
-
     def _suspects(self, bends: bool) -> list[FaultFit]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
         for owner in _TESTED:
-            tested = [test for test in self.suspected if test.owner == owner]
+            tested = [test for test in self.tested if test.owner == owner]
             sets = list(dict.fromkeys(own for test in tested for own in test.sets))
             chosen = dict.fromkeys(sorted(sets, key=self._blame(sets).__getitem__)[: _BLAMED[owner]])
             for test in tested:
@@ -354,14 +337,21 @@ class Search:
         return blame
 
     def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
-        """Fit faults, without those that cannot come near the best."""
+        """Fit faults, without those that cannot come near the best, the most promising first.
+
+        No fault lowers the objective by more than leaving its channels out does: without the squares of their
+        residuals the least sum of squares is no larger, whatever the fault makes of them.
+        """
         fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
-        bounds = Bounds(self.refit, {own: -value for own, value in fall.items()})
-        # Next to a body that bends, what explains less than half of that is no rival.
-        fits, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
-        for fault in bounds.ordered(faults):
-            if not bounds.reach(fault, (best - _NEAR) * self.scale):
-                continue
+        fits, best = [], self.structure.gain / self.scale if bends else 0.0
+        freed = dict[tuple[int, ...], float]()
+        for fault in sorted(faults, key=lambda fault: fall[tuple(fault.channels)]):
+            own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
+            if needed > 0.0:
+                if own not in freed:
+                    freed[own] = self.refit.most(own) if len(self.x) else -fall[own]
+                if freed[own] < needed:
+                    continue
             fit = self.refit.fit(fault)
             fits.append(fit)
             if self._credible(fit) and self._finding(fit).p_value < self.alarm:
@@ -385,8 +375,7 @@ class Search:
     def _finding(self, fit: FaultFit) -> Finding:
         owner = _SORT.get(fit.fault.owner, fit.fault.owner)
         size = np.array([max(fit.fault.size, 1)])
-        groups = np.array(fit.fault.channels)[None]
-        chance = float(self.chance(np.array([2.0 * fit.drop]), size, groups)[0])
+        chance = float(self.chance(np.array([2.0 * fit.drop]), size)[0])
         p = min(1.0, chance * max(self._number(owner), float(fit.fault.places)))
         shown = replace(fit, covariance=fit.covariance * self.scale)
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.diagnose import Diagnosis, diagnose
@@ -15,9 +12,6 @@ from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
-
-# How many of the loudest channels of each search are tried alone.
-_TRIED = 3
 
 
 def search_body(
@@ -59,8 +53,6 @@ def search_body(
         out = sorted({channel for finding in findings for channel in finding.channels})
         named = diagnose(placed, body, usual, known, out)
         found = (named.findings or last.findings)[0]
-        if found.kind == "flexible" or found.owner in OF_MANY:
-            found = _single(search_without, (named, last), out) or found
         if found.kind == "flexible" or found.owner in OF_MANY or len(findings) >= most:
             whole = named if named.findings else last
             return replace(whole, findings=(*findings, *whole.findings[:1])), usual
@@ -68,21 +60,3 @@ def search_body(
         out = sorted({*out, *found.channels})
         last = search_without(out, out)
     return replace(last, findings=tuple(findings), kept=first.kept), usual
-
-
-def _single(
-    search_without: Callable[[list[int], list[int]], Diagnosis], seen: Sequence[Diagnosis], out: list[int]
-) -> Finding | None:
-    """Return a fault of one channel without which nothing is found; None when there is none."""
-    tried: set[int] = set()
-    for diagnosis in seen:
-        energy = np.where(np.isfinite(diagnosis.energy), diagnosis.energy, 0.0)
-        energy[out] = 0.0
-        tried.update(int(channel) for channel in np.argsort(-energy)[:_TRIED])
-    for channel in tried:
-        if search_without([*out, channel], [*out, channel]).findings:
-            continue
-        whole = search_without([*out, channel], out).findings
-        if whole and whole[0].channels == [channel]:
-            return whole[0]
-    return None

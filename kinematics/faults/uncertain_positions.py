@@ -219,13 +219,12 @@ class Marginal:
         seen = (seen @ turn).reshape(*taken.shape[:2], -1)
         return own.transpose(0, 2, 1, 3, 4), np.concatenate([seen.real, seen.imag], axis=2)
 
-    def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> tuple[Array, Array]:
-        """Return score and information of tangents next to the nuisance, which is not at its best here."""
+    def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> Array:
+        """Return the information on tangents next to the nuisance."""
         shared = self.common(groups, tangents, sums.taken)
         sets, count, number = shared.shape
         half = self.halved(shared.reshape(-1, number).T).T.reshape(sets, count, number)
-        pull = self.halved(self.score[:, None])[:, 0]
-        return sums.score - half @ pull, sums.information - half @ half.swapaxes(1, 2)
+        return np.asarray(sums.information - half @ half.swapaxes(1, 2))
 
 
 def _side_by_side(value: ComplexArray) -> ComplexArray:

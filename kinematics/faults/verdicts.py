@@ -172,19 +172,11 @@ def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
     """Write ``dof.channels.csv``."""
     import pandas as pd
 
-    frame = pd.DataFrame(
-        {
-            "run": [as_text_cell(v.run) for v in verdicts],
-            "body": [as_text_cell(v.body) for v in verdicts],
-            "point": [as_text_cell(v.point) for v in verdicts],
-            "dir_x": [round(float(v.direction[0]), 9) + 0.0 for v in verdicts],
-            "dir_y": [round(float(v.direction[1]), 9) + 0.0 for v in verdicts],
-            "dir_z": [round(float(v.direction[2]), 9) + 0.0 for v in verdicts],
-            "residual_rms_m": [v.residual_rms_m for v in verdicts],
-            "weight": [v.weight for v in verdicts],
-            "verdict": [v.verdict for v in verdicts],
-            "estimate": [v.estimate for v in verdicts],
-            "p_value": [v.p_value for v in verdicts],
-        }
-    )
+    texts = {name: [as_text_cell(getattr(v, name)) for v in verdicts] for name in ("run", "body", "point")}
+    beams = {
+        f"dir_{axis}": [round(float(v.direction[k]), 9) + 0.0 for v in verdicts]
+        for k, axis in enumerate("xyz")
+    }
+    names = ("residual_rms_m", "weight", "verdict", "estimate", "p_value")
+    frame = pd.DataFrame({**texts, **beams, **{name: [getattr(v, name) for v in verdicts] for name in names}})
     frame.to_csv(path, index=False, lineterminator="\n", float_format="%.9g")

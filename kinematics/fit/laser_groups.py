@@ -55,6 +55,15 @@ def group_lasers(directions: Sequence[Array]) -> tuple[tuple[Index, ...], Array]
     return tuple(np.split(numbers, ends)), means
 
 
+def laser_channels(directions: Array, live: Sequence[int]) -> list[list[int]]:
+    """Return the channels in use of each laser, of directions (channel, 3) of one body."""
+    used = np.array(live, dtype=np.intp)
+    if not len(used):
+        return []
+    (laser,), means = group_lasers([directions[used]])
+    return [used[laser == k].tolist() for k in range(len(means))]
+
+
 def noise_shares(laser: Index, energy: Array) -> Array | None:
     """Return the noise of each channel's laser over their mean, (channel,); None when lasers look alike.
 

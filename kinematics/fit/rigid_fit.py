@@ -49,8 +49,6 @@ class LineFit:
     solution : Solution
         Coefficients and sums per channel.
     robust : str
-    robust_loss : float
-        Factor by which a robust estimate widened the covariance; 1 without.
     iterations : int
         Most reweightings that a line took; 0 without a robust estimate.
     unsettled : int
@@ -66,7 +64,6 @@ class LineFit:
     noise: LineNoise
     solution: Solution
     robust: str = "none"
-    robust_loss: float = 1.0
     iterations: int = 0
     unsettled: int = 0
 
@@ -242,7 +239,7 @@ def fit_noise(beams: BeamSet, value: ComplexArray, noise: LineNoise, robust: str
     covariance[~good] = np.nan
     chi2 = np.where(good, solution.misfit, np.nan)
     n_dof = np.where(good, 2 * (solution.count - size), 0)
-    return LineFit(beams, q, covariance, chi2, n_dof, value, noise, solution, robust, loss, turns, unsettled)
+    return LineFit(beams, q, covariance, chi2, n_dof, value, noise, solution, robust, turns, unsettled)
 
 
 def refit(beams: BeamSet, fit: LineFit) -> LineFit:

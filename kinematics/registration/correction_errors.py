@@ -11,7 +11,7 @@ from kinematics.faults.adaptation import Correction
 from kinematics.faults.catalogue import Fault
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
-from kinematics.registration.laser_errors import channel_part
+from kinematics.registration.laser_errors import channel_parts
 from kinematics.registration.shared_errors import fit_derivatives
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion, SharedErrors
@@ -67,7 +67,7 @@ def _derivatives(correction: Correction, fits: Mapping[Key, LineFit], shape: tup
     mine = np.zeros(len(fits[correction.run, correction.body].beams.rows), dtype=bool)
     mine[correction.channels] = True
     if len(correction.factor):
-        part = channel_part(fits[correction.run, correction.body], mine)
+        part = channel_parts(fits[correction.run, correction.body], mine[None])[0]
         derivatives[:, correction.run, correction.body] = -part * correction.factor[1:, :, None]
     elif correction.fault is not None:
         for run in range(shape[0]):

@@ -193,24 +193,30 @@ class Lasers:
 def laser_parts(fit: LineFit, lasers: Index, count: int) -> ComplexArray:
     """Return what the readings of each laser add to the motion, (laser, freq, m); together they are it."""
     parts = np.zeros((count, *fit.q.shape), dtype=complex)
-    own = [int(laser) for laser in np.unique(lasers)]
-    rest = fit.q.copy()
-    for laser in own[:-1]:
-        parts[laser] = channel_part(fit, lasers == laser)
-        rest -= parts[laser]
-    parts[own[-1]] = rest
+    own = np.unique(lasers)
+    parts[own[:-1]] = channel_parts(fit, lasers == own[:-1, None])
+    parts[own[-1]] = fit.q - np.sum(parts[own[:-1]], axis=0)
     return parts
 
 
-def channel_part(fit: LineFit, mine: NDArray[np.bool_]) -> ComplexArray:
-    """Return the part (freq, m) of some channels: (A^T W A)^-1 A^T W y over these."""
-    beams = fit.beams
-    basis, value = beams.basis[mine], fit.value[mine]
-    out = np.empty(fit.q.shape, dtype=complex)
+def channel_parts(fit: LineFit, sets: NDArray[np.bool_]) -> ComplexArray:
+    """Return the parts (n, freq, m) of sets of channels (n, channel): (A^T W A)^-1 A^T W y over each."""
+    beams, size = fit.beams, fit.beams.basis.shape[1]
+    out = np.empty((len(sets), *fit.q.shape), dtype=complex)
+    share, line = fit.common or (np.ones(len(beams.basis)), np.ones(fit.value.shape[1]))
+    even = fit.common is not None and fit.complete and fit.robust == "none"
+    weight = np.where(sets, 0.5 / share**2, 0.0) if even else 1.0 * sets
+    rows = (weight[:, None] * beams.basis.T).reshape(len(sets) * size, len(beams.basis))
     for part in blocks(*fit.value.shape):
-        _residual, _sd, weights = fit.at(part, mine)
-        weighted = np.where(weights > 0.0, weights * np.nan_to_num(value[:, part]), 0.0)
-        solved = symmetric_batches.times(fit.solution.inverse[:, part], basis.T @ weighted)
-        out[part] = (beams.to_dof @ solved).T
-    out[~np.isfinite(fit.q[:, 0].real)] = np.nan
+        value = fit.value[:, part]
+        if even:
+            value = value / line[part] ** 2
+        else:
+            weights = fit.at(part)[2]
+            value = np.where(weights > 0.0, weights * value, 0.0)
+        summed = (rows @ np.ascontiguousarray(value).view(float)).view(complex)
+        for number, one in enumerate(summed.reshape(len(sets), size, value.shape[1])):
+            solved = symmetric_batches.times(fit.solution.inverse[:, part], one)
+            out[number, part] = (beams.to_dof @ solved).T
+    out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out

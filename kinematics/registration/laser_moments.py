@@ -113,7 +113,7 @@ def channel_patterns(
     wanted = (fit.solution.used > 0) & np.array([point in chosen for point in body.points])
     wanted[list(left_out)] = False
     lines = np.arange(fit.value.shape[1])
-    whole = np.flatnonzero(np.all(np.isfinite(fit.sd), axis=0, where=wanted[:, None]))
+    whole = np.flatnonzero(fit.solution.count == np.sum(fit.solution.used > 0))
     lines = whole if len(whole) >= _MOST_LINES else lines
     lines = lines[:: max(1, len(lines) // _MOST_LINES)]
     weights = fit.at(lines, wanted)[2]

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinematics.faults.detectable import detectable
-from kinematics.faults.detectable_joint import SHIFT_UM, TURN_DEG, Joint, invisible, joint
+from kinematics.faults.detectable import SHIFT_UM, TURN_DEG, Detectable, detectable, invisible
 from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
 from kinematics.faults.unit_slips import FASTEST, SLOWEST
 from kinematics.measurement import direction_name
@@ -37,7 +36,6 @@ def detectable_blocks(result: Points2Dof) -> list[Markup]:
 def _found(result: Points2Dof) -> list[Markup]:
     if result.options.robust != "none" or result.motion.reference:
         return []
-    q = full_motion(result.motion)
     rows: list[tuple[str, ...]] = []
     points: list[tuple[str, ...]] = []
     for number, body in enumerate(result.measurement.bodies):
@@ -45,7 +43,7 @@ def _found(result: Points2Dof) -> list[Markup]:
         if not fit.solution.good.any() or fit.is_rounding() or len(body.points) > MOST_CHANNELS:
             continue
         alarm = FALSE_ALARM / max(1, len(result.fits)) / (4.0 * len(body.points))
-        least = detectable(fit, body, q[0, number], alarm)
+        least = detectable(fit, body, result.measurement.freq_hz, alarm)
         kinds = (
             ("gain of a channel", "%", 100.0 * least.gain),
             ("direction of a beam", "°", np.rad2deg(least.angle_rad)),
@@ -53,7 +51,7 @@ def _found(result: Points2Dof) -> list[Markup]:
         )
         for what, unit, values in kinds:
             rows.append((body.body, what, *_typical_and_worst(values, unit, body)))
-        rows += _joint_rows(joint(fit, body, q[0, number], alarm), body)
+        rows += _joint_rows(least, body)
         points += _point_rows(body, [(unit, values) for _, unit, values in kinds])
     rows += _laser_rows(result)
     if not rows:
@@ -98,7 +96,7 @@ def _laser_rows(result: Points2Dof) -> list[tuple[str, ...]]:
     return rows
 
 
-def _joint_rows(chances: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
+def _joint_rows(chances: Detectable, body: BodyChannels) -> list[tuple[str, ...]]:
     """Return the rows of turned axes and exchanged points."""
     turn = "-" if np.isnan(chances.axes_rad) else size_of(float(np.rad2deg(chances.axes_rad)), "°")
     rows: list[tuple[str, ...]] = [(body.body, "axes of all beams together", turn, turn, "all points")]

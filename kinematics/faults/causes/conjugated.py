@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
-from kinematics.faults.parallel_beams import group_parallel_beams
+from kinematics.fit.laser_groups import laser_channels
 from kinematics.fit.rigid_fit import fit_noise
 
 # Share of the misfit that must go.
@@ -24,7 +24,7 @@ def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
     """
     value, fit = suspect.value, suspect.plain
     sign = (-1.0) ** suspect.placed.order
-    groups = group_parallel_beams(suspect.body.directions, list(range(len(value))))
+    groups = laser_channels(suspect.body.directions, list(range(len(value))))
     if not 1 < len(groups) <= 8:
         return
     before = float(np.nansum(fit.chi2))

@@ -96,7 +96,7 @@ class MisfittingBody:
         data = self.packed(self.without(some), self.known)
         nuisance = Nuisance.of(data, self.position_sd_m)
         if not self.known:
-            data = equalise_noise(data, nuisance)[0]
+            data = equalise_noise(data, nuisance)
         state = estimate_nuisance(data, nuisance)[0]
         inverse = 0.5 * Marginal(state, nuisance).inverse
         own = nuisance.owner.T

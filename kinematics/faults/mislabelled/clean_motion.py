@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.packed_readings import Assumed, Packed, Source, packed
+from kinematics.faults.score_information import State
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
@@ -23,8 +25,6 @@ _FALL, _TIMES = 0.3, 4.0
 _ALONE, _QUIET = 0.97, 1.4
 # The weakest direction of motion must keep this share of the strongest's lever.
 _HELD = 1e-3
-# Weights that differ by less have the same course.
-_ALIKE = 1e-12
 # Points that are left out at most, and the best candidates that are tried for each.
 _MOST, _TRIED = 8, 5
 
@@ -97,157 +97,67 @@ def fit_clean_motion(
     lines : ndarray, (n,), int
     """
     value = fit.value[:, lines]
-    used = np.isfinite(value) & np.isfinite(sd)
-    value = np.where(used, value, 0.0)
-    variance = np.where(used, 2.0 * sd**2, np.inf)
-    weight = 1.0 / variance
-    basis = beams.basis
-    sums = _Sums(basis, weight, value)
+    sd = np.where(np.isfinite(value) & np.isfinite(sd), sd, np.inf)
+    count, even = len(value), np.ones(len(lines))
+    source = Source(beams, body.points, fit.value, lines, np.ones(count), even, sd, 0.0 * even, even)
+    data = packed(source, Assumed(body.positions_mm * 1e-3, body.directions, np.ones(count)))
     groups: dict[str, list[int]] = {}
     for channel, name in enumerate(body.points):
         groups.setdefault(name, []).append(channel)
     suspects: list[tuple[int, ...]] = []
-    out: list[int] = []
-    names = list(groups)
+    strongest = np.asarray(np.linalg.eigvalsh(_gram(data))[:, -1], dtype=float)
     for _ in range(min(max(1, len(groups) // 3), _MOST)):
-        before, freedom = sums.left(out), sums.freedom(out)
-        if freedom <= 0:
+        own = _next_suspect(data, groups, strongest)
+        if own is None:
             break
-        left = sums.left_without(out, [groups[name] for name in names])
-        order = np.argsort(left, kind="stable")
-        best = next((k for k in order[:_TRIED] if sums.determined([*out, *groups[names[k]]])), None)
-        if best is None:
-            break
-        own, after = groups[names.pop(best)], float(left[best])
-        fall = before - after
-        noise = max(after / max(sums.freedom([*out, *own]), 1), 1e-300)
-        if fall < _FALL * before or fall < _TIMES * noise * len(own) * len(lines):
-            break
-        for channel in own if len(own) > 1 else ():
-            alone = before - sums.left([*out, channel])
-            if alone > _ALONE * fall or fall - alone < _QUIET * noise * (len(own) - 1) * len(lines):
-                own = [channel]
-                break
+        del groups[body.points[own[0]]]
         suspects.append(tuple(own))
-        out += own
-    z, inverse = sums.motion(out)
+        data = data.under(data.assumed.without(own))
+    inverse = np.asarray(np.linalg.pinv(_gram(data), rcond=1e-14, hermitian=True), dtype=float)
+    state = State.of(data)
     places = dof_indices(beams.dof)
     q = np.zeros((len(lines), 6), dtype=complex)
-    q[:, places] = z @ beams.to_dof.T
+    q[:, places] = state.z[:, :, 0] @ beams.to_dof.T
     covariance = np.zeros((len(lines), 6, 6))
     covariance[np.ix_(range(len(lines)), places, places)] = beams.to_dof @ inverse @ beams.to_dof.T
-    level = sums.left(out) / max(sums.freedom(out), 1)
-    return CleanMotion(*key, body, lines, value, variance, q, covariance, tuple(suspects), level)
+    level = state.energy / max(float(np.sum(state.free())), 1.0)
+    value = np.where(np.isfinite(sd), value, 0.0)
+    return CleanMotion(*key, body, lines, value, 2.0 * sd**2, q, covariance, tuple(suspects), level)
 
 
-class _Sums:
-    """Normal equations of all lines, from which channels can be taken."""
-
-    def __init__(self, basis: Array, weight: Array, value: ComplexArray) -> None:
-        self.basis, self.weight = basis, weight
-        self.start = np.zeros((weight.shape[1], basis.shape[1]), dtype=complex)
-        self.value = value
-        for _ in range(2):
-            residual = value - basis @ self.start.T
-            gram, side = self._of(range(len(basis)), residual)
-            self.start = self.start + _solved(gram, side)
-        self.value = value - basis @ self.start.T
-        self.gram, self.side = self._of(range(len(basis)), self.value)
-
-    def _of(self, channels: range | list[int], value: ComplexArray) -> tuple[Array, ComplexArray]:
-        own = list(channels)
-        rows, weight = self.basis[own], self.weight[own]
-        gram = np.einsum("cf,ca,cb->fab", weight, rows, rows, optimize=True)
-        return gram, np.einsum("cf,ca->fa", weight * value[own], rows, optimize=True)
-
-    def _without(self, out: list[int]) -> tuple[Array, ComplexArray]:
-        gram, side = self._of(out, self.value)
-        return self.gram - gram, self.side - side
-
-    def left(self, out: list[int]) -> float:
-        """Return the residual energy without some channels."""
-        gram, side = self._without(out)
-        kept = [c for c in range(len(self.basis)) if c not in set(out)]
-        whole = float(np.sum(self.weight[kept] * np.abs(self.value[kept]) ** 2))
-        return whole - float(np.real(np.sum(side.conj() * _solved(gram, side))))
-
-    def left_without(self, out: list[int], groups: list[list[int]]) -> Array:
-        """Return the residual energy without some channels and each of some groups, (group,)."""
-        gram, side = self._without(out)
-        energy = np.sum(self.weight * np.abs(self.value) ** 2, axis=1)
-        whole = float(np.sum(energy) - np.sum(energy[out]))
-        energies = np.empty(len(groups))
-        line = _common(self.weight)
-        if line is not None:
-            for size in {len(own) for own in groups}:
-                same = [k for k, own in enumerate(groups) if len(own) == size]
-                at = np.array([groups[k] for k in same])
-                energies[same] = (
-                    whole - np.sum(energy[at], axis=1) - self._taken_without(gram, side, at, line)
-                )
-            return energies
-        for k, own in enumerate(groups):
-            less, shorter = self._of(own, self.value)
-            rest, into = gram - less, side - shorter
-            taken = float(np.real(np.sum(into.conj() * _solved(rest, into))))
-            energies[k] = whole - float(np.sum(energy[own])) - taken
-        return energies
-
-    def _taken_without(self, gram: Array, side: ComplexArray, at: NDArray[np.intp], line: Array) -> Array:
-        """Return what the motion takes (group,) without each of some groups (group, n) of channels.
-
-        All weights have the same course over the lines: ``line`` (f,) times those at the first.
-        """
-        rows = self.basis[at]
-        weighted = self.weight[at]
-        rest = gram[0] - rows.swapaxes(1, 2) @ (weighted[:, :, :1] * rows)
-        into = side.T - rows.swapaxes(1, 2) @ (weighted * self.value[at])
-        return np.real(np.einsum("gmf,gmf->g", into.conj(), _divided(rest, into / line)))
-
-    def freedom(self, out: list[int]) -> int:
-        """Return how many complex values are left over."""
-        kept = [c for c in range(len(self.basis)) if c not in set(out)]
-        return int(np.sum(self.weight[kept] > 0.0)) - self.side.size
-
-    def determined(self, out: list[int]) -> bool:
-        """Return whether the motion is still well determined without some channels."""
-        gram = self._without(out)[0]
-        weakest = np.linalg.eigvalsh(gram)[:, 0]
-        return bool(np.median(weakest / np.linalg.eigvalsh(self.gram)[:, -1]) > _HELD**2)
-
-    def motion(self, out: list[int]) -> tuple[ComplexArray, Array]:
-        """Return the motion (line, m) in the basis and the inverse normal matrices."""
-        gram, side = self._without(out)
-        inverse = np.asarray(np.linalg.pinv(gram, rcond=1e-14, hermitian=True), dtype=float)
-        return self.start + _solved(gram, side), inverse
-
-
-def _common(weight: Array) -> Array | None:
-    """Return the course (f,) of weights (channel, f) over the lines, from 1, when all channels share it."""
-    first = weight[:, 0]
-    heaviest = int(np.argmax(first))
-    if not first[heaviest] > 0.0:
+def _next_suspect(data: Packed, groups: dict[str, list[int]], strongest: Array) -> list[int] | None:
+    """Return the channels of a point, or one of them, without which the others agree much better."""
+    state = State.of(data)
+    before = state.energy
+    if not float(np.sum(state.free())) > 0.5:
         return None
-    line = weight[heaviest] / first[heaviest]
-    alike = np.abs(weight - first[:, None] * line) <= _ALIKE * first[heaviest] * line
-    return line if bool(np.all(line > 0.0) and np.all(alike)) else None
+    falls = dict[str, float]()
+    for size in {len(own) for own in groups.values()}:
+        same = {name: own for name, own in groups.items() if len(own) == size}
+        falls |= zip(same, state.left_out(np.array(list(same.values()))).tolist(), strict=True)
+    for name in sorted(falls, key=lambda name: -falls[name])[:_TRIED]:
+        own, fall = groups[name], falls[name]
+        rest = data.under(data.assumed.without(own))
+        weakest = np.linalg.eigvalsh(_gram(rest))[:, 0]
+        if np.median(weakest / strongest) > _HELD**2:
+            break
+    else:
+        return None
+    noise = max((before - fall) / max(float(np.sum(State.of(rest).free())), 1.0), 1e-300)
+    lines = len(data.y)
+    if fall < _FALL * before or fall < _TIMES * noise * len(own) * lines:
+        return None
+    for channel in own if len(own) > 1 else ():
+        alone = float(state.left_out(np.array([[channel]]))[0])
+        if alone > _ALONE * fall or fall - alone < _QUIET * noise * (len(own) - 1) * lines:
+            return [channel]
+    return own
 
 
-def _divided(gram: Array, side: ComplexArray) -> ComplexArray:
-    """Solve matrices (k, m, m) for sides (k, m, n); by pseudo-inverses where one has no solution."""
-    try:
-        return np.asarray(np.linalg.solve(gram, side))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(gram, rcond=1e-14, hermitian=True) @ side)
-
-
-def _solved(gram: Array, side: ComplexArray) -> ComplexArray:
-    """Solve the normal equations (line, m, m) of every line; by pseudo-inverses where one has no solution."""
-    try:
-        return np.asarray(np.linalg.solve(gram, side[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
-        return np.asarray(np.einsum("fab,fb->fa", inverse, side))
+def _gram(data: Packed) -> Array:
+    """Return the normal matrices (line, m, m) of every line."""
+    rows = data.weight[:, :, None] * data.rows(data.assumed.arms_m, data.assumed.directions)
+    return np.asarray(rows.swapaxes(1, 2) @ rows)
 
 
 __all__ = ["REACH", "CleanMotion", "chosen_lines", "fit_clean_motion"]

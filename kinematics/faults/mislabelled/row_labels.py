@@ -83,7 +83,7 @@ def label_findings(
         if (suspect := _suspect(home, channels, motions)) is not None
     ]
     findings: dict[Key, list[Finding]] = {}
-    for suspect, place, score in _with_reverse(_paired(suspects), motions):
+    for suspect, place, score in _paired(suspects):
         home = suspect.home
         text = _told(suspect, place, runs, freq_hz)
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
@@ -91,27 +91,6 @@ def label_findings(
         finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=text)
         findings.setdefault((home.run, home.number), []).append(finding)
     return findings
-
-
-def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, CleanMotion]) -> list[_Entry]:
-    """Add the rows that were exchanged with others, where a fault of their own would explain them as well."""
-    taken = {(s.home.run, s.home.number, c) for s, _, _ in chosen for c in s.channels}
-    both_ways = list(chosen)
-    for suspect, place, _ in chosen:
-        other = place.at
-        if place.kind != "run" or any((other.run, other.number, c) in taken for c in suspect.channels):
-            continue
-        arms = other.body.positions_mm[suspect.channels[0]] * 1e-3
-        back = _Place("run", suspect.home, arms)
-        own = _misfit(other, suspect.channels, _Place("own", other, arms))[0]
-        score, count = _misfit(other, suspect.channels, back)
-        level = max(other.level, suspect.home.level)
-        if count and score < _NOISE * level * count and score / level < own / other.level - _MARGIN:
-            entry = _Suspect(
-                other, suspect.channels, {}, _places(other, arms, motions), own, own / other.level
-            )
-            both_ways.append((entry, back, score / level))
-    return both_ways
 
 
 def _suspect(

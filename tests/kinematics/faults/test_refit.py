@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from kinematics.faults.catalogue import Fault
+from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.search import Search
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
+from kinematics.measurement import BodyChannels
 from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
 from tests.kinematics.simulated import scene
 
@@ -131,3 +135,18 @@ def test_what_is_skipped_would_have_been_no_rival():
     for fault in faults:
         if (fault.kind, tuple(fault.channels)) not in fitted and 4 in fault.channels:
             assert search._evidence(search.refit.fit(fault)) < best - 3.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_turn_that_is_motion_as_well_is_left_at_zero(seed):
+    """Beams along x, y, z at one point that moves along x and y: a turn about z is a turn of the motion."""
+    rng = np.random.default_rng(seed)
+    beams, arms = np.eye(3), np.tile(rng.normal(size=3), (3, 1))
+    value = 1e-7 * rng.normal(size=(3, 24)).view(complex)
+    value[2] = 3e-8 + 1e-9 * rng.normal(size=24).view(complex)
+    held = BodyChannels("stapes", ("1",) * 3, arms, beams, value[None], np.full((1, *value.shape), 1e-9))
+    fit = fit_lines(beam_set("stapes", arms, beams, ("x", "y")), value, held.sd[0])
+    data = initial(Source.of(fit, held, np.linspace(400.0, 5000.0, 12), True), held)
+    state = State.of(data)
+    refit = Refit(data, Nuisance.of(data, np.zeros(3)), np.zeros(0), state.energy, data.merged(state.z))
+    assert np.max(np.abs(refit.fit(Fault("axes", "body", [0, 1, 2])).parameters)) < 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.fit.laser_groups import noise_shares
+from kinematics.fit.laser_groups import laser_channels, noise_shares
 
 
 def test_lasers_differ_beyond_what_their_channels_scatter():
@@ -22,3 +22,21 @@ def test_a_loud_channel_is_no_loud_laser_and_one_laser_is_not_compared():
     assert noise_shares(laser, energy + 1e-3 * np.arange(27)) is None
     assert noise_shares(np.zeros(27, dtype=int), energy) is None
     assert noise_shares(np.array([0, 1, 2]), np.array([1.0, 9.0, np.nan])) is None
+
+
+def towards(heads_mm, points_mm):
+    beams = heads_mm[None] - points_mm[:, None]
+    return (beams / np.linalg.norm(beams, axis=2, keepdims=True)).reshape(-1, 3)
+
+
+def test_channels_are_grouped_by_the_heads_that_they_point_to():
+    heads = np.array([[60.0, 200.0, 0.0], [-40.0, 200.0, 50.0], [0.0, 180.0, -70.0]])
+    points = np.random.default_rng(1).uniform(-5.0, 5.0, (6, 3))
+    groups = laser_channels(towards(heads, points), range(18))
+    assert groups == [list(range(head, 18, 3)) for head in range(3)]
+    assert laser_channels(towards(heads, points), [1, 4, 6]) == [[1, 4], [6]]
+
+
+def test_opposite_beams_are_two_lasers():
+    beam = np.array([0.0, 0.6, 0.8])
+    assert laser_channels(np.stack([beam, -beam, beam]), range(3)) == [[0, 2], [1]]
