@@ -47,6 +47,7 @@ SOURCE_WORDS = {
     "position": "point positions",
     "correction": "corrected faults of points and lasers",
     "inplane_stiffness": "stiffness in the plane of the ligament",
+    "ligament_plane": "height and tilt of the ligament's plane (second order)",
     "damping_exponent": "exponent of the damping law",
     MODEL_ERROR: "what the model lacks",
 }
