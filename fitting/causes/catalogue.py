@@ -87,6 +87,8 @@ class Cause:
         its place counts as chosen among them.
     nuisances : tuple of str
         Shared errors that the cause brings with it; its term sets their effect.
+    moves : callable, optional
+        Setting -> what one standard deviation of each of them does beside one unit of the cause.
     usual : float
         Standard deviation of its size where it is there, in the unit; infinite where any size occurs.
     only : float or None
@@ -106,6 +108,7 @@ class Cause:
     positive: bool = False
     family: str = ""
     nuisances: tuple[str, ...] = ()
+    moves: Callable[[Setting], tuple[Apply, ...]] | None = None
     usual: float = np.inf
     only: float | None = None
     moved: Callable[[float], tuple[str, Callable[[Setting], Apply]]] | None = None
@@ -157,6 +160,16 @@ def _mass(change: Callable[[float, Setting], Array]) -> Callable[[Setting], Appl
         return apply
 
     return made
+
+
+def _added(matrix: Array, setting: Setting) -> Apply:
+    """Add a matrix (6, 6), SI, to the mass matrix."""
+    scaled = matrix / np.outer(setting.lines.root_mass, setting.lines.root_mass)
+
+    def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+        return replace(lines, mass=lines.mass + value * scaled), equations
+
+    return apply
 
 
 def _ligament(factor: Callable[[Setting], Array]) -> Callable[[Setting], Apply]:
@@ -233,21 +246,32 @@ def _head_mass(setting: Setting) -> Apply:
     The place counts: 5 mg that sit 0.1 mm off move M12 by as much as the stapes itself has.
     """
     root = np.outer(setting.lines.root_mass, setting.lines.root_mass)
-    place, sd = np.array(HEAD_M), 1e-3 * calibrated("causes.head_place_sd_mm")
-    here = matrix_from_parameters(_point(place))
-    steps = [matrix_from_parameters(_point(place + step) - _point(place - step)) for step in sd * np.eye(3)]
+    here, steps = matrix_from_parameters(_point(np.array(HEAD_M))), _head_steps()
 
     def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
         mass = MASS.si(value)
         changes, slopes = lines.mass_changes.copy(), lines.mass_slopes.copy()
         own = [number for number, name in enumerate(lines.sources) if name == HEAD_PLACE]
         for number, step in zip(own, steps, strict=False):
-            slopes[number] = 0.5 * mass * step
+            slopes[number] = mass * step
             changes[number] = slopes[number] / root
         heavier = lines.mass + mass * here / root
         return replace(lines, mass=heavier, mass_changes=changes, mass_slopes=slopes), equations
 
     return apply
+
+
+def _head_steps() -> list[Array]:
+    """Return the changes (6, 6) of the mass matrix of 1 kg at the head by one sd of its place, x, y and z."""
+    place, sd = np.array(HEAD_M), 1e-3 * calibrated("causes.head_place_sd_mm")
+    return [
+        0.5 * matrix_from_parameters(_point(place + step) - _point(place - step)) for step in sd * np.eye(3)
+    ]
+
+
+def _head_moves(setting: Setting) -> tuple[Apply, ...]:
+    """Move a mass of one unit at the head by one standard deviation along x, y and z."""
+    return tuple(_added(MASS.si(1.0) * step, setting) for step in _head_steps())
 
 
 def _point(place: Array) -> Array:
@@ -381,6 +405,7 @@ CAUSES: dict[str, Cause] = {
         example=MASS.of(1e-7),
         starts=(0.0, MASS.of(4e-6)),
         nuisances=(HEAD_PLACE,) * 3,
+        moves=_head_moves,
         positive=True,
         usual=MASS.of(calibrated("causes.usual_head_mass_kg")),
     ),
