@@ -20,7 +20,7 @@ from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, places_of, term_of
 from fitting.causes.detectable import detectable_size
 from fitting.causes.model_error import unexplained_error
-from fitting.causes.refits import Refit, free_chi2, rarity_penalty, refit_with, useful_chi2
+from fitting.causes.refits import Refit, rarity_penalty, refit_with, useful_chi2
 from fitting.causes.score_tests import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
@@ -178,19 +178,15 @@ def diagnose(
     likely = [place for place in leading if CAUSES[names[place]].refitted]
     whole = any(_fall_of_whole(name, tested, place) > rarity_penalty() for place, name in enumerate(names))
     searched = bool(alarm or whole or ligament.p_value < calibrated("causes.misfit_p"))
-    if not searched:
-        likely = [
-            place
-            for place in likely
-            if (_far(names[place]) and tested.p_values[place] < _DOUBTFUL)
-            or (ligament.estimate.active and _large(names[place]))
-        ]
+    if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
+        likely = []
+    elif not searched:
+        likely = [place for place in likely if _far(names[place]) and tested.p_values[place] < _DOUBTFUL]
     most = int(calibrated("causes.shortlist"))
     shortlist = likely[:most]
     if searched:  # the score, a linear test, says nothing of a cause that is as large as the body itself
         shortlist += [place for place in likely[most:] if _large(names[place])]
     laws_at = 0 if not CAUSES[names[ranked[0]]].refitted else 1
-    without = free_chi2(ligament)
     under_laws: Sequence[Refit] = ()
     refits: list[Refit] = []
     for number, place in enumerate(shortlist):
@@ -210,7 +206,6 @@ def diagnose(
             place=place,
             units=units,
             explained=explained,
-            without=without,
         )
         refit = fitted(terms[place], within=within)
         if refit is not None and not explained:

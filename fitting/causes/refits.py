@@ -85,14 +85,6 @@ def useful_chi2(ligament: LigamentFit, known: Sequence[Refit]) -> float:
     return float(chi2 - fall if chi2 - fall < n_dof else chi2 * n_dof / (fall + n_dof))
 
 
-def free_chi2(ligament: LigamentFit) -> float:
-    """Return chi2 of a fit whose K' and D' nothing holds positive semidefinite: nothing holds a refit's."""
-    if not ligament.estimate.active:
-        return ligament.joint.chi2
-    free = extended_fit(ligament.lines, ligament.equations, ligament.joint, (), rounds=0)
-    return ligament.joint.chi2 if free is None else min(free[2].chi2, ligament.joint.chi2)
-
-
 def rarity_penalty() -> float:
     """Return what an error that is there wholly or not at all must lower chi2 by to be likely."""
     return -2.0 * float(np.log(calibrated("causes.whole_error")))
@@ -107,34 +99,30 @@ def refit_with(
     units: Array,
     within: float,
     explained: bool,
-    without: float,
 ) -> Refit | None:
     """Fit with one cause from the estimate of its score and from its other starts; the best one, or None.
 
     Only a chi2 below ``within`` is of use. Where another cause explains the data already, only what settles
-    there at once can look like it, or what is as large as the body itself. ``without`` is chi2 without the
-    cause where K' and D' are as free as with it.
+    there at once can look like it, or what is as large as the body itself.
     """
     from scipy.special import chdtrc
 
     best = None
     near, far = float(start_scores.estimate[place]), CAUSES[name].starts[1:]
     for begin in (near, *([] if explained else [0.0]), *far):
-        away = begin in far
         if begin == 0.0 and best is not None and best[2].chi2 < ligament.joint.chi2:
             continue
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
-        rounds = FEW_ROUNDS if best is not None or away else MOST_ROUNDS
-        beside = explained and not away
+        rounds = FEW_ROUNDS if best is not None or begin in far else MOST_ROUNDS
         fitted = extended_fit(
             ligament.lines,
             ligament.equations,
             start,
             (term,),
             np.array([begin]),
-            _FEW if beside else _MOST,
-            0 if beside else rounds,
+            _FEW if explained else _MOST,
+            0 if explained else rounds,
             within,
         )
         if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
@@ -152,7 +140,7 @@ def refit_with(
     before = ligament.equations.unknowns
     change = fit.parameters[:before] - ligament.joint.parameters[:before]
     effect = change[: len(units)] * units
-    fall = (without - fit.chi2) / level
+    fall = (ligament.joint.chi2 - fit.chi2) / level
     size = float(fit.parameters[equations.term][-1])
     if CAUSES[name].positive and size < 0.0:
         return None
