@@ -17,11 +17,12 @@ from functools import partial
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.causes.catalogue import CAUSES, Setting, places_of, term_of
+from fitting.causes.catalogue import CAUSES, places_of, term_of
 from fitting.causes.detectable import detectable_size
 from fitting.causes.model_error import unexplained_error
 from fitting.causes.refits import Refit, rarity_penalty, refit_with, useful_chi2
 from fitting.causes.score_tests import Scores, scores
+from fitting.causes.setting import Setting
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
 from fitting.ligament.ligament_fit import LigamentFit
