@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stapeskit.option_parser import Given, Parser
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of
---dof.
+--dof, or 6 x 6.
 Writes kd.json and kd.html (named after --out). Example:
   dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
 
