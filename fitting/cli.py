@@ -48,7 +48,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
 
     from fitting.dof2kd import dof2kd
     from fitting.options import KDOptions
-    from fitting.report.sections import summary_rows
+    from fitting.report.at_a_glance import summary_rows
     from stapeskit.command import Outcome
     from stapeskit.progress import stage_on_terminal
 

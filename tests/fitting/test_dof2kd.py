@@ -18,8 +18,9 @@ from fitting.fit_kd import fit_kd
 from fitting.measure_kd import footplate_outline
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
+from fitting.report.at_a_glance import summary_rows
 from fitting.report.kd_json import kd_json
-from fitting.report.sections import kd_page, kd_sections, source_words, summary_rows
+from fitting.report.sections import kd_page, kd_sections, source_words
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import write_motion
 from stapeskit.spatial import dof_indices
