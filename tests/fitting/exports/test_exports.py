@@ -137,8 +137,9 @@ def test_the_deck_alone_gives_back_modes_and_damping(fit) -> None:
     assert np.abs((found["DASHPOT"][piston] - fit.damping) / size).max() < 1e-8
 
 
-# Parameters of each keyword used here. CalculiX reads lines of 132 characters in at most 16 fields, and of a real
-# number the first 20 characters; a dashpot's first line is its constant, without an empty one (dashpots.f).
+# Parameters of each keyword used here. CalculiX reads lines of 132 characters in at most 16 fields, and of a
+# real number the first 20 characters; a dashpot's first line is its constant, without an empty one
+# (dashpots.f).
 CALCULIX = {
     "NODE": {"NSET"},
     "ELEMENT": {"TYPE", "ELSET"},
