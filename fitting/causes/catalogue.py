@@ -323,6 +323,7 @@ CAUSES: dict[str, Cause] = {
         changed_inertia(share(slice(0, 10))),
         scored=False,
         example=10.0,
+        usual=calibrated("causes.usual_mass"),
     ),
     "mirrored": Cause(
         "the mass matrix of the mirror image (another side, or slices in reverse order)",

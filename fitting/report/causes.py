@@ -114,12 +114,13 @@ def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
     """Return causes that may go unseen, the worst first, with size and changes over sqrt(Xii Xjj).
 
     The size is the one from which a cause is found in four of five measurements, or twice its usual one where
-    that is smaller.
+    that is smaller or no data show it.
     """
     found = []
-    for name, seen in diagnosis.seen_from.items():
+    for name in diagnosis.sensitivities:
         if not CAUSES[name].refitted or CAUSES[name].family:
             continue
+        seen = diagnosis.seen_from.get(name, np.inf)
         size = min(seen, 2.0 * CAUSES[name].usual, CAUSES[name].only or np.inf)
         change = diagnosis.sensitivities[name] * size / CAUSES[name].example
         found.append((name, size, relative_effect(change, fit.stiffness, fit.damping)))
