@@ -115,14 +115,15 @@ def refit_with(
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
         rounds = FEW_ROUNDS if best is not None or begin in far else MOST_ROUNDS
+        looks = explained and begin not in far
         fitted = extended_fit(
             ligament.lines,
             ligament.equations,
             start,
             (term,),
             np.array([begin]),
-            _FEW if explained else _MOST,
-            0 if explained else rounds,
+            _FEW if looks else _MOST,
+            0 if looks else rounds,
             within,
         )
         if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
