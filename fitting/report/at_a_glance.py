@@ -67,7 +67,15 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
 
 
 def _belief(fit: KDFit) -> str:
-    """Return whether to believe K and D, by what their warnings lead to, with the codes of these."""
+    """Return whether to believe K and D: by what their warnings lead to, and by what is undetermined."""
+    spread = fit.standard_deviation[0]
+    lost = [
+        f"K({name})"
+        for place, name in enumerate(fit.dof)
+        if spread[place, place] > abs(fit.stiffness[place, place])
+    ]
+    if lost:
+        return f"{VERDICTS[-1]}: {', '.join(lost)} undetermined"
     entries = table()
     codes = dict.fromkeys(notice.code for notice in fit.notices)
     for level in reversed(VERDICTS[1:]):

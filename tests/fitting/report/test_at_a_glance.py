@@ -43,4 +43,5 @@ def test_a_value_below_its_standard_deviation_is_undetermined(fit: KDFit) -> Non
     covariance[3, 3] = (2.0 * fit.stiffness[1, 1]) ** 2
     rows = dict(summary_rows(replace(fit, covariance=covariance)))
     assert rows["K(alpha)"].startswith("undetermined")
+    assert rows["believe K and D?"] == "do not use: K(alpha) undetermined"
     assert not rows["K(y)"].startswith("undetermined")
