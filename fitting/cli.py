@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stapeskit.option_parser import ParsedOptions, Parser
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of
---dof.
+--dof, or 6 x 6.
 Writes kd.json and kd.html (named after --out). Example:
   dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
 
@@ -48,7 +48,7 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
 
     from fitting.dof2kd import dof2kd
     from fitting.options import KDOptions
-    from fitting.report.sections import summary_rows
+    from fitting.report.at_a_glance import summary_rows
     from stapeskit.command import Outcome
     from stapeskit.progress import stage_on_terminal
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.causes.catalogue import Setting, term_of
+from fitting.causes.catalogue import term_of
 from fitting.causes.correction import corrected_problem
+from fitting.causes.setting import Setting
 from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, gram, solve_symmetric

@@ -33,6 +33,7 @@ from fitting.kd_fit import KDFit
 from fitting.ligament.joint_lines import JointLines, joint_lines
 from fitting.ligament.ligament import NotWithin, applies
 from fitting.ligament.misfit import is_explained
+from fitting.ligament.profile_spread import profile_spread
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
 from fitting.model.laws import LAWS
@@ -137,7 +138,8 @@ def _fitted(
     if best.ligament is not None and measured is not None:
         best, diagnosis, fluid, laws = choose_fluid(best, plain, measured, options, laws)
         if best.ligament is not None:
-            off = np.concatenate([model_error(diagnosis, best.ligament), _minima(best)], axis=1)
+            parts = (model_error(diagnosis, best.ligament), _minima(best), profile_spread(best.ligament))
+            off = np.concatenate(parts, axis=1)
             best = replace(best, ligament=best.ligament.with_model_error(off[12:]))
         laws = tuple(best if law.law.name == best.law.name else law for law in laws)
     problem = best.problem

@@ -269,7 +269,7 @@ class KDFiles(OptionTable):
     )
     mass: Path | None = option(
         file("mass.json or M.csv", "Run ct2mass to make a mass.json"),
-        "mass.json of ct2mass, or M.csv",
+        "mass.json of ct2mass, or M.csv: M of {dof} or, better, of all six degrees of freedom",
         example="mass.json",
     )
     plan: Path | None = option(

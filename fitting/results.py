@@ -55,7 +55,7 @@ class KDResult(Result, KDFit):
 
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return K, D, modes and fit with their uncertainty."""
-        from fitting.report.sections import summary_rows
+        from fitting.report.at_a_glance import summary_rows
 
         return summary_rows(self)
 

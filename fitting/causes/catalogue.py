@@ -14,48 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
+from fitting.causes.mass_errors import (
+    HEAD_PLACE,
+    changed_inertia,
+    displaced,
+    head_mass,
+    head_moves,
+    mirrored,
+    share,
+)
+from fitting.causes.setting import Applied, Apply, Setting
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
 from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS
-from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
-Applied = tuple[JointLines, Equations]
-# Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159), m.
-HEAD_M = (0.0, 3.4e-3, 0.0)
-# Shared errors of the place of that mass.
-HEAD_PLACE = "mass.head_place"
 _HOLDER_QUALITY = 10.0
-# Inertial parameters that are odd in z: m z, Jyz, Jxz.
-_ODD_IN_Z = [3, 8, 9]
 # Steps of one width of a resonance at half power.
 _HOLDERS_HZ = np.geomspace(450.0, 5000.0, 26)
 # Parts of the measurement between which K and D may change: the best of these steps explains at least 0.88 of
 # what one at any place does, a drift 0.75.
 _PARTS = 16
-
-
-@dataclass(frozen=True)
-class Setting:
-    """The fit to which a cause is added.
-
-    Attributes
-    ----------
-    lines : JointLines
-        Without any cause.
-    omega : ndarray, (lines,)
-        rad/s.
-    mass : ndarray, (6, 6)
-        SI.
-    """
-
-    lines: JointLines
-    omega: Array
-    mass: Array
-
-
-Apply = Callable[[float, JointLines, Equations], Applied]
 
 
 @dataclass(frozen=True)
@@ -87,6 +67,8 @@ class Cause:
         its place counts as chosen among them.
     nuisances : tuple of str
         Shared errors that the cause brings with it; its term sets their effect.
+    moves : callable, optional
+        Setting -> what one standard deviation of each of them does beside one unit of the cause.
     usual : float
         Standard deviation of its size where it is there, in the unit; infinite where any size occurs.
     only : float or None
@@ -106,6 +88,7 @@ class Cause:
     positive: bool = False
     family: str = ""
     nuisances: tuple[str, ...] = ()
+    moves: Callable[[Setting], tuple[Apply, ...]] | None = None
     usual: float = np.inf
     only: float | None = None
     moved: Callable[[float], tuple[str, Callable[[Setting], Apply]]] | None = None
@@ -138,21 +121,6 @@ def _between_bodies(factor: Callable[[float, Array], ComplexArray]) -> Callable[
             factors = np.ones((lines.count, 2 * DOFS), dtype=complex)
             factors[:, :DOFS] = factor(value, setting.omega)[:, None]
             return lines.multiplied(factors), equations
-
-        return apply
-
-    return made
-
-
-def _mass(change: Callable[[float, Setting], Array]) -> Callable[[Setting], Apply]:
-    """Change the ten inertial parameters (SI)."""
-
-    def made(setting: Setting) -> Apply:
-        root = setting.lines.root_mass
-
-        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
-            added = matrix_from_parameters(change(value, setting)) / np.outer(root, root)
-            return replace(lines, mass=lines.mass + added), equations
 
         return apply
 
@@ -225,77 +193,6 @@ def _holder(frequency_hz: float) -> Callable[[Setting], Apply]:
     return made
 
 
-def _head_mass(setting: Setting) -> Apply:
-    """Add a mass at the head, whose place is known to a standard deviation along each axis.
-
-    Notes
-    -----
-    The place counts: 5 mg that sit 0.1 mm off move M12 by as much as the stapes itself has.
-    """
-    root = np.outer(setting.lines.root_mass, setting.lines.root_mass)
-    place, sd = np.array(HEAD_M), 1e-3 * calibrated("causes.head_place_sd_mm")
-    here = matrix_from_parameters(_point(place))
-    steps = [matrix_from_parameters(_point(place + step) - _point(place - step)) for step in sd * np.eye(3)]
-
-    def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
-        mass = MASS.si(value)
-        changes, slopes = lines.mass_changes.copy(), lines.mass_slopes.copy()
-        own = [number for number, name in enumerate(lines.sources) if name == HEAD_PLACE]
-        for number, step in zip(own, steps, strict=False):
-            slopes[number] = 0.5 * mass * step
-            changes[number] = slopes[number] / root
-        heavier = lines.mass + mass * here / root
-        return replace(lines, mass=heavier, mass_changes=changes, mass_slopes=slopes), equations
-
-    return apply
-
-
-def _point(place: Array) -> Array:
-    """Return the inertial parameters of a mass of 1 kg at a place (m)."""
-    return np.array([1.0, *place, *_entries(place @ place * np.eye(3) - np.outer(place, place))])
-
-
-def _entries(tensor: Array) -> Array:
-    """Return xx, yy, zz, xy, yz, xz of a tensor."""
-    return np.asarray(tensor[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]])
-
-
-def _centre(axis: int) -> Callable[[float, Setting], Array]:
-    """Return the change of the inertial parameters when the body lies elsewhere (mm) in its frame.
-
-    Notes
-    -----
-    Moments of inertia about the footplate centre follow by the theorem of parallel axes.
-    """
-
-    def change(value: float, setting: Setting) -> Array:
-        parameters = parameters_from_matrix(setting.mass)
-        mass, centre = parameters[0], parameters[1:4] / parameters[0]
-        shift = 1e-3 * value * np.eye(3)[axis]
-        return np.asarray(mass * (_point(centre + shift) - _point(centre)))
-
-    return change
-
-
-def _part(places: slice) -> Callable[[float, Setting], Array]:
-    """Return a share (%) of some of the inertial parameters."""
-
-    def change(value: float, setting: Setting) -> Array:
-        change_si = np.zeros(10)
-        change_si[places] = 0.01 * value * parameters_from_matrix(setting.mass)[places]
-        return change_si
-
-    return change
-
-
-def _mirrored(value: float, setting: Setting) -> Array:
-    """Return the way (0 to 1) to the mirror image along z, by which one side becomes the other."""
-    parameters = parameters_from_matrix(setting.mass)
-    change = np.zeros(10)
-    change[_ODD_IN_Z] = -2.0 * value * parameters[_ODD_IN_Z]
-    return change
-
-
 def _time(setting: Setting) -> Array:
     """Return time over the measurement, -0.5 to 0.5: lines are measured in their order."""
     return np.linspace(-0.5, 0.5, setting.lines.count)
@@ -350,7 +247,7 @@ def _stepped(part: int) -> Cause:
 
 
 def _elsewhere(axis: str) -> Cause:
-    title, apply = f"a centre of mass elsewhere along {axis}", _mass(_centre("xyz".index(axis)))
+    title, apply = f"a centre of mass elsewhere along {axis}", changed_inertia(displaced("xyz".index(axis)))
     usual = calibrated("causes.usual_centre_mm")
     return Cause(title, "mm", 1e-3, apply, example=0.1, usual=usual)
 
@@ -377,10 +274,11 @@ CAUSES: dict[str, Cause] = {
         "a mass at the head of the stapes",
         MASS.symbol,
         MASS.si(1.0),
-        _head_mass,
+        head_mass,
         example=MASS.of(1e-7),
         starts=(0.0, MASS.of(4e-6)),
         nuisances=(HEAD_PLACE,) * 3,
+        moves=head_moves,
         positive=True,
         usual=MASS.of(calibrated("causes.usual_head_mass_kg")),
     ),
@@ -391,7 +289,7 @@ CAUSES: dict[str, Cause] = {
         "moments of inertia of another size",
         "%",
         0.01,
-        _mass(_part(slice(4, 10))),
+        changed_inertia(share(slice(4, 10))),
         example=5.0,
         usual=calibrated("causes.usual_inertia"),
     ),
@@ -419,13 +317,19 @@ CAUSES: dict[str, Cause] = {
         for hz in _HOLDERS_HZ
     },
     "mass": Cause(
-        "another mass and density", "%", 0.01, _mass(_part(slice(0, 10))), scored=False, example=10.0
+        "another mass and density",
+        "%",
+        0.01,
+        changed_inertia(share(slice(0, 10))),
+        scored=False,
+        example=10.0,
+        usual=calibrated("causes.usual_mass"),
     ),
     "mirrored": Cause(
         "the mass matrix of the mirror image (another side, or slices in reverse order)",
         "",
         1.0,
-        _mass(_mirrored),
+        changed_inertia(mirrored),
         only=1.0,
     ),
 }

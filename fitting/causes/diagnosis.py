@@ -10,18 +10,21 @@ must fall by twice the logarithm of how rare it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.causes.catalogue import CAUSES, Setting, places_of, term_of
+from fitting.causes.catalogue import CAUSES, places_of, term_of
+from fitting.causes.detectable import detectable_size
 from fitting.causes.model_error import unexplained_error
 from fitting.causes.refits import Refit, rarity_penalty, refit_with, useful_chi2
 from fitting.causes.score_tests import Scores, scores
+from fitting.causes.setting import Setting
 from fitting.estimators.problem import Problem
+from fitting.ligament.equations import Term
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.parameter_vector import pairs
 from stapeskit.arrays import Array
@@ -29,8 +32,6 @@ from stapeskit.arrays import Array
 # Probability of a score below which a cause that may be far from first order is refitted to be sure: one
 # needless refit in twenty, which the evidence then judges. Chosen by judgement.
 _DOUBTFUL = 0.05
-# Standard deviations between a threshold and the mean of what passes it in 80 %: a quantile of the normal.
-_POWER_80 = 0.8416
 # Steps by which the place of a cause is sought between those of its family, in their distance.
 _CLOSER = (1.0, 0.5, 0.25, 0.125)
 
@@ -56,6 +57,8 @@ class Diagnosis:
         Causes in the model: size and sd, in their unit.
     search_z : float
         Score, over its standard deviation, from which a cause is searched for.
+    hiding : mapping of str to ndarray, (1 + k, 1 + k)
+        Information of a cause together with its nuisances, which can hide it.
     """
 
     tested: tuple[str, ...]
@@ -66,18 +69,15 @@ class Diagnosis:
     searched: bool = False
     corrected: dict[str, tuple[float, float]] = field(default_factory=dict)
     search_z: float = np.inf
+    hiding: dict[str, Array] = field(default_factory=dict)
 
     @property
     def seen_from(self) -> dict[str, float]:
-        """Size of each scored cause that is found in four of five measurements like this one, in its unit.
-
-        Notes
-        -----
-        The minimal detectable bias of Baarda (1968), A testing procedure for use in geodetic networks.
-        """
-        seen = (self.search_z + _POWER_80) * self.scores.sd
+        """Size of each scored cause that is found in four of five measurements like this one, in its unit."""
         return {
-            name: float(size) for name, size in zip(self.tested, seen, strict=True) if CAUSES[name].scored
+            name: detectable_size(float(sd), self.search_z, self.hiding.get(name))
+            for name, sd in zip(self.tested, self.scores.sd, strict=True)
+            if CAUSES[name].scored
         }
 
     def evidence(self, refit: Refit) -> float:
@@ -159,7 +159,9 @@ def diagnose(
     present = {term.name for term in ligament.equations.terms}
     names = tuple(name for name in CAUSES if name not in present)
     terms = tuple(term_of(name, setting) for name in names)
-    tested = scores(ligament.lines, ligament.equations, ligament.joint, terms)
+    beside = {name: _moves_of(name, setting) for name in names if CAUSES[name].moves is not None}
+    moving = tuple(term for moved in beside.values() for term in moved)
+    tested = scores(ligament.lines, ligament.equations, ligament.joint, (*terms, *moving))
     scored = [place for place, name in enumerate(names) if CAUSES[name].scored]
     families = len({CAUSES[names[place]].family or names[place] for place in scored})
     p_values = tested.p_values[scored] * [places_of(names[place]) for place in scored]
@@ -181,7 +183,10 @@ def diagnose(
         likely = []
     elif not searched:
         likely = [place for place in likely if _far(names[place]) and tested.p_values[place] < _DOUBTFUL]
-    shortlist = likely[: int(calibrated("causes.shortlist"))]
+    most = int(calibrated("causes.shortlist"))
+    shortlist = likely[:most]
+    if searched:  # the score, a linear test, says nothing of a cause that is as large as the body itself
+        shortlist += [place for place in likely[most:] if _large(names[place])]
     laws_at = 0 if not CAUSES[names[ranked[0]]].refitted else 1
     under_laws: Sequence[Refit] = ()
     refits: list[Refit] = []
@@ -220,6 +225,7 @@ def diagnose(
         tested.sd[shown],
         tested.correlation[np.ix_(shown, shown)],
         tested.response[:, shown],
+        tested.information[np.ix_(shown, shown)],
     )
     diagnosis = Diagnosis(
         tuple(names[place] for place in shown),
@@ -229,10 +235,28 @@ def diagnose(
         sensitivities,
         searched,
         search_z=float(np.sqrt(least)),
+        hiding=_hiding(names, beside, tested.information),
     )
     best = [max(known, key=diagnosis.evidence)] if known else []
     others = [refit for refit in refits if all(refit.name != other.name for other in known)]
     return with_refits(diagnosis, [*best, *others, *under_laws])
+
+
+def _moves_of(name: str, setting: Setting) -> tuple[Term, ...]:
+    """Return the terms of the nuisances of a cause."""
+    moves = CAUSES[name].moves
+    return () if moves is None else tuple(Term(name, apply, 1.0) for apply in moves(setting))
+
+
+def _hiding(
+    names: tuple[str, ...], beside: Mapping[str, tuple[Term, ...]], information: Array
+) -> dict[str, Array]:
+    """Return the information of each cause together with its nuisances, which stand after all causes."""
+    found, start = {}, len(names)
+    for name, moved in beside.items():
+        places = [names.index(name), *range(start, start + len(moved))]
+        found[name], start = information[np.ix_(places, places)], start + len(moved)
+    return found
 
 
 def _at_best_place(refit: Refit, setting: Setting, fit: Callable[..., Refit | None]) -> Refit:
@@ -269,7 +293,12 @@ def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
 
 def _far(name: str) -> bool:
     """Return whether a cause may be too large for its score, a linear test."""
-    return len(CAUSES[name].starts) > 1 or np.isfinite(CAUSES[name].usual)
+    return _large(name) or bool(np.isfinite(CAUSES[name].usual))
+
+
+def _large(name: str) -> bool:
+    """Return whether a cause may be as large as the body itself."""
+    return len(CAUSES[name].starts) > 1
 
 
 def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:

@@ -41,7 +41,7 @@ def cause_error(ligament: LigamentFit, change: Array, sd_share: float, factor: A
     ndarray
         About the footplate centre and, in the second half, about the plane of the ligament; SI.
     """
-    effect = np.concatenate([ligament.to_centre @ change, ligament.to_plane @ change])
+    effect = np.concatenate([ligament.change_about_centre(change), ligament.to_plane @ change])
     columns = [effect, sd_share * effect]
     if factor is not None:
         columns.append(float(np.std(factor)) * (_entries(ligament) + effect))

@@ -103,34 +103,36 @@ def refit_with(
     """Fit with one cause from the estimate of its score and from its other starts; the best one, or None.
 
     Only a chi2 below ``within`` is of use. Where another cause explains the data already, only what settles
-    there at once can look like it.
+    there at once can look like it, or what is as large as the body itself.
     """
     from scipy.special import chdtrc
 
     best = None
-    starts = (float(start_scores.estimate[place]), *CAUSES[name].starts)
-    for begin in starts[: 1 if explained else None]:
+    near, far = float(start_scores.estimate[place]), CAUSES[name].starts[1:]
+    for begin in (near, *([] if explained else [0.0]), *far):
         if begin == 0.0 and best is not None and best[2].chi2 < ligament.joint.chi2:
             continue
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
+        rounds = FEW_ROUNDS if best is not None or begin in far else MOST_ROUNDS
+        looks = explained and begin not in far
         fitted = extended_fit(
             ligament.lines,
             ligament.equations,
             start,
             (term,),
             np.array([begin]),
-            _FEW if explained else _MOST,
-            0
-            if explained
-            else FEW_ROUNDS
-            if best is not None or begin in CAUSES[name].starts[1:]
-            else MOST_ROUNDS,
+            _FEW if looks else _MOST,
+            0 if looks else rounds,
             within,
         )
         if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
             best = fitted
-        if best is not None and chdtrc(best[2].n_dof, best[2].chi2) > calibrated("causes.misfit_p"):
+        if (
+            not far
+            and best is not None
+            and chdtrc(best[2].n_dof, best[2].chi2) > calibrated("causes.misfit_p")
+        ):
             break
     if best is None:
         return None

@@ -34,6 +34,8 @@ class Scores:
         Of the scores: near one where two causes look alike.
     response : ndarray, (p, t)
         How the other parameters answer to an unknown that is there and left out.
+    information : ndarray, (t, t)
+        Of the unknowns, with the other parameters free: what a chi2 that lacks them rises by.
     """
 
     z: Array
@@ -41,6 +43,7 @@ class Scores:
     sd: Array
     correlation: Array
     response: Array
+    information: Array
 
     @property
     def p_values(self) -> Array:
@@ -69,6 +72,14 @@ def scores(lines: JointLines, equations: Equations, fit: JointFit, terms: tuple[
     score = combine @ at.gradient
     variance = max(1.0, fit.level) * combine @ spread @ combine.T
     deviation = np.sqrt(np.maximum(np.diag(variance), 1e-300))
-    information = np.maximum(np.diag(known)[new] - np.sum(across * known[np.ix_(new, old)], axis=1), 1e-300)
+    information = known[np.ix_(new, new)] - across @ known[np.ix_(old, new)]
+    known_of_each = np.maximum(np.diag(information), 1e-300)
     correlation = variance / np.outer(deviation, deviation)
-    return Scores(score / deviation, -score / information, deviation / information, correlation, across.T)
+    return Scores(
+        score / deviation,
+        -score / known_of_each,
+        deviation / known_of_each,
+        correlation,
+        across.T,
+        0.5 * (information + information.T),
+    )

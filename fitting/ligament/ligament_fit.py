@@ -21,6 +21,7 @@ from fitting.ligament.inplane_stiffness import (
 from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.joint_lines import JointLines
+from fitting.ligament.plane_transfer import curvature_of_transfer, slopes_of_transfer
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.principal_axes import PRINCIPAL_DOF
@@ -29,6 +30,7 @@ from fitting.uncertainty.covariance import NOISE, SharedEffect
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 INPLANE_STIFFNESS = "inplane_stiffness"
+PLANE = "ligament_plane"
 _N = len(PRINCIPAL_DOF)
 
 
@@ -112,6 +114,17 @@ class LigamentFit:
         """Return the fit with columns E (12, k) of K' and D': a wrong model puts them off by E E^T; SI."""
         return replace(self, plane_covariance=self.plane_covariance + off @ off.T)
 
+    def change_about_centre(self, change: Array) -> Array:
+        """Return the change (12,) of K and D about the footplate centre, SI, for one (p,) of the unknowns.
+
+        Notes
+        -----
+        That of Y K_cc Y^T is taken whole, since a cause may move the height by as much as it is.
+        """
+        moved = change[self.equations.coupling].reshape(_N, _N) * coupling_units(self.lines)
+        square = join(*(moved @ part @ moved.T for part in (self.inplane.stiffness, self.inplane.damping)))
+        return np.asarray(self.to_centre @ change + square)
+
     @property
     def p_value(self) -> float:
         """Probability of such a chi2, or a larger one, when model, noise and shared errors are as stated."""
@@ -187,7 +200,10 @@ def ligament_in_si(
     inplane = inplane_stiffness(
         problem.with_law(law), applied, corrected, coupling / unit, spread_root, plane
     )
-    slope, by_inplane = _slopes(coupling, inplane)
+    total = noise + response @ shared @ response.T
+    place = equations.coupling
+    coupling_covariance = total[place, place] * np.outer(unit.ravel(), unit.ravel())
+    slope, by_inplane = slopes_of_transfer(coupling, coupling_covariance, inplane)
     to_centre = to_plane.copy()
     to_centre[:, equations.coupling] += slope * unit.ravel()
     sources = {NOISE: to_centre @ noise @ to_centre.T}
@@ -196,14 +212,13 @@ def ligament_in_si(
         places = [place for place, name in enumerate(lines.sources) if name == source]
         half = moved[:, places] @ shared[places] @ moved.T
         sources[source] = 0.5 * (half + half.T)
-    if np.any(coupling):
-        sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
+    sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
+    sources[PLANE] = curvature_of_transfer(coupling_covariance, inplane)
     effects = [SharedEffect("shared", lines.sources, shared, moved, applied.mass_slopes[:, ROWS][:, :, ROWS])]
     still = np.zeros((2 * len(pairs(_N)), _N, _N))
     effects.append(SharedEffect(INPLANE_STIFFNESS, (), inplane.covariance, by_inplane, still))
-    total = noise + response @ shared @ response.T
+    effects.append(SharedEffect(PLANE, (), sources[PLANE], np.eye(len(still)), still))
     added = [coupling @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
-    place = equations.coupling
     open_in_law = np.diag(total)[entries : place.start]
     return LigamentFit(
         law,
@@ -214,7 +229,7 @@ def ligament_in_si(
         plane[1],
         to_plane @ total @ to_plane.T,
         coupling,
-        total[place, place] * np.outer(unit.ravel(), unit.ravel()),
+        coupling_covariance,
         inplane,
         sources,
         tuple(effects) if lines.errors else tuple(effects[1:]),
@@ -247,23 +262,6 @@ def _to_plane(
         damping = parameters[half:entries] * units[half:]
         slope[half:, entries] = -np.log(problem.scale.omega) * damping
     return slope
-
-
-def _slopes(coupling: Array, inplane: InplaneStiffness) -> tuple[Array, Array]:
-    """Return derivatives of Y K_cc Y^T and Y D_cc Y^T by Y (12, 9), and by K_cc and D_cc (12, 12)."""
-    by_coupling = np.zeros((2 * len(pairs(_N)), _N * _N))
-    for place, (row, column) in enumerate(np.ndindex(_N, _N)):
-        unit = np.zeros((_N, _N))
-        unit[row, column] = 1.0
-        parts = [unit @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
-        by_coupling[:, place] = join(*(part + part.T for part in parts))
-    half = len(pairs(_N))
-    by_inplane = np.zeros((2 * half, 2 * half))
-    for place in range(2 * half):
-        entry = np.zeros(2 * half)
-        entry[place] = 1.0
-        by_inplane[:, place] = join(*(coupling @ part @ coupling.T for part in split(entry, _N)))
-    return by_coupling, by_inplane
 
 
 def coupling_units(lines: JointLines) -> Array:

@@ -11,6 +11,7 @@ from fitting.model.inertia import check_mass
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
+from stapeskit.spatial import DOF_NAMES, check_inertia
 
 
 def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, MassRecord | None]:
@@ -19,14 +20,14 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
     Parameters
     ----------
     path : Path
-        ``*.json``: a mass.json. Anything else: square, no header, SI, in the order of ``dof``; comma
-        separated, or with semicolons or tabs, where a comma is a decimal comma.
+        ``*.json``: a mass.json. Anything else: square, no header, SI, in the order of ``dof``, or of all six
+        degrees of freedom; comma separated, or with semicolons or tabs, where a comma is a decimal comma.
     dof : tuple of str
         Chosen degrees of freedom.
 
     Returns
     -------
-    mass : MassMatrix or ndarray, (n, n)
+    mass : MassMatrix or ndarray, (n, n) or (6, 6)
     record : MassRecord or None
         The whole mass.json.
 
@@ -36,6 +37,8 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
         The CSV is missing, is not square, holds text, has another size than ``dof``, or is no mass matrix.
     KinematicsError
         The mass.json is at fault.
+    StapeskitError
+        A matrix of six degrees of freedom is that of no rigid body, where fewer are fitted.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
@@ -43,6 +46,8 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
         return record.mass_matrix, record
     matrix = _read_csv(path, dof)
     check_mass(matrix, path.name)
+    if len(matrix) != len(dof):
+        check_inertia(matrix)
     return matrix, None
 
 
@@ -74,11 +79,11 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
             faults += wrong
     raise_all(FittingError, faults)
     n = len(dof)
-    if len(values) != n or any(len(row) != n for row in values):
+    if len(values) not in (n, len(DOF_NAMES)) or any(len(row) != len(values) for row in values):
         widths = sorted({len(row) for row in values}) or [0]
         raise FittingError.of(
             "M.csv",
-            f"{n} x {n} for {{dof}} {','.join(dof)}",
+            f"{n} x {n} for {{dof}} {','.join(dof)}, or 6 x 6",
             f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
             path.name,
             "Give M in the order of {dof}, or change {dof}",

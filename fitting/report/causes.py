@@ -51,7 +51,7 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
                     "p_value": float(p),
                     "estimate": float(size),
                     "sd": float(sd),
-                    "seen_from": diagnosis.seen_from.get(name),
+                    "seen_from": _finite(diagnosis.seen_from.get(name)),
                     "unit": unit_of(name),
                 }
                 for name, z, p, size, sd in scored
@@ -114,16 +114,21 @@ def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
     """Return causes that may go unseen, the worst first, with size and changes over sqrt(Xii Xjj).
 
     The size is the one from which a cause is found in four of five measurements, or twice its usual one where
-    that is smaller.
+    that is smaller or no data show it.
     """
     found = []
-    for name, seen in diagnosis.seen_from.items():
+    for name in diagnosis.sensitivities:
         if not CAUSES[name].refitted or CAUSES[name].family:
             continue
+        seen = diagnosis.seen_from.get(name, np.inf)
         size = min(seen, 2.0 * CAUSES[name].usual, CAUSES[name].only or np.inf)
         change = diagnosis.sensitivities[name] * size / CAUSES[name].example
         found.append((name, size, relative_effect(change, fit.stiffness, fit.damping)))
     return sorted(found, key=lambda row: -float(np.nanmax(np.abs(row[2]))))
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
 
 
 def _by_entry(fit: KDFit, change: Array) -> dict[str, float | None]:
@@ -223,7 +228,7 @@ def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     for name, title, size, unit, change in sensitivities(fit, diagnosis):
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
         seen = diagnosis.seen_from.get(name)
-        least = "never" if seen is None else f"{seen:.2g} {unit}"
+        least = "never" if _finite(seen) is None else f"{seen:.2g} {unit}"
         rows.append((f"{title}: {size:g} {unit}", least, *map(_percent, relative)))
     return page.table(("error", "seen from", *fit.parameters), rows)
 

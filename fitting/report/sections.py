@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from fitting.budget import MODEL_ERROR
-from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.causality import causal_rise
 from fitting.model.parameter_vector import join
+from fitting.report.at_a_glance import summary_rows
 from fitting.report.causes import causes_section
 from fitting.report.figures import (
     correlation_figure,
@@ -32,7 +32,7 @@ from stapeskit.option_values import WithSd
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
-from stapeskit.page.quantities import MASS, ROTATION_STIFFNESS, STIFFNESS, diagonal_unit, matrix_units
+from stapeskit.page.quantities import ROTATION_STIFFNESS, STIFFNESS, matrix_units
 from stapeskit.records.mass_record import mass_source_words
 
 # Runs drawn, and points up to which a figure is SVG: beyond it would be larger than its picture.
@@ -47,6 +47,7 @@ SOURCE_WORDS = {
     "position": "point positions",
     "correction": "corrected faults of points and lasers",
     "inplane_stiffness": "stiffness in the plane of the ligament",
+    "ligament_plane": "height and tilt of the ligament's plane (second order)",
     "damping_exponent": "exponent of the damping law",
     MODEL_ERROR: "what the model lacks",
 }
@@ -97,62 +98,6 @@ def kd_page(
     report.sections.extend(kd_sections(fit, outline_mm, gap_mm))
     report.section("Inputs", page.inputs_table(dict(provenance)))
     return report
-
-
-def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
-    """Return the table that a command prints."""
-    stiffness_sd, damping_sd = fit.standard_deviation
-    rows = []
-    for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
-        for place, name in enumerate(fit.dof):
-            unit = diagonal_unit(letter, name, fit.law.time_power)
-            rows.append((f"{letter}({name})", unit.with_sd(values[place, place], sds[place, place])))
-    deviations = (fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd)
-    for number, (mode, sd, ratio) in enumerate(zip(fit.modes.pairs, *deviations, strict=True), 1):
-        damping = plus_minus(mode.damping_ratio, ratio)
-        rows.append((f"mode {number}", f"{plus_minus(mode.frequency_hz, sd)} Hz, damping ratio {damping}"))
-    if not fit.modes.pairs:
-        rows.append(("modes", "none oscillates"))
-    axes = principal_axes_json(fit)
-    if axes is not None:
-        rows.append(
-            (
-                "principal axes",
-                f"origin x {axes['origin_x_mm']:.3f} ± {_sd(axes['origin_x_sd_mm'])}, "
-                f"z {axes['origin_z_mm']:.3f} ± {_sd(axes['origin_z_sd_mm'])} mm, "
-                f"turned {axes['angle_deg']:.2f} ± {_sd(axes['angle_sd_deg'])} degrees about y",
-            )
-        )
-    rows.append(("stable, passive", f"{_yes(fit.modes.stable)}, {_yes(all(fit.passive))}"))
-    ratio = f"{fit.chi2 / fit.n_dof:.3f}" if fit.n_dof > 0 else "none left"
-    rows.append(("chi2 per degree of freedom", f"{ratio} ({fit.n_dof})"))
-    rows.append(("in-plane motion", f"{'load' if fit.inplane.used else 'not used'}: {fit.inplane.reason}"))
-    if fit.ligament is not None:
-        height, height_sd = (1e3 * value for value in fit.ligament.height)
-        rows.append(
-            ("plane of the ligament", f"{plus_minus(height, height_sd)} mm above the footplate centre")
-        )
-    if fit.fluid is not None:
-        mass, sd = fit.fluid.mass_kg, fit.fluid.mass_sd_kg
-        used = "none" if mass is None or sd is None else MASS.with_sd(mass, sd)
-        rows.append(("mass of fluid", f"{used}: {fit.fluid.reason}"))
-    if fit.diagnosis is not None:
-        named = fit.diagnosis.named
-        outcome = "no cause is called for" if named is None else f"the data speak for {title_of(named.name)}"
-        if named is None and fit.diagnosis.searched:
-            outcome = "NO, and no cause of the catalogue explains it"
-        rows.append(("is the model right?", outcome))
-    worst = fit.identifiability
-    rows.append(("worst combination", f"{worst.describe(0)}: relative sd {worst.percent(0)}"))
-    return rows
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "NO"
-
-
-def _sd(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.2g}"
 
 
 def _responses(fit: KDFit) -> Section:

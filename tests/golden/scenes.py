@@ -320,7 +320,7 @@ def _kd() -> list[Scene]:
            spoiled("in/motions/mass.json", "mass.json", '"axes": "footplate"', '"axes": "plate"')),
         kd("refuses_no_mass", "in/motions/dof.csv"),
         kd("refuses_other_body", f"{chain} --structure incus"),
-        kd("refuses_wrong_size", "in/motions/paper.csv --mass in/motions/M6.csv"),
+        kd("refuses_wrong_size", "in/motions/paper.csv --mass in/motions/M.csv --dof y,alpha"),
         kd("refuses_empty_band", f"{chain} --band 6000,7000"),
         kd("refuses_plan_key", "--plan plan.toml", write({"plan.toml": plan + "lnes = 3\n"})),
         Scene("kd_page_of_the_paper", "kd", ("page:paper_page out/paper.html",)),

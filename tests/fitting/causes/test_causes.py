@@ -10,9 +10,10 @@ import pytest
 
 from benchmarks.ring_ears import BRANCHES, ERRORS, PISTON, EarSettings, ear
 from fitting.budget import MODEL_ERROR
-from fitting.causes.catalogue import CAUSES, HEAD_PLACE, places_of, term_of
+from fitting.causes.catalogue import CAUSES, places_of, term_of
 from fitting.causes.chi2_differences import difference_sd
 from fitting.causes.diagnosis import setting_of, with_refits
+from fitting.causes.mass_errors import HEAD_PLACE
 from fitting.causes.refits import Refit
 from fitting.errors import FittingError
 from fitting.fit_kd import fit_kd

@@ -137,6 +137,75 @@ def test_the_deck_alone_gives_back_modes_and_damping(fit) -> None:
     assert np.abs((found["DASHPOT"][piston] - fit.damping) / size).max() < 1e-8
 
 
+# Parameters of each keyword used here. CalculiX reads lines of 132 characters in at most 16 fields, and of a
+# real number the first 20 characters; a dashpot's first line is its constant, without an empty one
+# (dashpots.f).
+CALCULIX = {
+    "NODE": {"NSET"},
+    "ELEMENT": {"TYPE", "ELSET"},
+    "SPRING": {"ELSET"},
+    "DASHPOT": {"ELSET"},
+    "MASS": {"ELSET"},
+    "NSET": {"NSET"},
+    "RIGID BODY": {"NSET", "REF NODE", "ROT NODE"},
+    "BOUNDARY": set(),
+    "STEP": set(),
+    "FREQUENCY": set(),
+    "NODE FILE": set(),
+    "END STEP": set(),
+}
+NODES_OF = {"SPRINGA": 2, "DASHPOTA": 2, "SPRING1": 1, "MASS": 1}
+IN_STEP = ("FREQUENCY", "NODE FILE", "END STEP")
+
+
+def test_the_deck_follows_the_grammar_of_calculix(fit) -> None:
+    deck = exported(fit, "inp").decode()
+    assert max(map(len, deck.splitlines())) <= 132
+    nodes: set[int] = set()
+    elements: set[int] = set()
+    sets: dict[str, str] = {}
+    groups: set[str] = set()
+    in_step = False
+    for keyword, lines in deck_blocks(deck):
+        name, _, rest = keyword[1:].partition(",")
+        options = dict(part.strip().split("=") for part in rest.split(",") if part.strip())
+        assert set(options) <= CALCULIX[name]
+        assert all(value[0].isalnum() and len(value) <= 80 for value in options.values())
+        fields = [[field.strip() for field in line.rstrip(",").split(",")] for line in lines]
+        assert all(len(line) <= 16 and max(map(len, line)) <= 20 for line in fields)
+        in_step |= name == "STEP"
+        assert (name in IN_STEP) == (in_step and name != "STEP")
+        if name == "NODE":
+            numbers = [int(line[0]) for line in fields]
+            assert not nodes & set(numbers)
+            assert all(len(line) == 4 for line in fields)
+            nodes |= set(numbers)
+            groups.add(options["NSET"])
+        elif name == "ELEMENT":
+            kind = options["TYPE"]
+            assert all(len(line) == 1 + NODES_OF[kind] for line in fields)
+            assert {int(node) for line in fields for node in line[1:]} <= nodes
+            numbers = [int(line[0]) for line in fields]
+            assert not elements & set(numbers)
+            elements |= set(numbers)
+            sets[options["ELSET"]] = kind
+        elif name == "NSET":
+            assert {int(line[0]) for line in fields} <= nodes
+            groups.add(options["NSET"])
+        elif name in ("SPRING", "DASHPOT", "MASS"):
+            kind = sets[options["ELSET"]]
+            assert kind.startswith(name)
+            # the first line of a spring is its direction, none for SPRINGA; a dashpot has its constant alone
+            first = [line[0] for line in fields[:-1]]
+            assert first in {"SPRINGA": [[""]], "SPRING1": [["1"], ["2"], ["3"]]}.get(kind, [[]])
+            assert float(fields[-1][0]) > 0.0
+        elif name == "BOUNDARY":
+            assert all(line[0] in groups and 1 <= int(line[1]) <= int(line[2]) <= 6 for line in fields)
+        elif name == "RIGID BODY":
+            assert options["NSET"] in groups
+            assert {int(options["REF NODE"]), int(options["ROT NODE"])} <= nodes
+
+
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 def test_calculix_finds_the_three_modes_of_k_and_m(fit, tmp_path) -> None:
     (tmp_path / "kd.inp").write_bytes(exported(fit, "inp"))

@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.ring_ears import EarSettings, ear
 from fitting.fit_kd import fit_kd
-from fitting.ligament.ligament_fit import LigamentFit, _slopes
+from fitting.ligament.ligament_fit import LigamentFit, coupling_units
+from fitting.ligament.plane_transfer import slopes_of_transfer
 from fitting.model.parameter_vector import join
 from fitting.options import KDOptions
 
@@ -56,7 +57,7 @@ def test_slopes_are_derivatives_of_what_the_plane_adds(ligament: LigamentFit) ->
     def added(y: np.ndarray) -> np.ndarray:
         return join(*(y @ part @ y.T for part in (inplane.stiffness, inplane.damping)))
 
-    by_coupling, by_inplane = _slopes(coupling, inplane)
+    by_coupling, by_inplane = slopes_of_transfer(coupling, np.zeros((9, 9)), inplane)
     step = 1e-3 * coupling
     change = (added(coupling + step) - added(coupling - step)) / 2.0
     assert by_coupling @ step.ravel() == pytest.approx(change, rel=1e-9)
@@ -69,3 +70,19 @@ def test_covariances_are_positive_and_chi2_has_a_probability(ligament: LigamentF
     assert 0.0 < ligament.p_value < 1.0
     assert ligament.fluid is None
     assert not ligament.terms
+
+
+def test_a_change_about_the_centre_holds_for_heights_that_change_by_as_much_as_they_are(
+    ligament: LigamentFit,
+) -> None:
+    equations, inplane = ligament.equations, ligament.inplane
+    change = np.zeros(equations.unknowns)
+    change[:12] = 0.1 * np.arange(12)
+    change[equations.coupling] = np.linspace(-1.0, 1.0, 9)
+    there = ligament.coupling + change[equations.coupling].reshape(3, 3) * coupling_units(ligament.lines)
+    wanted = [
+        there @ part @ there.T - ligament.coupling @ part @ ligament.coupling.T
+        for part in (inplane.stiffness, inplane.damping)
+    ]
+    found = ligament.change_about_centre(change) - ligament.to_plane @ change
+    assert found == pytest.approx(join(*wanted), rel=1e-9)
