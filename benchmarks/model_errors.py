@@ -9,7 +9,7 @@ intervals: every cell draws EARS ears (benchmarks/ring_ears.py) with all shared 
 fluid, and prints how many entries lie outside their 95 % interval, K33's median bias, false alarms and the
 time of a fit. causes: one error of known size an ear, 1 % noise: how often there is a warning, how often it
 is named first or among the look-alikes, in how many ears it could be (where the mass matrix is wrong: chi2
-falls by more than the least that names a cause when it is right), and the errors of K and D in their own sd
+falls by more than ln(number of data) when it is right), and the errors of K and D in their own sd
 before and after it is corrected; before it also without the part of what the model lacks. laws: how often
 ``compare`` names the law at 3 % noise, in a wide and a narrow band, calls it undetermined or names a wrong
 one, coverage, and below which noise the right law can be told from the nearest other one in 95 %. branches:

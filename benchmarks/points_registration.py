@@ -195,7 +195,7 @@ def moved_rows(clouds: int, seed: int) -> list[str]:
     """Return the table of a bone that shifted between scan and measurement."""
     import tempfile
 
-    from tests.kinematics.registration import test_moved as scenes
+    from tests.kinematics.registration import test_sample_displacement as scenes
 
     rows = [
         "| 9 points on bone, shifted along its normal by | told (sd stated) | shift found, um "

@@ -30,7 +30,7 @@ def block(rows):
 
 def test_every_formula_has_a_check():
     text = PAGE.read_text(encoding="utf-8")
-    assert [int(number) for number in re.findall(r"^\*\*(\d+)\.", text, re.MULTILINE)] == list(range(1, 13))
+    assert [int(number) for number in re.findall(r"^\*\*(\d+)\.", text, re.MULTILINE)] == list(range(1, 14))
 
 
 def test_1_a_beam_is_one_row():
@@ -196,6 +196,29 @@ def test_12_a_strip_around_a_rim_is_an_annulus_up_to_second_order():
         return sp.integrate(h, (angle, 0, 2 * sp.pi))
 
     assert sp.simplify(length(support + width / 2) - length(support) - sp.pi * width) == 0
+
+
+def test_13_a_bent_grey_scale_and_a_soft_coat_skew_an_edge_to_opposite_sides():
+    u, coat, bend = sp.Symbol("u", real=True), sp.Symbol("t", positive=True), sp.Symbol("a", real=True)
+    bell, edge = sp.exp(-(u**2) / 2) / sp.sqrt(2 * sp.pi), (1 + sp.erf(u / sp.sqrt(2))) / 2
+    assert sp.simplify(sp.diff(edge, u) - bell) == 0
+    slope = sp.simplify(sp.diff(edge * (1 - edge), u))  # by parts: moments of edge * (1 - edge)
+    area, second = (
+        sp.integrate(sp.expand(-(u**power) * slope / power), (u, -sp.oo, sp.oo)) for power in (1, 3)
+    )
+    assert sp.simplify(area - 1 / sp.sqrt(sp.pi)) == 0
+    assert sp.simplify(second / area) == sp.Rational(5, 6)
+    skew = sp.Symbol("c", real=True)  # of c (u^2 - 1) bell, whose area is 0 and whose second moment is 2 c
+    assert sp.integrate((u**2 - 1) * bell, (u, -sp.oo, sp.oo)) == 0
+    assert sp.integrate(u**2 * (u**2 - 1) * bell, (u, -sp.oo, sp.oo)) == 2
+    (left,) = sp.solve(4 * bend * second - 4 * bend * area - 2 * skew, skew)
+    assert sp.simplify(left + bend / (3 * sp.sqrt(sp.pi))) == 0
+    shifted = edge.subs(u, u + coat)
+    page = coat - coat**2 * u / 2 + coat**3 * (u**2 - 1) / 6
+    for power in range(1, 4):
+        term = sp.diff(shifted, coat, power).subs(coat, 0) / sp.factorial(power)
+        assert sp.simplify(term - page.coeff(coat, power) * bell if power > 1 else term - bell) == 0
+    assert [round(0.15 * (35 / blur) ** 3 / 6, 3) for blur in (35, 55)] == [0.025, 0.006]
 
 
 def test_the_mass_matrix_of_the_library_is_that_of_the_page():

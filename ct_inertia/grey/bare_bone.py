@@ -211,7 +211,8 @@ def bare_bone(
         cut = replace(cut, grey=soft.grey)
     bend: Field | None = None
     if skewness < 0.0 or (skewness > 0.0 and stated is None and suspected is None):
-        bend = bend_of_scale((cut.grey - np.float32(air.level)) / np.float32(contrast), skewness)
+        share = (cut.grey - np.float32(air.level)) / np.float32(contrast)
+        bend = bend_of_scale(share, skewness, air.noise / contrast)
     return BareBone(
         cut, blur, reach, distance, away, face, displaced, stated, suspected, bend, voids, soft, unfitted
     )

@@ -20,7 +20,7 @@ _SIGNIFICANT = 4.0
 _TRIALS = np.arange(0.05, 1.51, 0.05)
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
 _USUAL_SKEWNESS, _SKEWNESS_SD = calibrated("edges.skewness")
-# The same of a skewness, which leads to a warning only: exceeded with a probability of 3e-3.
+# The same of a skewness, which changes no value but the budget and a warning: a probability of 3e-3.
 _SIGNIFICANT_SKEWNESS = 3.0
 
 
@@ -84,9 +84,9 @@ def skewness(
 
     Notes
     -----
-    A third cumulant k of the point spread adds k He2(u) phi(u) / 6 (Edgeworth). A coat of thickness t widths
-    and grey value b adds b t^3 / 6. A scale that is not linear adds, to second order, a multiple of
-    Phi (1 - Phi). Curved faces add little, which is known on average.
+    A third cumulant k of the point spread along the inward normal adds -k He2(u) phi(u) / 6 (Edgeworth). A
+    coat of thickness t widths and grey value b has k = -b t^3. A scale that is not linear adds, to second
+    order, a multiple of Phi (1 - Phi). Curved faces add little, which is known on average.
     """
     for seen in (edges, independent):
         found = seen()

@@ -195,7 +195,7 @@ def _integrated(
 
 
 def _by_tails(parted: NeighbourSeparation, cut: Cut, volume: Volume, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of what blur carries between close bodies, known to a part of itself.
+    """Return the covariance (10, 10) of what blur carries between close bodies: a relative deviation.
 
     The eighths of the border have independent errors.
     """

@@ -42,7 +42,7 @@ def face_covariance(
         Bone minus air.
     moments : Moments
     displaced : ndarray of float32, [z, y, x], optional
-        As from ``displaced_share``: known to a part of itself, as voxels are shared by bone and plastic.
+        As from ``displaced_share``: known with a relative deviation: voxels are shared by bone and plastic.
     """
     face = fit.face
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)

@@ -156,7 +156,8 @@ def with_suspected_coat(
     share = float(step[0]) / moments.volume_mm3
     text = (
         f"Edges of the bone fade out more slowly than blur explains: a thin soft coat (mucosa), bone that is "
-        f"less dense at its surface, or grey values that are not linear. A usual coat "
+        f"less dense at its surface, or grey values that are not linear (volume and mass are "
+        f"then too small). A usual coat "
         f"({1e3 * USUAL_MM:.0f} um, {100.0 * USUAL_GREY:.0f} % of the contrast) would add "
         f"{100.0 * share:.1f} % to volume and mass; nothing was subtracted, and the budget holds that much "
         f"(coat). State it with {named('coat')} THICKNESS+-SD (um), or clean the bone."

@@ -212,7 +212,7 @@ def soft_tissue_covariance(
     """Return the covariance (10, 10) of the subtracted material, which has a relative standard deviation.
 
     ``own`` [z, y, x] are the voxels of the stapes. The eighths around the stapes have independent errors, and
-    half of it is common to all. The level of something faint is known to a larger part of itself.
+    half of it is common to all. The level of something faint has a larger relative deviation.
     """
     sd = float(np.hypot(_SD, _LEVEL_SD / max(soft.level, _LEVEL_SD)))
     where = own & (np.abs(soft.taken) > 1e-4)

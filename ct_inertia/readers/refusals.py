@@ -18,8 +18,8 @@ def unreadable(path: Path, fault: Exception) -> CtInertiaError:
 
 def no_data_file(path: Path, data: Path) -> CtInertiaError:
     """Make the error for a header whose data file is not there."""
-    wanted, step = "in the folder of its data file", "Copy both files together"
-    return CtInertiaError.of("the header", wanted, f"no {data.name}", path.name, step)
+    wanted, step = "in the folder of the header", "Copy both files together"
+    return CtInertiaError.of("the data file", wanted, f"no {data.name}", path.name, step)
 
 
 def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:

@@ -102,8 +102,8 @@ def refit_with(
 ) -> Refit | None:
     """Fit with one cause from the estimate of its score and from its other starts; the best one, or None.
 
-    Only a chi2 below ``within`` is of use. Where another cause explains the data already, only what settles
-    there at once can look like it, or what is as large as the body itself.
+    Only a chi2 below ``within`` is of use. Where another cause explains the data already, few steps suffice
+    for causes that are small; one as large as the body itself is followed to its end.
     """
     from scipy.special import chdtrc
 
@@ -115,15 +115,15 @@ def refit_with(
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
         rounds = FEW_ROUNDS if best is not None or begin in far else MOST_ROUNDS
-        looks = explained and begin not in far
+        brief = explained and begin not in far
         fitted = extended_fit(
             ligament.lines,
             ligament.equations,
             start,
             (term,),
             np.array([begin]),
-            _FEW if looks else _MOST,
-            0 if looks else rounds,
+            _FEW if brief else _MOST,
+            0 if brief else rounds,
             within,
         )
         if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):

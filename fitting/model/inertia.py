@@ -9,8 +9,15 @@ import numpy as np
 
 from fitting.errors import FittingError
 from stapeskit.arrays import Array
+from stapeskit.faults import raise_all
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative
-from stapeskit.spatial import dof_indices, matrix_from_parameters, parameter_basis, parameters_from_matrix
+from stapeskit.spatial import (
+    dof_indices,
+    inertia_faults,
+    matrix_from_parameters,
+    parameter_basis,
+    parameters_from_matrix,
+)
 
 # No body that is measured here has a mass or moment of inertia beyond these.
 SMALLEST, LARGEST = 1e-30, 1e6
@@ -80,7 +87,8 @@ def inertia_of(mass: MassMatrix | Array, dof: tuple[str, ...]) -> Inertia:
     Raises
     ------
     FittingError
-        Its shape does not fit, it is about another point or in other axes, or not positive definite.
+        Its shape does not fit, it is about another point or in other axes, not positive definite, or, of six
+        degrees of freedom where fewer are fitted, that of no rigid body.
     """
     if isinstance(mass, MassMatrix):
         if (mass.about, mass.axes) != ("footplate_centre", "footplate"):
@@ -97,11 +105,13 @@ def inertia_of(mass: MassMatrix | Array, dof: tuple[str, ...]) -> Inertia:
         shape = " x ".join(str(size) for size in matrix.shape) or "a single number"
         raise FittingError.of(
             "the mass matrix",
-            f"{n} x {n} for {{dof}} {','.join(dof)}",
+            f"{n} x {n} for {{dof}} {','.join(dof)}, or 6 x 6",
             shape,
             next_step="Give M in the order of {dof}, or change {dof}",
         )
     check_mass(matrix)
+    if n != 6 and matrix.shape == (6, 6):
+        raise_all(FittingError, inertia_faults(matrix))
     return Inertia(matrix, matrix.shape == (6, 6))
 
 

@@ -11,7 +11,7 @@ from fitting.model.inertia import check_mass
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
-from stapeskit.spatial import DOF_NAMES, check_inertia
+from stapeskit.spatial import DOF_NAMES, inertia_faults
 
 
 def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, MassRecord | None]:
@@ -34,11 +34,10 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
     Raises
     ------
     FittingError
-        The CSV is missing, is not square, holds text, has another size than ``dof``, or is no mass matrix.
+        The CSV is missing, is not square, holds text, has another size than ``dof``, is no mass matrix, or,
+        of six degrees of freedom, that of no rigid body.
     KinematicsError
         The mass.json is at fault.
-    StapeskitError
-        A matrix of six degrees of freedom is that of no rigid body, where fewer are fitted.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
@@ -47,7 +46,7 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
     matrix = _read_csv(path, dof)
     check_mass(matrix, path.name)
     if len(matrix) != len(dof):
-        check_inertia(matrix)
+        raise_all(FittingError, inertia_faults(matrix, where=path.name))
     return matrix, None
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.report.kd_json import principal_axes_json
+from stapeskit.arrays import Array
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import MASS, diagonal_unit
 from stapeskit.warnings import VERDICTS, table
@@ -68,23 +71,29 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
 
 def _belief(fit: KDFit) -> str:
     """Return whether to believe K and D: by what their warnings lead to, and by what is undetermined."""
-    spread = fit.standard_deviation[0]
-    lost = [
-        f"K({name})"
-        for place, name in enumerate(fit.dof)
-        if spread[place, place] > abs(fit.stiffness[place, place])
-    ]
+    stiffness_sd, damping_sd = (np.diag(sd) for sd in fit.standard_deviation)
+    lost = _undetermined("K", fit.dof, np.diag(fit.stiffness), stiffness_sd)
+    weak = _undetermined("D", fit.dof, np.diag(fit.damping), damping_sd)
     if lost:
-        return f"{VERDICTS[-1]}: {', '.join(lost)} undetermined"
+        return f"{VERDICTS[-1]}: {', '.join([*lost, *weak])} undetermined"
     entries = table()
     codes = dict.fromkeys(notice.code for notice in fit.notices)
     for level in reversed(VERDICTS[1:]):
         found = [
             code for code in codes if (entries[code].verdict if code in entries else VERDICTS[1]) == level
         ]
+        if level == VERDICTS[1] and weak:
+            found.append(f"{', '.join(weak)} undetermined")
         if found:
             return f"{level}: {', '.join(found)}"
     return "yes: no warning speaks against them"
+
+
+def _undetermined(letter: str, dof: tuple[str, ...], values: Array, sds: Array) -> list[str]:
+    """Name the entries of a diagonal that are not above their standard deviation."""
+    return [
+        f"{letter}({name})" for name, value, sd in zip(dof, values, sds, strict=True) if not sd <= abs(value)
+    ]
 
 
 def _determined(value: float, sd: float | None, text: str) -> str:

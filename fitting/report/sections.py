@@ -49,7 +49,7 @@ SOURCE_WORDS = {
     "inplane_stiffness": "stiffness in the plane of the ligament",
     "ligament_plane": "height and tilt of the ligament's plane (second order)",
     "damping_exponent": "exponent of the damping law",
-    MODEL_ERROR: "what the model lacks",
+    MODEL_ERROR: "what the model lacks, and weak data (chi2 is no parabola, or has several minima)",
 }
 
 

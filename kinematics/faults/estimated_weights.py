@@ -24,9 +24,9 @@ _ROUNDS, _SETTLED = 6, 0.01
 _QUIETEST, _RIDGE = 0.05, 1e-3
 # Standard deviations of chi2 from which on scatter is sure.
 _SURE = 2.0
-# A part with less than this of the noise of the loudest has no channel to spare: rounding is left there.
+# Computation: noise of a part over that of the loudest, below which only rounding is left.
 _ROUNDING = 1e-6
-# Parts of the lines, and lines with gaps from which on their noise is compared.
+# Number of parts of the lines; fewest lines with gaps of which the noise of parts is compared.
 _PARTS, _LEAST_GROUPS = 12, 24
 
 

@@ -310,7 +310,9 @@ def primary_family(table: LogTable, planned: Sequence[tuple[str, str]]) -> set[t
         except KeyError as name:
             if tuple(planned) != PRIMARY:
                 known = f"responses {', '.join(table.responses)}, predictors {', '.join(table.predictors)}"
-                faults.append(Fault("{laws}", f"RESPONSE~PREDICTOR out of {known}", name.args[0]))
+                lost = response[:1] == "D" and not any(each.startswith("D") for each in table.responses)
+                step = "D of these ears has no common unit: leave its laws out" if lost else ""
+                faults.append(Fault("{laws}", f"RESPONSE~PREDICTOR out of {known}", name.args[0], "", step))
     raise_all(PipelineError, faults)
     return family
 

@@ -83,7 +83,7 @@ def _on_diagonal(quantity: Quantity) -> bool:
 
 def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
     """Draw one panel per quantity."""
-    columns, named = 3, labels(ears)
+    columns, named, one_unit = 3, labels(ears), damping_exponent(ears) is not None
     lines = -(-len(shown) // columns)
     drawing = page.new_figure(10.5, 1.9 * lines + 0.3)
     panels = drawing.subplots(lines, columns, squeeze=False).ravel()
@@ -98,7 +98,8 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
             color="#0b6e99",
             capsize=3 if len(ears) <= MOST_AS_PATHS else 0,
         )
-        panel.axhline(quantity.mean, color="#9aa5b1", lw=1, zorder=0)
+        if one_unit or not quantity.name.startswith("D_"):
+            panel.axhline(quantity.mean, color="#9aa5b1", lw=1, zorder=0)
         panel.set_title(_headed(quantity), fontsize=9, loc="right")
         step = -(-len(ears) // _SOME)
         panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places[::step])
@@ -175,6 +176,13 @@ def _comparison(ears: Sequence[Ear], tests: Sequence[Quantity]) -> list[Any]:
             "frequencies."
         ),
     ]
+    if mixed:
+        blocks.append(
+            page.text(
+                "D is not compared: the power of time in its unit differs between the ears (damping_exponent "
+                "in cohort.csv)."
+            )
+        )
     if not known or len(set(sides)) > 1:
         turned = (
             "right ears enter as their mirror images on the left"

@@ -34,13 +34,15 @@ def test_bone_of_another_density_around_the_stapes_leaves_its_volume(name, tmp_p
 
 
 def test_fluid_under_the_footplate_is_never_a_plate_that_is_known_well(tmp_path):
-    found = scores("fluid, no window", tmp_path) + scores("fluid under the footplate", tmp_path)
+    found = scores("fluid, no window", tmp_path, SEEDS[:1])
+    found += scores("fluid under the footplate", tmp_path, SEEDS[1:])
     assert not any(s.silent for s in found)
     assert all(s.error is None or s.sd < 0.04 for s in found)
 
 
 def test_fluid_in_voids_is_subtracted_or_said_to_be_unseen(tmp_path):
-    found = scores("fluid in voids", tmp_path, voxel_um=24.0) + scores("fluid in voids", tmp_path, SEEDS)
+    found = scores("fluid in voids", tmp_path, SEEDS[:1], voxel_um=24.0)
+    found += scores("fluid in voids", tmp_path, SEEDS[1:])
     assert not any(s.silent for s in found)
     assert np.abs(errors(found)).max() < 0.03
 

@@ -363,5 +363,7 @@ def test_a_plain_mass_of_six_degrees_of_freedom_is_that_of_a_rigid_body(tmp_path
     matrix = six_dof_mass().matrix
     matrix[0, 0] *= 1.1  # another mass along x than along y
     np.savetxt(tmp_path / "M6.csv", matrix, delimiter=",", fmt="%.17g")
-    with pytest.raises(StapeskitError):
+    with pytest.raises(FittingError, match=r"rigid body .* \(M6\.csv\)"):
         read_mass(tmp_path / "M6.csv", DOF)
+    with pytest.raises(FittingError, match="rigid body"):
+        fit_kd(six_dof_motion(0.01, 0, lines=20), matrix, KDOptions(bands=0))

@@ -133,10 +133,10 @@ def test_header_without_spacing_or_data(tmp_path):
         ):
             read_volume(path)
     (tmp_path / "a.raw").unlink()
-    with pytest.raises(CtInertiaError, match=r"in the folder of its data file; got no a\.raw"):
+    with pytest.raises(CtInertiaError, match=r"in the folder of the header; got no a\.raw"):
         read_volume(tmp_path / "a.mhd")
     (tmp_path / "a-0.vol").unlink()
-    with pytest.raises(CtInertiaError, match=r"in the folder of its data file; got no a-0\.vol"):
+    with pytest.raises(CtInertiaError, match=r"in the folder of the header; got no a-0\.vol"):
         read_volume(tmp_path / "a.vgi", 0.02)
 
 

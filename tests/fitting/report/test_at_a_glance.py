@@ -45,3 +45,10 @@ def test_a_value_below_its_standard_deviation_is_undetermined(fit: KDFit) -> Non
     assert rows["K(alpha)"].startswith("undetermined")
     assert rows["believe K and D?"] == "do not use: K(alpha) undetermined"
     assert not rows["K(y)"].startswith("undetermined")
+
+
+def test_an_undetermined_damping_is_to_be_checked(fit: KDFit) -> None:
+    covariance = fit.covariance.copy()
+    covariance[9, 9] = (2.0 * fit.damping[1, 1]) ** 2
+    rows = dict(summary_rows(replace(fit, covariance=covariance, notices=())))
+    assert rows["believe K and D?"] == "check: D(alpha) undetermined"

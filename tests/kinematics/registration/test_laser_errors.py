@@ -166,7 +166,7 @@ def test_priors_out_of_range_are_refused(sizes):
 
 def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
     found = dict.fromkeys((0.3, 1.0), 0)
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng([seed, 5])
         scatter = 0.01 * rng.normal(size=3)
         clean, _ = measured(seed, gain=tuple(scatter))
@@ -176,8 +176,8 @@ def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
             gain = scatter + share * least * np.eye(3)[seed % 3] * rng.choice([-1.0, 1.0])
             result = points2dof(measured(seed, gain=tuple(gain))[0])
             found[share] += any(channel.verdict != "ok" for channel in result.channels)
-    assert found[1.0] >= 35
-    assert found[0.3] <= 10
+    assert found[1.0] >= 18
+    assert found[0.3] <= 5
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.15])

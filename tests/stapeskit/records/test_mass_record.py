@@ -159,7 +159,7 @@ POSE = ("frames", "pose_covariance", "scan_from_footplate", "matrix_si")
             change("frames", "scan_from_plate", None),
             "scan_from_plate must be given together with plate_from_foot",
         ),
-        (change("frames", "plate_from_footplate", None), "null in a file without|given beside"),
+        (change("frames", "plate_from_footplate", None), "null in a file without|given together with"),
         (moved_plate, r"plate_from_footplate must be inverse\(scan_from_plate\).*1 mm"),
         (
             times(-1.0, *POSE, 0, 0),
