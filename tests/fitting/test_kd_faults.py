@@ -61,7 +61,7 @@ def test_wrong_choices_are_refused(options: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
-        (np.eye(2), "the mass matrix must be 3 x 3 for --dof y,alpha,gamma; got 2 x 2"),
+        (np.eye(2), "the mass matrix must be 3 x 3 for --dof y,alpha,gamma, or 6 x 6; got 2 x 2"),
         (np.full((3, 3), np.nan), "the mass matrix must be finite numbers"),
         (np.diag([1.0, -1.0, 1.0]), "the diagonal of the mass matrix must be positive; got -1"),
         (np.eye(3) + np.diag([0.1, 0.0], 1), "the mass matrix must be symmetric"),
