@@ -285,9 +285,9 @@ MASS_ERRORS = ("head_mass", "centre_z", "mirrored", "inertia")
 
 
 def seen_at_best(fit: KDFit, case: SimulatedEar, settings: EarSettings, number: int) -> bool:
-    """Return whether chi2 tells the stated mass matrix from the right one, the same errors drawn.
+    """Return whether the right mass matrix has a clearly lower chi2 than the stated one.
 
-    No search does better: this one knows the error and its size.
+    Both are fitted to the same data. No search does better: this one knows the error and its size.
     """
     if settings.cause == "head_mass":
         added = point_mass(1e-6 * settings.size, np.array([0.1e-3, 3.3e-3, 0.1e-3]))

@@ -23,7 +23,7 @@ _MOST_BEYOND = calibrated("necks.most_beyond")
 _NARROWER = calibrated("necks.narrower")
 _GROWN = calibrated("necks.grown")
 _HEAD_MM = calibrated("necks.head_mm")
-# Ratio of the edges of voxels below which they are cubes.
+# Ratio of the edges of voxels up to which they count as cubes; spacings rounded in headers differ far less.
 _CUBES = 1.05
 _APART_MM = calibrated("necks.apart_mm")
 # Limits of the computing time: necks kept at each end, and voxels of a body that areas are counted from.

@@ -28,9 +28,10 @@ _LEAST_INTERIOR = 25
 _BINS = 16
 # Layers and differences of neighbours that the noise is estimated from: its standard error is below 1 %.
 _LAYERS = 12
-# Share of a level that has one value where it is a constant, the rest being edges; and how many coarse voxels
-# beside bone are looked at: beyond the blur, which is a voxel wide.
+# Share of a level that has one value where it is a constant, the rest being edges; noise of one step leaves
+# 0.38 of it at one value.
 _CONSTANT = 0.97
+# Coarse voxels beside bone that are looked at: beyond the blur, which is one of them wide.
 _BESIDE = 3
 _SAMPLE = 200_000
 

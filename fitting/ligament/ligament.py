@@ -44,7 +44,7 @@ _FEW = 20
 # Fits with other noise of one that adds a term, and of one that only looks or starts far away: with the
 # noise of the fit without it, and with the noise that is left.
 MOST_ROUNDS, FEW_ROUNDS = 4, 2
-# By how much more closely what is known of a law is held at first than it is known.
+# Computation: what is known of a law is held this many times more closely at first than it is known.
 _PINNED = 1e3
 Extended = tuple[JointLines, Equations, JointFit]
 

@@ -18,6 +18,7 @@ from fitting.ligament.inplane_stiffness import InplaneStiffness
 from fitting.model.parameter_vector import join, pairs, split
 
 Array = NDArray[np.float64]
+# Degrees of freedom out of the plane: y, alpha, gamma.
 _N = 3
 
 

@@ -226,6 +226,8 @@ def _score_table(diagnosis: Diagnosis) -> Markup:
 def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
     for name, title, size, unit, change in sensitivities(fit, diagnosis):
+        if name in CAUSES and CAUSES[name].family and name not in diagnosis.tested:
+            continue  # of causes that differ by their place the likeliest alone has a score
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
         seen = diagnosis.seen_from.get(name)
         least = "never" if _finite(seen) is None else f"{seen:.2g} {unit}"

@@ -121,6 +121,8 @@ def test_an_error_is_found_from_the_size_that_the_page_states(clean: KDFit) -> N
     assert "mass" not in seen
     text = kd_page(clean, {}).html()
     assert "seen from" in text
+    table = text[text.index("What an error that is left out does") :]
+    assert table.count("<td>a step of the stiffness") == 1  # of sixteen places the one that has a score
 
 
 def test_a_size_that_no_stapes_has_counts_against_a_cause(clean: KDFit) -> None:
