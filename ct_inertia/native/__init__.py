@@ -23,6 +23,7 @@ _SIGNATURES = {
     "majority": "ppp",
     "smooth_axis": "ppiipp:i",
     "interpolated": "pppip",
+    "sampled_shares": "ppfp:i",
     "flooded": "pppp:i",
     "contoured": "ppdpppp:i",
     "released": "p",

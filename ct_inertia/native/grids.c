@@ -210,7 +210,7 @@ API void majority(const uint8_t *mask, const int64_t *shape, uint8_t *out)
             }
 }
 
-static int64_t mirrored(int64_t k, int64_t n)
+INLINED int64_t mirrored(int64_t k, int64_t n)
 {
     k %= 2 * n;
     if (k < 0)
@@ -221,7 +221,7 @@ static int64_t mirrored(int64_t k, int64_t n)
 /* So many neighbouring sums stay in registers, and are left out together where nothing but zeros adds to them. */
 #define BLOCK 16
 
-static uint8_t not_zero(const float *block)
+INLINED uint8_t not_zero(const float *block)
 {
     uint64_t bits[BLOCK / 2], found = 0;
     memcpy(bits, block, sizeof bits);
@@ -233,7 +233,7 @@ static uint8_t not_zero(const float *block)
 /* Sums of up to BLOCK places: weights[0] times the middle row and, from the outermost pair inward, weights[j] times
  * the two rows at the distance j; rows[radius] is the middle one. With `used`, rows that hold zeros there are not
  * added. */
-static void weighted_sums(const float *const *rows, const uint8_t *const *used, int64_t radius, const double *weights,
+INLINED void weighted_sums(const float *const *rows, const uint8_t *const *used, int64_t radius, const double *weights,
                           int64_t at, int64_t count, float *to)
 {
     double sum[BLOCK];
@@ -261,7 +261,7 @@ static void weighted_sums(const float *const *rows, const uint8_t *const *used, 
 }
 
 /* Convolve rows along x; `line` holds one with what is mirrored beyond it. */
-static void smooth_rows(const float *in, int64_t many, int64_t n, int64_t radius, const double *weights,
+INLINED void smooth_rows(const float *in, int64_t many, int64_t n, int64_t radius, const double *weights,
                         const float **rows, float *line, float *out)
 {
     for (int64_t j = 0; j <= 2 * radius; j++)
@@ -285,7 +285,7 @@ static void smooth_rows(const float *in, int64_t many, int64_t n, int64_t radius
 /* Convolve with a symmetric kernel, weights[0] in the middle, along one axis; d c b a | a b c d | d c b a beyond
  * the border. The sums are in double precision, from the outermost pair inward. Of bodies in air most grey values
  * are zeros, which add nothing. */
-API int64_t smooth_axis(const float *in, const int64_t *shape, int64_t axis, int64_t radius, const double *weights,
+API CLONES int64_t smooth_axis(const float *in, const int64_t *shape, int64_t axis, int64_t radius, const double *weights,
                         float *out)
 {
     const int64_t n = shape[axis], many = 2 * radius + 1;

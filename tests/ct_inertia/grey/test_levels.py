@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from ct_inertia.bodies import PlateFace
+from ct_inertia.grey import level_fit
 from ct_inertia.grey.bone_level import measure_bone
 from ct_inertia.grey.level_fit import body_share, fit_bodies, grow_mask
 from ct_inertia.grey.levels import Air, Surroundings, air_shell, measure_air, unclipped
@@ -89,6 +90,16 @@ def test_the_share_of_voxels_in_a_ball_converges_with_the_square_of_the_voxel():
         errors.append(share.sum() * step**3 / (4.0 / 3.0 * np.pi * 0.5**3) - 1.0)
     assert np.abs(errors[-1]) < 1e-3
     assert np.log2(np.abs(errors[0] / errors[2])) / 2.0 > 1.7
+
+
+@pytest.mark.parametrize("shape", [(20, 21, 22), (5, 5, 5), (3, 3, 3), (2, 5, 6), (9, 7, 49)])
+def test_shares_are_the_same_without_compiled_kernels(monkeypatch, shape):
+    rng = np.random.default_rng(3)
+    field, whole = rng.normal(size=shape).astype(np.float32), rng.random(shape) < 0.97
+    level = np.full(shape, 0.2, np.float32)
+    share = body_share(field, level, whole)
+    monkeypatch.setattr(level_fit, "compiled", lambda: None)
+    assert share == pytest.approx(body_share(field, level, whole), abs=3e-7)
 
 
 def test_spread_is_a_dilation():
