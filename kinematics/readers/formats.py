@@ -1,8 +1,8 @@
 """The table of vibrometer formats, and which of them a file or folder is.
 
-A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages and the
-table in docs/vibrometer_files.md follow. What a file holds decides first, its name second; earlier entries
-win.
+A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages, the help
+of ``points2dof`` and the table in docs/vibrometer_files.md follow. What a file holds decides first, its name
+second; earlier entries win.
 """
 
 from __future__ import annotations
@@ -147,8 +147,8 @@ FORMATS = (
         (".uff", ".unv", ".bunv", ".ufb"),
         ("series",),
         series="described",
-        reads="58 (all ASCII forms) and 58b (both byte orders): responses, cross and auto spectra, time "
-        "responses; 15/2411 nodes, 18/2420 coordinate systems, 164 units; coherence matched to its response",
+        reads="functions 58 (all ASCII forms) and 58b (both byte orders): responses, cross and auto spectra, "
+        "time responses; 15/2411 nodes, 18/2420 coordinate systems, 164 units; coherence with its response",
     ),
     Format(
         "fastscan",
@@ -182,7 +182,7 @@ FORMATS = (
         lambda head: head.mapped or is_wide(head.text),
         options=("mapping",),
         reads="one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase "
-        "[deg], ...`); other names by a [mapping](#wide-tables)",
+        "[deg], ...`); other names by `--mapping`",
     ),
     Format(
         TIDY,
