@@ -39,10 +39,6 @@ class LawFit:
 
     Attributes
     ----------
-    law : DampingLaw
-    problem : Problem
-    estimate : Estimate
-    chi2 : float
     bic : float
         chi2 over the best law's chi2 per degree of freedom (when above 1) + unknowns ln(equations).
     law_covariance : ndarray, (unknowns, unknowns)
@@ -162,8 +158,6 @@ def fits_of_laws(
 
     Parameters
     ----------
-    problem : Problem
-    names : iterable of str
     lower, upper : mapping of str to float
         Bounds.
     fit : callable
@@ -237,7 +231,6 @@ def with_ligament(
 
     Parameters
     ----------
-    fit : LawFit
     measured : JointLines
         Motion of both bodies without units.
     names : tuple of str

@@ -39,12 +39,10 @@ class FluidChoice:
     ----------
     option, cochlea : str
         As given.
-    used : bool
     mass_kg, mass_sd_kg : float or None
         Of the fluid where it is part of the model.
     reason : str
         One sentence.
-    notices : tuple of Notice
     """
 
     option: str
@@ -73,7 +71,6 @@ def choose_fluid(
         The same, and those under other laws, without it: from them they are extended.
     measured : JointLines
         Motion of both bodies without units.
-    options : KDOptions
     compared : tuple of LawFit
         Fits under all laws, where they were compared: their K and D differ by what the law is not known.
 

@@ -65,7 +65,6 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
 
     Parameters
     ----------
-    fit : KDFit
     refits : int
         At least 2.
     seed : int

@@ -42,7 +42,6 @@ class Diagnosis:
 
     Attributes
     ----------
-    tested : tuple of str
     scores : Scores
         Of ``tested``.
     refits : tuple of Refit
@@ -143,8 +142,6 @@ def diagnose(
 
     Parameters
     ----------
-    problem : Problem
-    ligament : LigamentFit
     laws : callable, optional
         Refits under other damping laws whose chi2 is below its argument, for a search. What the scores speak
         for comes first, laws or the likeliest cause: where it explains the data, the others are given up

@@ -30,7 +30,6 @@ class Refit:
 
     Attributes
     ----------
-    name : str
     size : float
         In the unit of the cause.
     sd : float

@@ -46,7 +46,6 @@ class Quadratic:
     ----------
     triangle : ndarray, (p, p)
     right : ndarray, (p,)
-    rest : float
     mass : ndarray, (n, n)
     lower, upper : ndarray, (p,)
     """

@@ -40,7 +40,6 @@ def expanded(parameters: Array, lines: Lines, mode: int, student: float = 0.0) -
     Parameters
     ----------
     parameters : ndarray, (p,)
-    lines : Lines
     mode : int
         DISTANCES alone; CORRECTED: regressor at the fitted motion (ml); MEASURED: at the measured one (irls);
         EQUAL: that, with Ce = 1.

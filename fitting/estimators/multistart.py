@@ -50,7 +50,6 @@ def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
     ----------
     parameters : ndarray, (p,)
         Where the noise of the equations is first taken.
-    lines : Lines
 
     Notes
     -----

@@ -36,7 +36,6 @@ def noise_products(
     ----------
     now : Whitened
         The equations of all lines.
-    lines : Lines
     stiffness, damping : ndarray, (k, n, n)
         Real symmetric matrices X and Y.
     weights : ndarray, (lines,), optional

@@ -59,7 +59,6 @@ def nearest(
         g.
     start : ndarray, (p,)
         Both matrices positive definite, strictly between the bounds.
-    n : int
     gap : float
         Duality gap to end with, in units of the objective.
     lower, upper : ndarray, (p,), optional

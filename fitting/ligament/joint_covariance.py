@@ -10,7 +10,6 @@ formed once for all unknowns.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.regressor_noise import information
 from fitting.ligament.equations import (
@@ -23,9 +22,7 @@ from fitting.ligament.equations import (
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.model.parameter_vector import basis, split
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 def joint_covariance(lines: JointLines, equations: Equations, fit: JointFit) -> tuple[Array, Array]:

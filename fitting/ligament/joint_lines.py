@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.model.observation import Observation
 from fitting.uncertainty.covariance import joined_mass_sources, motion_moves_mass
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import matrix_from_parameters
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Degrees of freedom of a rigid body.
 DOFS = 6
 # Eigenvalues of a correlation matrix below this are combinations without an error.

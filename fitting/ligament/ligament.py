@@ -17,7 +17,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
@@ -30,9 +29,9 @@ from fitting.ligament.prior import Prior, coupling_prior
 from fitting.ligament.semidefinite_joint_fit import fit_held
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 
-Array = NDArray[np.float64]
 _N = len(PRINCIPAL_DOF)
 Extension = Callable[[JointLines], tuple[Term, ...]]
 # Least size from which an outer search begins, in the unit of a term, how far it goes (logarithm), and the

@@ -100,7 +100,6 @@ def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiab
     ----------
     parameters : ndarray, (p,)
         Scaled.
-    lines : Lines
     units : ndarray, (p,)
         SI over scaled.
     """

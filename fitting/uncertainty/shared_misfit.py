@@ -21,8 +21,6 @@ def chi2_with_shared_errors(problem: Problem, lines: Lines, parameters: Array) -
 
     Parameters
     ----------
-    problem : Problem
-    lines : Lines
     parameters : ndarray, (p,)
         Scaled; K and D move only where they maximise the likelihood.
 
