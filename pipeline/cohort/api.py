@@ -28,7 +28,7 @@ class Cohort(CohortLaws, Result):
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return the exponents of the planned laws and the number of independent parameters."""
         rows = []
-        for planned in (law for law in self.laws if law.family == "primary"):
+        for planned in self.primary:
             low, high = planned.law.interval
             text = f"exponent {planned.law.exponent:.2f} (95 % {low:.2f} to {high:.2f})"
             text += f", p = {planned.law.p_value:.2g}"
