@@ -16,6 +16,7 @@ from pathlib import Path
 from kinematics.errors import KinematicsError
 from kinematics.readers import proprietary_formats
 from kinematics.readers.input_options import InputOptions
+from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.psv.fastscan import looks_like_fastscan
 from kinematics.readers.psv.per_point import looks_like_points
 from kinematics.readers.psv.text_blocks import EXPORT_ENDINGS, decoded, export_files
@@ -232,8 +233,7 @@ def format_of(path: Path, mapped: bool = False) -> Format:
 
 def _head_of(path: Path) -> Head:
     with path.open("rb") as stream:
-        beside = path.with_name(path.name + ".toml")
-        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), beside.is_file())
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapping_of(path, None) is not None)
 
 
 def _format_of_folder(path: Path) -> Format:
