@@ -113,8 +113,8 @@ def _path(
         move, ahead = _step(cone, inverse, factor, plain, signs, n, 0.0, nothing, still)
         reach, push = _lengths(cone, ahead)
         level = cone.gap / order
-        left = _moved(cone, ahead, reach, push).gap / order
-        centre = min((left / level) ** 3, 1.0) * level
+        reached = _moved(cone, ahead, reach, push).gap / order
+        centre = min((reached / level) ** 3, 1.0) * level
         twist = ahead.multiplier @ ahead.slack @ inverse
         bend = ahead.bound_multiplier * ahead.bound_slack / cone.bound_slack
         move, ahead = _step(cone, inverse, factor, plain, signs, n, centre, twist, bend)

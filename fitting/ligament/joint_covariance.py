@@ -43,8 +43,8 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
     constant = _constant_operators(lines, equations, parameters, len(weights))
     count = len(weights)
     pairs = (weights.conj()[:, None] * weights).reshape(count * count, 1, -1)
-    left = (pairs * precision.reshape(lines.count, -1).T).reshape(-1, lines.count)
-    sums = left @ motion.conj().reshape(lines.count, -1)
+    weighted_precision = (pairs * precision.reshape(lines.count, -1).T).reshape(-1, lines.count)
+    sums = weighted_precision @ motion.conj().reshape(lines.count, -1)
     sums = sums.reshape(count, count, n, n, 2 * DOFS, 2 * DOFS).transpose(0, 2, 4, 1, 3, 5)
     flat = constant.reshape(len(constant), -1)
     size = flat.shape[1]

@@ -185,14 +185,14 @@ def _from_valleys(
     """
     joint: JointFit | None = None
     limit = explained_limit(equations, lines.count) if within is None else within
-    seen: list[JointFit] = []
+    minima: list[JointFit] = []
     for coupling in couplings:
         bare = fit_joint(
-            lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2, known=seen
+            lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2, known=minima
         )
-        if any(same_valley(bare, other) for other in seen):
+        if any(same_valley(bare, other) for other in minima):
             continue
-        seen.append(bare)
+        minima.append(bare)
         begin = np.concatenate([bare.parameters, np.zeros(lines.errors)])
         joint = fit_joint(lines, equations, begin, within=limit)
         if joint.converged:

@@ -115,12 +115,12 @@ def fit_with_noise(
         fit = descent(replace(lines, covariance=noise * lines.covariance), start, noise)
         if fit.converged and _probable(equations, fit.parameters):
             best, start, best_noise = fit, fit.parameters, noise
-            left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
-            if noise <= _CLOSE * low or left > _AGREES * noise:
+            level = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
+            if noise <= _CLOSE * low or level > _AGREES * noise:
                 break
-            if before is not None and left > _AGREES * before.level:
+            if before is not None and level > _AGREES * before.level:
                 break
-            noise = max(left, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
+            noise = max(level, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
         elif fit.given_up:
             break
         elif best is None:

@@ -124,7 +124,7 @@ def cohort(
         folder, name, known = _place(study)
         try:
             ear = read_ear(folder, name)
-        except (OSError, KeyError, ValueError, StapeskitError) as fault:
+        except (OSError, LookupError, ValueError, TypeError, AttributeError, StapeskitError) as fault:
             expected = "a folder with mass.json and kd.json of a finished study"
             faults.append(Fault(str(folder), expected, fault, "", "Run scan2kd on its study first"))
             continue
