@@ -161,12 +161,11 @@ def _write(
 
 
 def _start(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
-    """Choose how the process takes memory and threads, then run the command."""
+    """Choose how the process takes memory and turns, then run the command."""
     from stapeskit.background import take_short_turns
-    from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
+    from stapeskit.memory import hold_little_memory
 
     hold_little_memory()
-    keep_algebra_to_one_thread()
     take_short_turns()
     return work(arguments)
 

@@ -29,6 +29,7 @@ from stapeskit.option_kinds import (
     file,
     number,
     several,
+    summaries,
 )
 from stapeskit.option_rules import Rule, Values, excludes, needs
 from stapeskit.option_values import WithSd
@@ -367,7 +368,7 @@ class MassOutputs(OptionTable):
     no_report: bool = option(FLAG, "do not write report.html", False, group=_OUTPUT)
     export: tuple[str, ...] = option(
         several(*EXPORTS),
-        "; ".join(f"{name}: {entry.summary}" for name, entry in EXPORTS.items()),
+        summaries(EXPORTS),
         (),
         group=_OUTPUT,
         example=["stl", "mjcf"],

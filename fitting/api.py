@@ -40,7 +40,6 @@ def dof2kd(
 
     Parameters
     ----------
-    motion : path or result of points2dof
     mass : path or result of ct2mass, or ndarray, (n, n)
         An array is in the order of ``dof``, SI, about the footplate centre in footplate axes.
     force : bool

@@ -104,9 +104,6 @@ def budget_of(problem: Problem, lines: Lines, fit: LawFit, off: Array | None = N
 
     Parameters
     ----------
-    problem : Problem
-    lines : Lines
-    fit : LawFit
     off : ndarray, (p, k), optional
         Columns E: a wrong model puts K and D off by E E^T, in the mean square; SI. With a ligament only.
     """

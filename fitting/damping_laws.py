@@ -39,10 +39,6 @@ class LawFit:
 
     Attributes
     ----------
-    law : DampingLaw
-    problem : Problem
-    estimate : Estimate
-    chi2 : float
     bic : float
         chi2 over the best law's chi2 per degree of freedom (when above 1) + unknowns ln(equations).
     law_covariance : ndarray, (unknowns, unknowns)
@@ -139,14 +135,14 @@ def start_of_law(
     free = replace(problem, options=replace(problem.options, passive=False))
     tried = [fit_at(free, law, lower, upper) for law in laws]
     if fluid:
-        left = [with_fluid(fit.estimate.parameters, fit.problem.lines())[2] for fit in tried]
-        return fit_at(problem, laws[int(np.argmin(left))], lower, upper)
+        chi2_with_fluid = [with_fluid(fit.estimate.parameters, fit.problem.lines())[2] for fit in tried]
+        return fit_at(problem, laws[int(np.argmin(chi2_with_fluid))], lower, upper)
     best = None
     for first in sorted(tried, key=lambda fit: fit.chi2):
         if best is not None and best.chi2 <= first.chi2:  # no K, D >= 0 fits better than it does
             break
-        held = fit_at(problem, first.law, lower, upper)
-        best = held if best is None or held.chi2 < best.chi2 else best
+        passive_fit = fit_at(problem, first.law, lower, upper)
+        best = passive_fit if best is None or passive_fit.chi2 < best.chi2 else best
     assert best is not None  # noqa: S101
     return best
 
@@ -162,8 +158,6 @@ def fits_of_laws(
 
     Parameters
     ----------
-    problem : Problem
-    names : iterable of str
     lower, upper : mapping of str to float
         Bounds.
     fit : callable
@@ -188,8 +182,8 @@ def fits_of_laws(
             faults[name] = fault
     if not fits:
         raise next(iter(faults.values()))
-    made = rescale_bic(fits) if len(fits) > 1 else tuple(fits)
-    return made, {name: str(fault) for name, fault in faults.items()}
+    comparable = rescale_bic(fits) if len(fits) > 1 else tuple(fits)
+    return comparable, {name: str(fault) for name, fault in faults.items()}
 
 
 def best_of_each(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
@@ -237,7 +231,6 @@ def with_ligament(
 
     Parameters
     ----------
-    fit : LawFit
     measured : JointLines
         Motion of both bodies without units.
     names : tuple of str

@@ -31,10 +31,8 @@ class WrittenFit:
 
     Attributes
     ----------
-    fit : KDResult
     content : mapping
         kd.json.
-    files : tuple of Path
     """
 
     fit: KDResult
@@ -59,9 +57,6 @@ def dof2kd(
 
     Parameters
     ----------
-    motion_path, mass_path : Path
-    options : KDOptions
-    out : Path
     force : bool
         Replace files at the names of the outputs that are not known as made here, and fit with a mass.json
         that is not the one that the motion was computed with.
@@ -105,7 +100,6 @@ def plan2kd(
 
     Parameters
     ----------
-    path, out : Path
     force : bool
         Replace files at the names of the outputs that are not known as made here.
     config : Path, optional

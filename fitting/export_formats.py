@@ -8,25 +8,37 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fitting.errors import FittingError
 
-EXPORTS: dict[str, str] = {
-    "mat": "K, D, M with covariance for MATLAB and Octave (X.mat)",
-    "csv": "entries with sd, interval and covariance (X.entries.csv)",
-    "tex": "matrices as LaTeX (X.tex)",
-    "inp": "springs, dashpots and masses for CalculiX and Abaqus (X.inp)",
-    "mjcf": "a MuJoCo model with K and D as tendons (X.xml)",
-    "joint": "M, K, D and shared errors with their joint covariance (X.joint.json)",
-    "methods": "a paragraph on the methods (X.methods.txt)",
+
+class Export(NamedTuple):
+    """An entry: what the export holds, for the help, and how its file ends behind the name of the result."""
+
+    content: str
+    ending: str
+
+    @property
+    def summary(self) -> str:
+        """The content and the file, for the help."""
+        return f"{self.content} (X{self.ending})"
+
+
+EXPORTS = {
+    "mat": Export("K, D, M with covariance for MATLAB and Octave", ".mat"),
+    "csv": Export("entries with sd, interval and covariance", ".entries.csv"),
+    "tex": Export("matrices as LaTeX", ".tex"),
+    "inp": Export("springs, dashpots and masses for CalculiX and Abaqus", ".inp"),
+    "mjcf": Export("a MuJoCo model with K and D as tendons", ".xml"),
+    "joint": Export("M, K, D and shared errors with their joint covariance", ".joint.json"),
+    "methods": Export("a paragraph on the methods", ".methods.txt"),
 }
-_ENDINGS = {"csv": ".entries.csv", "mjcf": ".xml", "joint": ".joint.json", "methods": ".methods.txt"}
 
 
 def file_name(stem: str, name: str) -> str:
     """Return the file of an export beside ``stem``.json."""
-    return f"{stem}{_ENDINGS.get(name, f'.{name}')}"
+    return f"{stem}{EXPORTS[name].ending}"
 
 
 def json_name(out: Path) -> Path:

@@ -52,11 +52,11 @@ def check_chain(
     name = "mass" if mass_file is None else mass_file.name
     travelling = [replace(notice, text=f"mass: {notice.text}") for notice in record.notices]
     used = _used(motion)
-    given = None if used is None else _given(used, record, mass_file)
-    if used is None or given is None:
+    other_hash = None if used is None else _given(used, record, mass_file)
+    if used is None or other_hash is None:
         return travelling
     origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
-    got = f"{name} with the content {given}"
+    got = f"{name} with the content {other_hash}"
     if not force:
         raise FittingError.of(
             "{mass}",

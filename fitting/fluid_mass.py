@@ -39,12 +39,10 @@ class FluidChoice:
     ----------
     option, cochlea : str
         As given.
-    used : bool
     mass_kg, mass_sd_kg : float or None
         Of the fluid where it is part of the model.
     reason : str
         One sentence.
-    notices : tuple of Notice
     """
 
     option: str
@@ -73,7 +71,6 @@ def choose_fluid(
         The same, and those under other laws, without it: from them they are extended.
     measured : JointLines
         Motion of both bodies without units.
-    options : KDOptions
     compared : tuple of LawFit
         Fits under all laws, where they were compared: their K and D differ by what the law is not known.
 
@@ -96,18 +93,18 @@ def choose_fluid(
             best, compared = _joined(compared, _with_fluid(best, plain, measured, options, size))
         diagnosis = _diagnosed(best, plain, measured, options, compared)
         return best, diagnosis, _used(best, options, reason, asked), compared
-    found: tuple[LawFit, ...] = ()
+    with_fluid: tuple[LawFit, ...] = ()
     if options.fluid == "auto" and not is_explained(first.joint):  # a refit may end beside the mass
-        found = _with_fluid(best, plain, measured, options)
-    known = [_refit_with_fluid(best, fit) for fit in found]
+        with_fluid = _with_fluid(best, plain, measured, options)
+    known = [_refit_with_fluid(best, fit) for fit in with_fluid]
     diagnosis = _diagnosed(best, plain, measured, options, compared, known)
     refit, reason, notices = decide_on_fluid(diagnosis, options)
     if reason or refit is None:
         return best, diagnosis, _unused(options, reason, notices), compared
-    found = found or _with_fluid(best, plain, measured, options, refit.size)
-    if not found:
+    with_fluid = with_fluid or _with_fluid(best, plain, measured, options, refit.size)
+    if not with_fluid:
         return best, diagnosis, _unused(options, "the fit with it did not settle"), compared
-    chosen, compared = _joined(compared, found)
+    chosen, compared = _joined(compared, with_fluid)
     others = [title_of(name) for name in diagnosis.look_alikes if name != FLUID]
     also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
     reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
@@ -158,7 +155,7 @@ def _with_fluid(
 
     names, sizes = (*options.causes, FLUID), {} if size is None else {FLUID: size}
     limit = None if size is not None else float(chdtri(best.n_dof, calibrated("causes.misfit_p")))
-    found: list[LawFit] = []
+    fits: list[LawFit] = []
     laws = (best.law.name, *(fit.law.name for fit in best_of_each(plain) if fit.law.name != best.law.name))
     for start in _starts(plain[0], laws, options, True):
         try:
@@ -166,16 +163,18 @@ def _with_fluid(
         except NotWithin:
             continue
         if fit.ligament is not None and (fit.law.physical or size is not None):
-            found.append(fit)
+            fits.append(fit)
             near = calibrated("causes.look_alike_chi2") + float(np.log(2 * fit.problem.n * measured.count))
-            limit = min(other.chi2 for other in found) + near
-    return best_of_each(rescale_bic(found)) if found else ()
+            limit = min(other.chi2 for other in fits) + near
+    return best_of_each(rescale_bic(fits)) if fits else ()
 
 
-def _joined(compared: tuple[LawFit, ...], found: tuple[LawFit, ...]) -> tuple[LawFit, tuple[LawFit, ...]]:
+def _joined(
+    compared: tuple[LawFit, ...], with_fluid: tuple[LawFit, ...]
+) -> tuple[LawFit, tuple[LawFit, ...]]:
     """Return the best fit with fluid, and the fits under all laws, with fluid where there is such a fit."""
-    best = min(found, key=lambda fit: (not fit.law.physical, fit.bic))
-    by_name = {fit.law.name: fit for fit in found}
+    best = min(with_fluid, key=lambda fit: (not fit.law.physical, fit.bic))
+    by_name = {fit.law.name: fit for fit in with_fluid}
     compared = rescale_bic(by_name.get(fit.law.name, fit) for fit in compared)
     return next((fit for fit in compared if fit.law == best.law), best), compared
 
@@ -217,7 +216,7 @@ def _other_laws(
     """
     assert best.ligament is not None  # noqa: S101
     terms = tuple(best.ligament.terms)
-    found: list[LawFit] = []
+    fits: list[LawFit] = []
     for name in LAWS:
         if name == best.law.name:
             continue
@@ -227,10 +226,10 @@ def _other_laws(
             continue
         for start in starts:
             try:
-                found.append(with_ligament(start, measured, terms, within=within))
+                fits.append(with_ligament(start, measured, terms, within=within))
             except (NotWithin, np.linalg.LinAlgError):
                 continue
-    settled = [fit for fit in found if fit.ligament is not None and fit.law.physical]
+    settled = [fit for fit in fits if fit.ligament is not None and fit.law.physical]
     return [_refit_of(best, other, 1.0) for other in best_of_each(settled)]
 
 

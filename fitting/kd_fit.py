@@ -34,28 +34,19 @@ class KDFit:
 
     Attributes
     ----------
-    options : KDOptions
     dof : tuple of str, (n,)
     mass, stiffness, damping : ndarray, (n, n)
         SI.
-    law : DampingLaw
     laws : tuple of LawFit
         Every damping law that was tried.
     estimate : Estimate
         In scaled parameters.
     covariance, noise_covariance : ndarray, (p, p)
         Of the parameters K11, K12, ..., Dnn: of all sources, and of channel noise alone; SI.
-    budget : Budget
-    modes : Modes
-    chi2 : float
     n_dof : int
         2 n lines - unknowns.
-    inplane : InplaneChoice
-    identifiability : Identifiability
     observation : Observation
         The lines that were fitted.
-    problem : Problem
-    notices : tuple of Notice
     profile : ndarray, (p, 2), or None
         95 % profile likelihood intervals of the parameters, channel noise alone, SI; where the data are weak
         but not hopeless.

@@ -36,7 +36,6 @@ def kd_of(
 
     Parameters
     ----------
-    motion : RigidMotion
     mass : MassMatrix or ndarray, (n, n)
         An array is in the order of ``options.dof``, SI.
     options : KDOptions

@@ -65,7 +65,6 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
 
     Parameters
     ----------
-    fit : KDFit
     refits : int
         At least 2.
     seed : int
@@ -84,8 +83,8 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
         mass_change = mass_change + draw_mass(rng)
         draw = rng.standard_normal((2, *root.shape[:2])) * np.sqrt(0.5)
         change = change + np.einsum("lij,lj->li", root, draw[0] + 1j * draw[1])
-        given = mass_change if np.any(mass_change) else None
-        lines = centre.lines(change, given)
+        change_of_mass = mass_change if np.any(mass_change) else None
+        lines = centre.lines(change, change_of_mass)
         estimate = _solve(centre, lines, fit.estimate.parameters) * problem.units
         if not np.all(np.isfinite(estimate)):
             failed += 1

@@ -179,8 +179,8 @@ class KDOptions(OptionTable):
     @property
     def causes(self) -> tuple[str, ...]:
         """Causes of the catalogue that are part of the model."""
-        given = tuple(dict.fromkeys(part.strip() for part in self.correct.split(",") if part.strip()))
-        return (*given, "fluid") if self.fluid == "y" and "fluid" not in given else given
+        corrected = tuple(dict.fromkeys(part.strip() for part in self.correct.split(",") if part.strip()))
+        return (*corrected, "fluid") if self.fluid == "y" and "fluid" not in corrected else corrected
 
     def _faults_of_causes(self) -> list[Fault]:
         """Check the names of causes, and that the model can hold them."""

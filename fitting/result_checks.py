@@ -9,6 +9,7 @@ import numpy as np
 from fitting.options import CORRECT
 from fitting.uncertainty.identifiability import relative_sizes
 from stapeskit.arrays import Array
+from stapeskit.faults import list_some
 from stapeskit.option_names import named
 from stapeskit.page.quantities import MASS
 from stapeskit.warnings import Notice
@@ -102,7 +103,7 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
             )
     far = outlying(fit)
     if len(far):
-        listed = ", ".join(f"{freq:.6g}" for freq in far[:5]) + (" ..." if len(far) > 5 else "")
+        listed = list_some((f"{freq:.6g}" for freq in far), 5)
         text = f"{len(far)} of {len(fit.observation.freq_hz)} lines lie farther off than noise brings them"
         notices.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
     return notices

@@ -17,22 +17,15 @@ if TYPE_CHECKING:
 _EPILOG = """\
 Vibrometer files, recognised by their content; several are parts of one
 measurement, or different runs when they measure the same points again:
-  tidy table      .csv, below
-  universal file  .uff, .unv: functions 58 and 58b (frequency responses,
-                  spectra, coherence, cross and auto spectra, time responses),
-                  nodes 15 or 2411, systems 18 or 2420, units 164
-  PSV text        a folder of a FastScan (one file per frequency) or of single
-                  points (Real & Imag.)
-  MATLAB, HDF5    .mat (v5, v7.3), .h5
-  time series     .csv with a column time_s, .npz, .wav, .mat, .h5, with
-                  --channels FILE: channel, role (response, reference, ignore),
-                  body, point, dir or dir_x, dir_y, dir_z, unit (mm/s ...) or
-                  sensitivity (5 mm/s/V, 100 mV/g) [, x_mm, y_mm, z_mm] [, run]
-                  [, file]
-Such files name points by numbers; --points or --body assign them to bodies:
+FORMATS
+.svd files open in their own program only: export UFF or ASCII.
+Time series need --channels FILE: channel, role (response, reference, ignore),
+  body, point, dir or dir_x, dir_y, dir_z, unit (mm/s ...) or sensitivity
+  (5 mm/s/V, 100 mV/g) [, x_mm, y_mm, z_mm] [, run] [, file]
+Other files than the tidy table name points by numbers; --points or --body
+assign them to bodies:
   --body stapes=1-10,12 --body base=11,13-20
   --body stapes=scan.uff:1-9 --body base=plate.uff
-  .svd files open in their own program only: export UFF or ASCII.
 Tidy table, one row per body, point, beam and frequency (comma separated, header
 required):
   body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s
@@ -56,14 +49,27 @@ axes.
 
 
 def parser() -> Parser:
-    """Return the parser of the command."""
+    """Return the parser of the command; the formats in its help come from the table of readers."""
+    from textwrap import fill
+
     from kinematics.options import LdvOptions, PointsFiles
+    from kinematics.readers.formats import FORMATS
     from stapeskit.option_parser import Parser
 
+    formats = (
+        fill(
+            f"{entry.words}: {entry.reads.replace('`', '')}",
+            80,
+            initial_indent="  ",
+            subsequent_indent=" " * 6,
+        )
+        for entry in reversed(FORMATS)
+        if entry.reads
+    )
     return Parser(
         "points2dof",
         "Vibrometer points to the degrees of freedom of rigid bodies.",
-        _EPILOG,
+        _EPILOG.replace("FORMATS", "\n".join(formats)),
         LdvOptions,
         PointsFiles,
     )

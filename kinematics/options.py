@@ -60,8 +60,8 @@ class _MeasurementOptions(OptionTable):
 
     ldv: tuple[Path, ...] = option(
         files("vibrometer file or folder"),
-        "vibrometer file or folder: tidy table, universal file, folder of PSV text, .mat, .h5, time series; "
-        "several are parts of one measurement, or runs when they measure the same points",
+        "vibrometer file or folder, of a format that points2dof --help lists; several are parts of one "
+        "measurement, or runs when they measure the same points",
         (),
         key="file",
         metavar="LDV",

@@ -8,7 +8,7 @@ from pathlib import Path
 from pipeline.cohort.exports import EXPORTS
 from pipeline.runners import RUNNERS
 from stapeskit.option_declaration import option
-from stapeskit.option_kinds import FLAG, FOLDER, NAMES, TEXT, at_least, files, several
+from stapeskit.option_kinds import FLAG, FOLDER, NAMES, TEXT, at_least, files, several, summaries
 from stapeskit.option_rules import Rule
 from stapeskit.options import OptionTable
 
@@ -88,7 +88,7 @@ class StudyOptions(OptionTable):
     mix: bool = option(FLAG, "of a cohort: allow ears that were fitted or prepared in different ways", False)
     export: tuple[str, ...] = option(
         several(*EXPORTS),
-        "of a cohort: " + "; ".join(f"{name}: {entry.summary}" for name, entry in EXPORTS.items()),
+        f"of a cohort: {summaries(EXPORTS)}",
         (),
         example=["xlsx", "svg"],
     )

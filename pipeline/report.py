@@ -17,7 +17,7 @@ from pipeline.study import Study
 from pipeline.verdict import verdict
 from pipeline.viewer.scene import viewer
 from pipeline.workspace import Workspace
-from stapeskit.json_toml import is_finite_number, parse_json
+from stapeskit.json_toml import is_finite_number, read_json
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 from stapeskit.provenance import input_record
@@ -99,10 +99,10 @@ def read_truth(path: Path) -> Mapping[str, Any]:
         The file is no JSON object, or has something else than numbers where values are shown.
     """
     try:
-        truth = parse_json(path.read_text(encoding="utf-8"))
+        truth = read_json(path)
     except (OSError, ValueError):
-        truth = None
-    if not isinstance(truth, dict) or not _are_true_values(truth):
+        truth = {"dof": None}
+    if not _are_true_values(truth):
         expected = "a JSON object: mass_kg a number, stiffness_si and damping_si square in the order of dof"
         raise PipelineError.of("study.truth", expected, "another file", path.name, "Leave the key out")
     return truth

@@ -23,7 +23,7 @@ from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
 from pipeline.study import Study, read_study, words
 from pipeline.study_checks import check_inputs
 from pipeline.workspace import Workspace
-from stapeskit.faults import StapeskitError, translate_option_names
+from stapeskit.faults import StapeskitError, list_some, translate_option_names
 from stapeskit.own_files import OutputSet, unfinished
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import unique
@@ -164,7 +164,7 @@ def _reason(old: StageRecord | None, now: Mapping[str, str], work: Workspace) ->
         return "not made before"
     changes = old.changes(now)
     if changes:
-        return "changed: " + ", ".join(changes[:4]) + (" ..." if len(changes) > 4 else "")
+        return f"changed: {list_some(changes, 4)}"
     spoiled = old.spoiled(work.out, work.hashes)
     if spoiled:
         named = [name for name in spoiled if not name.startswith(FOLDER)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from pathlib import Path
 from typing import Any, TypeGuard
 
 DEEPEST = 100
@@ -35,6 +36,21 @@ def parse_json(text: str) -> Any:
         return json.loads(text)
     except RecursionError as fault:
         raise ValueError("its brackets are nested too deeply") from fault
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object that a file holds.
+
+    Raises
+    ------
+    OSError
+    ValueError
+        It holds no JSON object in UTF-8.
+    """
+    content = parse_json(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise ValueError(f"{type(content).__name__} and no object")
+    return content
 
 
 def parse_toml(text: str) -> dict[str, Any]:

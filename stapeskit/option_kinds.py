@@ -219,9 +219,9 @@ def choice(*known: str) -> Kind:
     return Kind(f"one of {', '.join(known)}", "|".join(known), read, choices=known)
 
 
-def summaries(table: Mapping[str, str]) -> str:
-    """Return the entries of a table with their summaries, as a help."""
-    return "; ".join(f"{name}: {summary}" for name, summary in table.items())
+def summaries(table: Mapping[str, Any]) -> str:
+    """Return the entries of a table with their summaries, as a help; an entry is a text or has a summary."""
+    return "; ".join(f"{name}: {getattr(entry, 'summary', entry)}" for name, entry in table.items())
 
 
 def several(*known: str) -> Kind:

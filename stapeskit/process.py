@@ -171,7 +171,7 @@ def _farewell() -> str:
 def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> int:
     """Return the exit code; what went wrong is on standard error."""
     try:
-        _take_buffers()
+        _prepare_algebra()
         result = work(sys.argv[1:])
     except BrokenPipeError:
         _drop_output()
@@ -203,9 +203,10 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
     return 0
 
 
-def _take_buffers() -> None:
-    from stapeskit.memory import take_algebra_buffers
+def _prepare_algebra() -> None:
+    from stapeskit.memory import keep_algebra_to_one_thread, take_algebra_buffers
 
+    keep_algebra_to_one_thread()
     take_algebra_buffers()
 
 

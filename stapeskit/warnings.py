@@ -1,6 +1,7 @@
 """Warnings as data: a stable code and a text, carried in results, reports and on the terminal.
 
-The meaning of each code is in ``warnings.toml``; ``python -m stapeskit.warnings`` prints it as a page.
+A warning is a `Notice` where it arises and an entry of ``warnings.toml``, which says what its code means;
+``python -m stapeskit.warnings`` prints it as a page.
 """
 
 from __future__ import annotations

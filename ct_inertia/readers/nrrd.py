@@ -165,7 +165,7 @@ def _grid(
     if len(axes) != 3 or min(sizes) < 1 or min(sizes[k] for k in axes) < 2:
         raise not_three_dimensional(path.name, sizes)
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
-    spacing, direction, origin, anatomical, notices = _place(path, fields, axes, sizes)
+    spacing, direction, origin, anatomical = _place(path, fields, axes, sizes)
     extra = int(np.prod([n for k, n in enumerate(sizes) if k not in axes], dtype=np.int64))
     return Grid(
         (sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]),
@@ -178,14 +178,13 @@ def _grid(
         anatomical,
         layers=extra,
         skip=max(0, _integer(fields, path, "byte skip", "byteskip")) if packing in _SKIPPED_UNPACKED else 0,
-        notices=notices,
     )
 
 
 def _place(
     path: Path, fields: dict[str, str], axes: list[int], sizes: list[int]
-) -> tuple[Array | None, Array, Array, bool, tuple[Notice, ...]]:
-    """Return spacing, direction, origin, whether the space is the patient's, and what is odd."""
+) -> tuple[Array | None, Array, Array, bool]:
+    """Return spacing, direction, origin, and whether the space is the patient's."""
     space = fields.get("space", "").lower().replace("_", "-")
     signs, anatomical = _signs(space, path)
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
@@ -199,13 +198,13 @@ def _place(
         matrix = np.array(vectors).T * signs[:, None] * scale
         spacing = np.linalg.norm(matrix, axis=0)
         if np.any(spacing <= 0.0) or not np.all(np.isfinite(spacing)):
-            return None, np.eye(3), np.zeros(3), anatomical, ()
+            return None, np.eye(3), np.zeros(3), anatomical
         origin = np.zeros(3)
         if "space origin" in fields:
             origin = _vector(fields["space origin"], path) * signs * scale
-        return spacing, matrix / spacing, origin, anatomical, ()
+        return spacing, matrix / spacing, origin, anatomical
     if "spacings" not in fields:
-        return None, np.eye(3), np.zeros(3), anatomical, ()
+        return None, np.eye(3), np.zeros(3), anatomical
     told_spacings = _numbers(fields, "spacings", path)
     if len(told_spacings) != len(sizes):
         raise header_fault(path, "NRRD volume", f"{len(told_spacings)} spacings for {len(sizes)} axes")
@@ -213,8 +212,8 @@ def _place(
     factor = np.array([f if f is not None else 1.0 for f in factors])
     steps = np.abs(values) * (factor[axes] if factor.size == len(sizes) else scale)
     if not np.all(np.isfinite(steps)) or np.any(steps <= 0.0):
-        return None, np.eye(3), np.zeros(3), anatomical, ()
-    return steps, np.eye(3), np.zeros(3), anatomical, ()
+        return None, np.eye(3), np.zeros(3), anatomical
+    return steps, np.eye(3), np.zeros(3), anatomical
 
 
 def _signs(space: str, path: Path) -> tuple[Array, bool]:

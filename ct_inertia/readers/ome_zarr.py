@@ -19,9 +19,9 @@ from ct_inertia.readers.refusals import header_fault, no_grey_values, several_va
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
 from ct_inertia.volume.lazy_arrays import BlockArray, Gaps, Level
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _SPACE = ("z", "y", "x")
 
 

@@ -30,6 +30,7 @@ from ct_inertia.readers.tiff_pages import (
 )
 from ct_inertia.volume.lazy_arrays import BlockArray, invert_grey_values
 from ct_inertia.volume.volume import Volume
+from stapeskit.faults import list_some
 from stapeskit.warnings import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
@@ -162,10 +163,9 @@ def _gaps(numbers: list[int], name: str) -> list[Notice]:
     missing = sorted(set(range(numbers[0], numbers[-1] + 1, step)) - set(numbers))
     if not missing:
         return []
-    shown = ", ".join(map(str, missing[:5])) + (" ..." if len(missing) > 5 else "")
     text = (
-        f"{len(missing)} slices are missing in {name} (number {shown}): the slices around each gap are taken "
-        f"as neighbours, which shortens the body there."
+        f"{len(missing)} slices are missing in {name} (number {list_some(map(str, missing), 5)}): the slices "
+        "around each gap are taken as neighbours, which shortens the body there."
     )
     return [Notice("slices_missing", text)]
 

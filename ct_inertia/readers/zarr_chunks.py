@@ -5,7 +5,6 @@ The formats: https://zarr-specs.readthedocs.io
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from ct_inertia.readers.checks import amount, check_memory
 from ct_inertia.readers.decompression import CODECS, unpack
 from ct_inertia.readers.refusals import header_fault, not_readable, unreadable
 from ct_inertia.readers.zarr_files import ZarrFiles
+from stapeskit.json_toml import read_json
 
 # Along an axis: more than any scanner has, small enough that products stay whole numbers of 64 bits.
 _MOST_VOXELS = 1 << 20
@@ -138,12 +138,9 @@ def metadata(path: Path) -> Meta:
     try:
         if path.stat().st_size > _LONGEST_METADATA:
             raise header_fault(path.parent, "Zarr folder", f"{amount(path.stat().st_size)} of {path.name}")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as fault:
+        return read_json(path)
+    except (OSError, ValueError) as fault:
         raise header_fault(path.parent, "Zarr folder", f"a damaged {path.name}") from fault
-    if not isinstance(content, dict):
-        raise header_fault(path.parent, "Zarr folder", f"a damaged {path.name}")
-    return content
 
 
 def _second(folder: Path, meta: Meta) -> ZarrArray:

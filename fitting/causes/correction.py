@@ -18,7 +18,6 @@ def corrected_problem(problem: Problem, ligament: LigamentFit) -> Problem:
 
     Parameters
     ----------
-    problem : Problem
     ligament : LigamentFit
         Factors on K and D (drift, level) are not part of the problem and cannot be corrected.
     """

@@ -42,7 +42,6 @@ class Diagnosis:
 
     Attributes
     ----------
-    tested : tuple of str
     scores : Scores
         Of ``tested``.
     refits : tuple of Refit
@@ -143,8 +142,6 @@ def diagnose(
 
     Parameters
     ----------
-    problem : Problem
-    ligament : LigamentFit
     laws : callable, optional
         Refits under other damping laws whose chi2 is below its argument, for a search. What the scores speak
         for comes first, laws or the likeliest cause: where it explains the data, the others are given up
@@ -219,7 +216,7 @@ def diagnose(
     if len(shortlist) <= laws_at and searched and laws is not None:
         under_laws = laws(useful_chi2(ligament, refits))
     shown = sorted(leading)
-    kept = Scores(
+    shown_scores = Scores(
         tested.z[shown],
         tested.estimate[shown],
         tested.sd[shown],
@@ -229,7 +226,7 @@ def diagnose(
     )
     diagnosis = Diagnosis(
         tuple(names[place] for place in shown),
-        kept,
+        shown_scores,
         (),
         float(np.log(equations)),
         sensitivities,
@@ -252,11 +249,11 @@ def _hiding(
     names: tuple[str, ...], beside: Mapping[str, tuple[Term, ...]], information: Array
 ) -> dict[str, Array]:
     """Return the information of each cause together with its nuisances, which stand after all causes."""
-    found, start = {}, len(names)
+    informations, start = {}, len(names)
     for name, moved in beside.items():
         places = [names.index(name), *range(start, start + len(moved))]
-        found[name], start = information[np.ix_(places, places)], start + len(moved)
-    return found
+        informations[name], start = information[np.ix_(places, places)], start + len(moved)
+    return informations
 
 
 def _at_best_place(refit: Refit, setting: Setting, fit: Callable[..., Refit | None]) -> Refit:
@@ -307,8 +304,8 @@ def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:
     See `Diagnosis.off`; where no cause explains the misfit, what it may move K and D by is added.
     """
     named = diagnosis.named
-    left = ligament.p_value if named is None else named.p_value
-    if left > calibrated("causes.misfit_p"):
+    p_value = ligament.p_value if named is None else named.p_value
+    if p_value > calibrated("causes.misfit_p"):
         return diagnosis.off
     return np.concatenate([diagnosis.off, unexplained_error(ligament)], axis=1)
 

@@ -30,7 +30,6 @@ class Refit:
 
     Attributes
     ----------
-    name : str
     size : float
         In the unit of the cause.
     sd : float
@@ -145,7 +144,7 @@ def refit_with(
     size = float(fit.parameters[equations.term][-1])
     if CAUSES[name].positive and size < 0.0:
         return None
-    left = float(chdtrc(fit.n_dof, fit.chi2))
+    p_value = float(chdtrc(fit.n_dof, fit.chi2))
     more = lines.errors - ligament.lines.errors
     chosen = _informed(fit, more) + 2.0 * np.log(places_of(name))
     unknowns = 1.0 + chosen / np.log(2 * equations.n * lines.count)
@@ -161,7 +160,7 @@ def refit_with(
         for measured, unknown, joint in ((ligament.lines, ligament.equations, ligament.joint), best)
     ]
     fall_sd = difference_sd(operators[0], operators[1], ligament.lines.covariance)
-    return Refit(name, size, sd, fall, effect, left, unknowns, strange, off, fit.chi2, fall_sd)
+    return Refit(name, size, sd, fall, effect, p_value, unknowns, strange, off, fit.chi2, fall_sd)
 
 
 def _informed(fit: JointFit, count: int) -> float:
@@ -173,5 +172,5 @@ def _informed(fit: JointFit, count: int) -> float:
     """
     if not count:
         return 0.0
-    left = inverse_of(fit.at.hessian)[-count:, -count:]
-    return max(0.0, -float(np.linalg.slogdet(left)[1]))
+    posterior = inverse_of(fit.at.hessian)[-count:, -count:]
+    return max(0.0, -float(np.linalg.slogdet(posterior)[1]))

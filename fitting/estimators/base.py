@@ -57,8 +57,6 @@ class Estimate:
         Scaled.
     objective : float
         Value of the estimator's own objective there.
-    iterations : int
-    converged : bool
     active : tuple of str
         Constraints that hold the estimate back.
     weights : ndarray, (lines,), optional

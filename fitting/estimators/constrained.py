@@ -46,7 +46,6 @@ class Quadratic:
     ----------
     triangle : ndarray, (p, p)
     right : ndarray, (p,)
-    rest : float
     mass : ndarray, (n, n)
     lower, upper : ndarray, (p,)
     """
@@ -123,10 +122,10 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     free = pinv.weighted(lines, np.ones(lines.n))
     lower, upper = _limits(lines, options)
     if np.all(free.parameters >= lower) and np.all(free.parameters <= upper):
-        held = not _is_stable(free.parameters, lines.mass)
+        violates = not _is_stable(free.parameters, lines.mass)
         if options.constraint == "psd":
-            held = not is_positive_definite(free.parameters, lines.n)
-        if not held:
+            violates = not is_positive_definite(free.parameters, lines.n)
+        if not violates:
             value = free.objective / _size(lines) ** 2
             return Estimate(free.parameters, value, 1, True, certificate=0.0)
     problem = reduce(lines, options)

@@ -44,8 +44,8 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     if not options.passive or is_positive_definite(now, lines.n):
         return Estimate(now, value, count, converged)
     hessian = gram(rows)
-    held, active = shortest_distance(now, hessian, nearest_inside(now, lines.n), lines.n)
-    return Estimate(held, value, count, converged, active)
+    passive_estimate, active = shortest_distance(now, hessian, nearest_inside(now, lines.n), lines.n)
+    return Estimate(passive_estimate, value, count, converged, active)
 
 
 def quick_start(lines: Lines) -> Array:

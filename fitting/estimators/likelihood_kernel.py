@@ -40,7 +40,6 @@ def expanded(parameters: Array, lines: Lines, mode: int, student: float = 0.0) -
     Parameters
     ----------
     parameters : ndarray, (p,)
-    lines : Lines
     mode : int
         DISTANCES alone; CORRECTED: regressor at the fitted motion (ml); MEASURED: at the measured one (irls);
         EQUAL: that, with Ce = 1.
@@ -54,14 +53,14 @@ def expanded(parameters: Array, lines: Lines, mode: int, student: float = 0.0) -
     unknowns = len(parameters) if mode else 0
     distance, gradient = np.empty(count), np.empty(unknowns)
     hessian = np.empty((unknowns, unknowns))
-    given = [
+    arrays = [
         np.ascontiguousarray(array)
         for array in (parameters, lines.factor, lines.dq, lines.force, lines.spread, lines.sff)
     ]
     kernels.ml_expand(
         n,
         count,
-        *(array.ctypes.data for array in given),
+        *(array.ctypes.data for array in arrays),
         student,
         2.0 * n,
         mode,

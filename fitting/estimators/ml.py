@@ -57,7 +57,6 @@ class Whitened:
         e^H Ce^-1 e.
     residual : ndarray, (n, lines), complex
         L^-1 e with Ce = L L^H.
-    state : State
     factor : ndarray, (n, n, lines), complex
         L.
     """

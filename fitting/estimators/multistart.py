@@ -39,8 +39,8 @@ def improve(problem: Problem, lines: Lines, current: Estimate) -> Estimate:
     best = min(tried, key=lambda fit: fit.objective)
     if best.objective >= current.objective * (1.0 - 1e-9):
         return current
-    held = ml.estimate(lines, options, best.parameters)
-    return held if held.objective < current.objective else current
+    within_options = ml.estimate(lines, options, best.parameters)
+    return within_options if within_options.objective < current.objective else current
 
 
 def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
@@ -50,7 +50,6 @@ def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
     ----------
     parameters : ndarray, (p,)
         Where the noise of the equations is first taken.
-    lines : Lines
 
     Notes
     -----
@@ -59,12 +58,12 @@ def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float, float]:
     fluid = np.zeros((lines.n, lines.count), dtype=complex)
     fluid[0] = -(lines.omega**2) * lines.dq[0]
     columns = np.concatenate([regressor(lines.dq, lines.factor), fluid[:, :, None]], axis=2)
-    solution, left = np.append(parameters, 0.0), np.inf
+    solution, misfit = np.append(parameters, 0.0), np.inf
     for _ in range(_FLUID_ROUNDS):
         factor = cholesky(evaluate(solution[:-1], lines).noise)
         rows, right = real_rows(forward(factor, columns)), real_rows(forward(factor, lines.force))
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             break
         solution = least_squares(rows, right)
-        left = float(np.sum((rows @ solution - right) ** 2))
-    return solution[:-1], float(solution[-1]), left
+        misfit = float(np.sum((rows @ solution - right) ** 2))
+    return solution[:-1], float(solution[-1]), misfit

@@ -21,14 +21,10 @@ class Problem:
 
     Attributes
     ----------
-    observation : Observation
-    inertia : Inertia
-    scale : Scale
     law : DampingLaw
         In SI.
     name : str
         Of the estimator.
-    options : EstimatorOptions
     base_mass : ndarray, (n, n), optional
         Mass coupled to the base motion, SI.
     coupling : ndarray, (n, c), optional

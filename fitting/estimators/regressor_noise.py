@@ -36,7 +36,6 @@ def noise_products(
     ----------
     now : Whitened
         The equations of all lines.
-    lines : Lines
     stiffness, damping : ndarray, (k, n, n)
         Real symmetric matrices X and Y.
     weights : ndarray, (lines,), optional
@@ -94,5 +93,5 @@ def information(hessian: Array, noise: Array, level: float) -> tuple[Array, Arra
     root = (vectors * np.sqrt(values)) @ vectors.T
     inverse = (vectors / np.sqrt(values)) @ vectors.T
     shares, turned = np.linalg.eigh(inverse @ (hessian - level * noise) @ inverse)
-    kept = root @ (turned * np.maximum(shares, _LEAST)) @ turned.T @ root
-    return kept, kept + noise if level < 1.0 else hessian
+    known = root @ (turned * np.maximum(shares, _LEAST)) @ turned.T @ root
+    return known, known + noise if level < 1.0 else hessian

@@ -59,7 +59,6 @@ def nearest(
         g.
     start : ndarray, (p,)
         Both matrices positive definite, strictly between the bounds.
-    n : int
     gap : float
         Duality gap to end with, in units of the objective.
     lower, upper : ndarray, (p,), optional
@@ -114,8 +113,8 @@ def _path(
         move, ahead = _step(cone, inverse, factor, plain, signs, n, 0.0, nothing, still)
         reach, push = _lengths(cone, ahead)
         level = cone.gap / order
-        left = _moved(cone, ahead, reach, push).gap / order
-        centre = min((left / level) ** 3, 1.0) * level
+        reached = _moved(cone, ahead, reach, push).gap / order
+        centre = min((reached / level) ** 3, 1.0) * level
         twist = ahead.multiplier @ ahead.slack @ inverse
         bend = ahead.bound_multiplier * ahead.bound_slack / cone.bound_slack
         move, ahead = _step(cone, inverse, factor, plain, signs, n, centre, twist, bend)

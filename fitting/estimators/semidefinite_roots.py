@@ -63,7 +63,6 @@ def minimise(expansion: Expansion, value: Objective, others: Array, n: int) -> t
         Value alone.
     others : ndarray, (k,)
         Where the unknowns after K and D start.
-    n : int
 
     Returns
     -------

@@ -61,7 +61,6 @@ class Wall:
 
     Attributes
     ----------
-    value : float
     gradient : ndarray, (p,)
     hessian : ndarray, (p, p)
         Not always positive definite: the stable set is not convex.

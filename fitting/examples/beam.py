@@ -28,7 +28,6 @@ class Beam:
         Young's modulus, N/mm2.
     height_mm, width_mm, length_mm : float
         Height is along y, the direction of bending.
-    density_kg_m3 : float
     """
 
     young_n_mm2: float = BEAM_YOUNG_N_MM2

@@ -55,7 +55,6 @@ class Setup:
 
     Attributes
     ----------
-    beam : Beam
     beam_has_mass : bool
         False: a massless beam, for which the two-DOF model is exact.
     loss : float
@@ -80,7 +79,6 @@ def cube_mass(beam: Beam, shift_z_m: float = 0.0, density_kg_m3: float = STEEL_D
 
     Parameters
     ----------
-    beam : Beam
     shift_z_m : float
         Position of the centre of mass along the beam from the reference point, m.
     density_kg_m3 : float
@@ -151,7 +149,6 @@ def measured(setup: Setup, rng: Generator | None, shift_z_m: float = 0.0) -> Rig
 
     Parameters
     ----------
-    setup : Setup
     rng : Generator or None
         None: no noise is added; its covariance is stated.
     shift_z_m : float
@@ -203,11 +200,9 @@ def fit_beam(
     ----------
     motion : RigidMotion
         From ``measured``.
-    beam : Beam
     model : str
         ``massless``: the cube alone, the paper's model; ``condensed``: with the beam's own mass M_tt and its
         coupling M_tb to the base.
-    estimator : str
     shift_z_m : float
         Where the centre of mass is believed to be along the beam, m.
     """
@@ -225,7 +220,6 @@ class Deviations:
 
     Attributes
     ----------
-    model, estimator : str
     mean_percent, scatter_percent : ndarray, (3,)
         Mean and standard deviation of (estimate - theory) / theory over the repetitions, for c1, c2, c3.
     absolute_percent : ndarray, (3,)

@@ -20,7 +20,6 @@ def write_page(
     ----------
     name : str
         Of the module, for the usage.
-    arguments : sequence of str
     build : callable
         Gets the count and returns the page.
     count : int, optional

@@ -134,8 +134,8 @@ def content(fit: KDFit) -> bytes:
     else:
         comments.append("** No masses: the mass matrix has three degrees of freedom only.")
     stiffest = float(max(fit.stiffness[1, 1], fit.stiffness[2, 2]))
-    held = ((1, 1, fit.stiffness[0, 0]), (1, 3, fit.stiffness[0, 0]), (2, 2, stiffest))
-    for number, (at, direction, value) in enumerate(held, 1):
+    rigid_springs = ((1, 1, fit.stiffness[0, 0]), (1, 3, fit.stiffness[0, 0]), (2, 2, stiffest))
+    for number, (at, direction, value) in enumerate(rigid_springs, 1):
         count += 1
         elements.append(f"*ELEMENT, TYPE=SPRING1, ELSET=held{number}\n{count}, {at}")
         elements.append(f"*SPRING, ELSET=held{number}\n{direction}\n{_RIGID * value:.10e}")

@@ -50,10 +50,10 @@ def joint_parameters(fit: KDFit) -> JointParameters:
             covariance[:entries, at : at + size] = carried
             covariance[at : at + size, :entries] = carried.T
             covariance[at : at + size, at : at + size] = effect.covariance
-        seen: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for name in effect.names:
-            seen[name] = seen.get(name, 0) + 1
-            names.append(f"{name}#{seen[name]}" if effect.names.count(name) > 1 else name)
+            counts[name] = counts.get(name, 0) + 1
+            names.append(f"{name}#{counts[name]}" if effect.names.count(name) > 1 else name)
         at += size
     values = np.concatenate([join(fit.stiffness, fit.damping), vector(fit.mass), np.zeros(total - entries)])
     return JointParameters(tuple(names), values, 0.5 * (covariance + covariance.T))

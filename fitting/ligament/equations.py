@@ -12,15 +12,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.prior import Prior
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import split
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _STEP = 1e-4  # of a scaled parameter, for central differences: their error is its square
 
 
@@ -30,7 +28,6 @@ class Term:
 
     Attributes
     ----------
-    name : str
     apply : callable
         (value, lines, equations) -> (lines, equations) with the term in them; 0 changes nothing.
     unit : float
@@ -65,10 +62,8 @@ class Equations:
         Q: rows of the mass matrix that Y multiplies; c = 0 without unknown coupling.
     shapes : ndarray, (s, n, 6)
         Changes of E by further unknowns.
-    law : DampingLaw
     prior : Prior
         Of the parameters ahead of the shared errors, scaled.
-    terms : tuple of Term
     fluid : ndarray, (n, n), or None
         M_f, scaled.
     factor : ndarray, (lines,), or None

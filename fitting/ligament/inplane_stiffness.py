@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.estimators.problem import Problem
@@ -17,9 +16,9 @@ from fitting.ligament.prior import Prior
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.principal_axes import PRINCIPAL_DOF
+from stapeskit.arrays import Array
 from stapeskit.spatial import dof_indices
 
-Array = NDArray[np.float64]
 INPLANE_DOF: tuple[str, ...] = ("x", "z", "beta")
 ROWS, COLUMNS = dof_indices(PRINCIPAL_DOF), dof_indices(INPLANE_DOF)
 _N = len(PRINCIPAL_DOF)
@@ -61,7 +60,6 @@ def inplane_stiffness(
 
     Parameters
     ----------
-    problem : Problem
     lines, corrected : JointLines
         With all shared errors, and with those of the piston fit removed; the former are needed only where the
         latter do not fit.

@@ -10,7 +10,6 @@ formed once for all unknowns.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.regressor_noise import information
 from fitting.ligament.equations import (
@@ -23,9 +22,7 @@ from fitting.ligament.equations import (
 from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.model.parameter_vector import basis, split
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 def joint_covariance(lines: JointLines, equations: Equations, fit: JointFit) -> tuple[Array, Array]:
@@ -46,8 +43,8 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
     constant = _constant_operators(lines, equations, parameters, len(weights))
     count = len(weights)
     pairs = (weights.conj()[:, None] * weights).reshape(count * count, 1, -1)
-    left = (pairs * precision.reshape(lines.count, -1).T).reshape(-1, lines.count)
-    sums = left @ motion.conj().reshape(lines.count, -1)
+    weighted_precision = (pairs * precision.reshape(lines.count, -1).T).reshape(-1, lines.count)
+    sums = weighted_precision @ motion.conj().reshape(lines.count, -1)
     sums = sums.reshape(count, count, n, n, 2 * DOFS, 2 * DOFS).transpose(0, 2, 4, 1, 3, 5)
     flat = constant.reshape(len(constant), -1)
     size = flat.shape[1]

@@ -30,9 +30,8 @@ from fitting.ligament.equations import (
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.model.parameter_vector import split
 from fitting.model.scaled_lines import regressor
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Step, squared, in units of the parameters' uncertainty, that ends a fit; one without shared errors, which is
 # a start; and one with more noise than stated, which finds how much there is.
 TOLERANCE, _START_TOLERANCE, NOISY_TOLERANCE = 1e-5, 1e-2, 1e-3
@@ -49,7 +48,6 @@ class Expansion:
 
     Attributes
     ----------
-    value : float
     gradient : ndarray, (p,)
         With priors.
     hessian : ndarray, (p, p)
@@ -91,9 +89,6 @@ class JointFit:
         Twice the objective, priors included.
     n_dof : int
         2 n lines less the parameters without a prior.
-    converged : bool
-    iterations : int
-    at : Expansion
     noise : float
         Variance of the noise with which it was fitted over the stated one.
     given_up : bool
@@ -259,8 +254,6 @@ def fit_joint(
 
     Parameters
     ----------
-    lines : JointLines
-    equations : Equations
     start : ndarray
     tolerance : float
         Squared step in units of the parameters' own uncertainty that ends it.

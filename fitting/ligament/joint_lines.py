@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.model.observation import Observation
 from fitting.uncertainty.covariance import joined_mass_sources, motion_moves_mass
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import matrix_from_parameters
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Degrees of freedom of a rigid body.
 DOFS = 6
 # Eigenvalues of a correlation matrix below this are combinations without an error.
@@ -195,14 +193,14 @@ def _unit_errors(covariance: Array, names: tuple[str, ...]) -> tuple[Array, list
     safe = np.where(size > 0.0, size, 1.0)
     correlation = covariance / np.outer(safe, safe)
     related = [np.flatnonzero(row > _NO_ERROR).tolist() for row in np.abs(correlation)]
-    left = dict.fromkeys(np.flatnonzero(size > 0.0).tolist())
+    remaining = dict.fromkeys(np.flatnonzero(size > 0.0).tolist())
     rows, sources = [np.zeros((0, len(size)))], []
-    while left:
-        block, waiting = [], [next(iter(left))]
+    while remaining:
+        block, waiting = [], [next(iter(remaining))]
         while waiting:
             place = waiting.pop()
-            if place in left:
-                del left[place]
+            if place in remaining:
+                del remaining[place]
                 block.append(place)
                 waiting += related[place]
         block.sort()
@@ -232,8 +230,8 @@ def _maps(y: ComplexArray, changes: ComplexArray) -> tuple[ComplexArray, Complex
         turned = np.linalg.lstsq(motion / size, wanted, rcond=1e-11)[0] / size[:, None]
         rests[:, place] -= (motion @ turned).reshape(len(y), DOFS, count)
         maps[body] = turned.reshape(DOFS, DOFS, count).transpose(1, 0, 2)
-    left = np.sum(np.abs(rests) ** 2, axis=(0, 1))
+    unexplained = np.sum(np.abs(rests) ** 2, axis=(0, 1))
     whole = np.sum(np.abs(changes) ** 2, axis=(1, 2))
     alike = np.sum((rests[1:].conj() * rests[:-1]).real, axis=(0, 1))
-    odd = (alike > _NEIGHBOURS_AGREE * left) & (left > _LEAST_REST**2 * whole)
+    odd = (alike > _NEIGHBOURS_AGREE * unexplained) & (unexplained > _LEAST_REST**2 * whole)
     return maps, np.where(odd, rests, 0.0) if np.any(odd) else None

@@ -17,7 +17,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
@@ -30,9 +29,9 @@ from fitting.ligament.prior import Prior, coupling_prior
 from fitting.ligament.semidefinite_joint_fit import fit_held
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 
-Array = NDArray[np.float64]
 _N = len(PRINCIPAL_DOF)
 Extension = Callable[[JointLines], tuple[Term, ...]]
 # Least size from which an outer search begins, in the unit of a term, how far it goes (logarithm), and the
@@ -186,14 +185,14 @@ def _from_valleys(
     """
     joint: JointFit | None = None
     limit = explained_limit(equations, lines.count) if within is None else within
-    seen: list[JointFit] = []
+    minima: list[JointFit] = []
     for coupling in couplings:
         bare = fit_joint(
-            lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2, known=seen
+            lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2, known=minima
         )
-        if any(same_valley(bare, other) for other in seen):
+        if any(same_valley(bare, other) for other in minima):
             continue
-        seen.append(bare)
+        minima.append(bare)
         begin = np.concatenate([bare.parameters, np.zeros(lines.errors)])
         joint = fit_joint(lines, equations, begin, within=limit)
         if joint.converged:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
@@ -26,9 +25,8 @@ from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.principal_axes import PRINCIPAL_DOF
 from fitting.uncertainty.covariance import NOISE, SharedEffect
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 INPLANE_STIFFNESS = "inplane_stiffness"
 PLANE = "ligament_plane"
 _N = len(PRINCIPAL_DOF)
@@ -40,7 +38,6 @@ class LigamentFit:
 
     Attributes
     ----------
-    law : DampingLaw
     estimate : Estimate
         Scaled K' and D' about the plane of the ligament.
     stiffness, damping : ndarray, (3, 3)
@@ -52,14 +49,12 @@ class LigamentFit:
     coupling : ndarray, (3, 3)
         Y, rows y, alpha, gamma, columns x, z, beta; m, m, 1 and so on, SI.
     coupling_covariance : ndarray, (9, 9)
-    inplane : InplaneStiffness
     sources : dict of str to ndarray, (12, 12)
         Covariance of K and D about the footplate centre by source.
     effects : tuple of SharedEffect
         The shared errors as the data leave them, for derived quantities.
     chi2 : float
         Of equations, shared errors and priors together.
-    n_dof : int
     widened : float
         Factor on the channel noise because chi2 exceeds its degrees of freedom.
     law_sd : ndarray, (unknowns,)

@@ -14,14 +14,13 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_fit import NOISY_TOLERANCE, TOLERANCE, JointFit, expand, fit_joint
 from fitting.ligament.joint_lines import JointLines
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Descent = Callable[[JointLines, Array, float], JointFit]
 # Fits with other noise, the share of it at which chi2 per degree of freedom agrees, and the factor within
 # which the least noise is found; the factor by which it grows where it is too small.
@@ -83,8 +82,6 @@ def fit_with_noise(
 
     Parameters
     ----------
-    lines : JointLines
-    equations : Equations
     start : ndarray, (p,) or (p + k,)
     descent : callable
         Fits lines from a start; its third argument is their noise over the stated one.
@@ -118,12 +115,12 @@ def fit_with_noise(
         fit = descent(replace(lines, covariance=noise * lines.covariance), start, noise)
         if fit.converged and _probable(equations, fit.parameters):
             best, start, best_noise = fit, fit.parameters, noise
-            left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
-            if noise <= _CLOSE * low or left > _AGREES * noise:
+            level = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
+            if noise <= _CLOSE * low or level > _AGREES * noise:
                 break
-            if before is not None and left > _AGREES * before.level:
+            if before is not None and level > _AGREES * before.level:
                 break
-            noise = max(left, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
+            noise = max(level, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
         elif fit.given_up:
             break
         elif best is None:

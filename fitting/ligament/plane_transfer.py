@@ -2,8 +2,9 @@
 
 Y K_cc Y^T is a square. Where the height h of the plane is near zero, h^2 has no slope, and first order leaves
 out what a height of one standard deviation adds to K. Of a normal Y, with the covariance C, the second order
-is exact:
+is exact, its mean, by which an estimate of Y puts K off, and its covariance:
 
+    E(dY A dY^T) = sum of A_ab C_ia,jb
     Cov(dY A dY^T, dY B dY^T) = sum of A_ab B_cd (C_ia,kc C_jb,ld + C_ia,ld C_jb,kc)
 
 (Isserlis 1918, doi:10.1093/biomet/12.1-2.134).
@@ -12,12 +13,11 @@ is exact:
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.inplane_stiffness import InplaneStiffness
 from fitting.model.parameter_vector import join, pairs, split
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Degrees of freedom out of the plane: y, alpha, gamma.
 _N = 3
 
@@ -32,7 +32,6 @@ def slopes_of_transfer(
     coupling : ndarray, (3, 3)
         Y, SI.
     coupling_covariance : ndarray, (9, 9)
-    inplane : InplaneStiffness
 
     Returns
     -------
@@ -61,8 +60,9 @@ def slopes_of_transfer(
 
 
 def curvature_of_transfer(coupling_covariance: Array, inplane: InplaneStiffness) -> Array:
-    """Return the covariance (12, 12), SI, of what is of second order in Y in Y K_cc Y^T and Y D_cc Y^T."""
+    """Return the mean square (12, 12), SI, of what is of second order in Y in Y K_cc Y^T and Y D_cc Y^T."""
     spread = coupling_covariance.reshape((_N,) * 4)
+    mean = join(*(np.einsum("ab,iajb->ij", part, spread) for part in (inplane.stiffness, inplane.damping)))
     rows, columns = np.array(pairs(_N)).T
     mixed = [np.einsum("ab,iakc->ibkc", part, spread) for part in (inplane.stiffness, inplane.damping)]
     blocks = []
@@ -73,5 +73,5 @@ def curvature_of_transfer(coupling_covariance: Array, inplane: InplaneStiffness)
             crossed = np.einsum("ibld,cd,jbkc->ijkl", left, matrix, spread)
             line.append((straight + crossed)[rows[:, None], columns[:, None], rows, columns])
         blocks.append(line)
-    covariance = np.block(blocks)
-    return np.asarray(0.5 * (covariance + covariance.T))
+    square = np.block(blocks) + np.outer(mean, mean)
+    return np.asarray(0.5 * (square + square.T))

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # In metres; the prior is stated in mm.
 MILLIMETRE = 1e-3
 

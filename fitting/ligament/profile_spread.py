@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.equations import Equations
 from fitting.ligament.inplane_stiffness import inverse_of
@@ -21,12 +20,13 @@ from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.ligament.prior import Prior
 from fitting.uncertainty.profile import QUANTILE_95
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Relative standard deviation of an entry on the diagonal of K' above which its profile is looked at: a normal
 # distribution of 1 / K and one of K differ by that share of a standard deviation.
 WEAK = 0.25
-# Times its value that an entry is followed: its standard deviation is ten times its value then.
+# Times its value, or its standard deviation where that is larger, that an entry is followed: beyond, its
+# standard deviation is ten times as large.
 _FARTHEST = 20.0
 # Computation: steps of a fit with the entry held, and the sd of the entry over that of the hold.
 _MOST, _SHARP = 15, 1e2
@@ -52,7 +52,7 @@ def profile_spread(ligament: LigamentFit) -> Array:
         along = covariance[:, place] / covariance[place, place]
         target = float(np.sqrt(QUANTILE_95 * covariance[place, place] / inverse[place, place]))
         path = _Path(lines, equations, fit, along, place, own)
-        distance = path.reach(target, _FARTHEST * abs(fit.parameters[place]))
+        distance = path.reach(target, _FARTHEST * max(own, abs(fit.parameters[place])))
         beyond = (distance / 1.96) ** 2 - own**2
         if beyond > 0.0:
             change = np.sqrt(beyond) * along[: equations.unknowns]
@@ -72,7 +72,7 @@ class _Path:
 
     def reach(self, target: float, farthest: float) -> float:
         """Return the distance at which the root of the rise of chi2 is ``target``, at most ``farthest``."""
-        near, low, far = 0.0, 0.0, min(1.96 * self._sd, farthest)
+        near, low, far = 0.0, 0.0, 1.96 * self._sd
         while True:
             high = self._rise(far)
             if high >= target:

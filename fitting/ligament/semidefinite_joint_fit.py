@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.semidefinite_roots import Expansion, Objective, active_names, minimise, minimise_near
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_fit import JointFit, expand
 from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.misfit import fit_with_noise, is_explained
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Search = Callable[[Expansion, Objective, Array, int], tuple[Array, bool, int]]
 
 
@@ -27,7 +26,6 @@ def fit_held(
 
     Parameters
     ----------
-    lines : JointLines
     equations : Equations
         Without further terms.
     near : ndarray, (12,)

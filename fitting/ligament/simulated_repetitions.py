@@ -6,16 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_fit import fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units
 from fitting.model.parameter_vector import join, split
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 class Repetitions:
@@ -23,7 +20,6 @@ class Repetitions:
 
     Parameters
     ----------
-    ligament : LigamentFit
     units : ndarray, (12,)
         SI over scaled of K and D.
     """

@@ -44,7 +44,6 @@ class RingTest:
 
     Attributes
     ----------
-    rim_length_m : float
     shear_pa : Value
         c = K11 / rim length = G t / g: the shear modulus times thickness over width.
     measured, expected : PrincipalAxes

@@ -16,7 +16,6 @@ def causal_rise(law: DampingLaw, loss_factor: float, band: tuple[float, float]) 
 
     Parameters
     ----------
-    law : DampingLaw
     loss_factor : float
         Im Z / Re Z.
     band : (float, float)

@@ -9,7 +9,7 @@ import numpy as np
 from fitting.errors import FittingError
 from fitting.model.inertia import check_mass
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
 from stapeskit.spatial import DOF_NAMES, inertia_faults
 
@@ -98,8 +98,9 @@ def _refuse_header(words: str, place: Place) -> None:
     step = "Remove the header"
     if "freq_hz" in cells:
         step = "It looks like the motion of points2dof: give that first, and mass.json or M.csv with {mass}"
-    shown = ", ".join(cells[:6]) + (", ..." if len(cells) > 6 else "")
-    raise FittingError.of("M.csv", "numbers separated by commas, without a header", shown, place, step)
+    raise FittingError.of(
+        "M.csv", "numbers separated by commas, without a header", list_some(cells, 6), place, step
+    )
 
 
 def _row(words: str, line: int, name: str) -> tuple[list[float], list[Fault]]:

@@ -33,7 +33,6 @@ class Observation:
         Hz; the runs follow one after the other.
     run : ndarray, (lines,), int
         Place of each line's run in ``runs``.
-    runs : tuple of str
     q : ndarray, (lines, m), complex
         m = n + c + n: structure in ``dof``, structure in ``load_dof``, base in ``dof``; m and rad.
     covariance : ndarray, (lines, m, m), complex

@@ -134,8 +134,6 @@ def assemble(
         SI.
     mass_rows : ndarray, (n, n + c)
         [M_rr, M_rc]: rows of the chosen degrees of freedom, columns of these and of ``load_dof``; SI.
-    scale : Scale
-    law : DampingLaw
     base_mass : ndarray, (n, n), optional
         M_rb, mass coupled to the base motion: w^2 (M_rr q_r + M_rc q_c + M_rb q_b) = Z dq.
     """

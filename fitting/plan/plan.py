@@ -78,12 +78,10 @@ class Plan:
         Amplitude of the base along the driven direction.
     rocking : float
         Motion of the base in the other directions relative to it, rotations at a radius of 1 mm.
-    low_hz, high_hz : float
     lines : int
         Of one run.
     directions : tuple of str
         Direction that the shaker drives, one a run.
-    law : DampingLaw
     errors : PlannedErrors
         Of what the lines share.
     """
@@ -167,10 +165,8 @@ class Expectation:
 
     Attributes
     ----------
-    plan : Plan
     options : tuple of Option
         The plan first.
-    notices : tuple of Notice
     """
 
     plan: Plan

@@ -53,7 +53,6 @@ def shared_errors(
 
     Parameters
     ----------
-    errors : PlannedErrors
     dof : tuple of str, (n,)
     layouts : tuple of Layout
         Points of each body; each is seen along three axes, by one laser an axis.

@@ -78,14 +78,18 @@ def _belief(fit: KDFit) -> str:
         return f"{VERDICTS[-1]}: {', '.join([*lost, *weak])} undetermined"
     entries = table()
     codes = dict.fromkeys(notice.code for notice in fit.notices)
+    named = None if fit.diagnosis is None else fit.diagnosis.named
+    words = {} if named is None else {"cause_found": title_of(named.name)}
     for level in reversed(VERDICTS[1:]):
-        found = [
-            code for code in codes if (entries[code].verdict if code in entries else VERDICTS[1]) == level
+        reasons = [
+            words.get(code, code)
+            for code in codes
+            if (entries[code].verdict if code in entries else VERDICTS[1]) == level
         ]
         if level == VERDICTS[1] and weak:
-            found.append(f"{', '.join(weak)} undetermined")
-        if found:
-            return f"{level}: {', '.join(found)}"
+            reasons.append(f"{', '.join(weak)} undetermined")
+        if reasons:
+            return f"{level}: {', '.join(reasons)}"
     return "yes: no warning speaks against them"
 
 

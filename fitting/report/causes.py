@@ -116,15 +116,15 @@ def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
     The size is the one from which a cause is found in four of five measurements, or twice its usual one where
     that is smaller or no data show it.
     """
-    found = []
+    rows = []
     for name in diagnosis.sensitivities:
         if not CAUSES[name].refitted or CAUSES[name].family:
             continue
-        seen = diagnosis.seen_from.get(name, np.inf)
-        size = min(seen, 2.0 * CAUSES[name].usual, CAUSES[name].only or np.inf)
+        detectable = diagnosis.seen_from.get(name, np.inf)
+        size = min(detectable, 2.0 * CAUSES[name].usual, CAUSES[name].only or np.inf)
         change = diagnosis.sensitivities[name] * size / CAUSES[name].example
-        found.append((name, size, relative_effect(change, fit.stiffness, fit.damping)))
-    return sorted(found, key=lambda row: -float(np.nanmax(np.abs(row[2]))))
+        rows.append((name, size, relative_effect(change, fit.stiffness, fit.damping)))
+    return sorted(rows, key=lambda row: -float(np.nanmax(np.abs(row[2]))))
 
 
 def _finite(value: float | None) -> float | None:
@@ -229,8 +229,8 @@ def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
         if name in CAUSES and CAUSES[name].family and name not in diagnosis.tested:
             continue  # of causes that differ by their place the likeliest alone has a score
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
-        seen = diagnosis.seen_from.get(name)
-        least = "never" if _finite(seen) is None else f"{seen:.2g} {unit}"
+        detectable = diagnosis.seen_from.get(name)
+        least = "never" if _finite(detectable) is None else f"{detectable:.2g} {unit}"
         rows.append((f"{title}: {size:g} {unit}", least, *map(_percent, relative)))
     return page.table(("error", "seen from", *fit.parameters), rows)
 

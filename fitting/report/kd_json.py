@@ -23,7 +23,6 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
 
     Parameters
     ----------
-    fit : KDFit
     provenance : mapping
         From stapeskit.provenance.record.
     """

@@ -40,11 +40,11 @@ def ring_of(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None = None) 
     return replace(test, gap_m=_length(gap), thickness_m=_length(thickness))
 
 
-def _length(given: WithSd | None) -> Value | None:
+def _length(stated_mm: WithSd | None) -> Value | None:
     """Return a length that was given in mm, in m; its standard deviation is NaN where none is given."""
-    if given is None:
+    if stated_mm is None:
         return None
-    value, sd = given
+    value, sd = stated_mm
     return Value(1e-3 * value, np.nan if sd is None else 1e-3 * sd)
 
 

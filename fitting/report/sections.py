@@ -58,7 +58,6 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | No
 
     Parameters
     ----------
-    fit : KDFit
     outline_mm : ndarray, (points, 3), optional
         Outline of the footplate in footplate axes, mm.
     gap_mm : WithSd, optional

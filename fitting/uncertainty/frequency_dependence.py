@@ -53,7 +53,6 @@ class FrequencyDependence:
         Of all factors being 1.
     n_dof : int
         2 bands - 2.
-    p_value : float
     """
 
     low_hz: Array
@@ -131,10 +130,8 @@ def frequency_dependence(
 
     Parameters
     ----------
-    problem : Problem
     lines : Lines
         Its scaled equations.
-    estimate : Estimate
     widened : float
         Factor on the noise covariance because chi2 exceeds its degrees of freedom.
     bands : int

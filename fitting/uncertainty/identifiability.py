@@ -100,7 +100,6 @@ def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiab
     ----------
     parameters : ndarray, (p,)
         Scaled.
-    lines : Lines
     units : ndarray, (p,)
         SI over scaled.
     """
@@ -109,8 +108,8 @@ def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiab
     product = gram(columns)
     norms = np.sqrt(np.maximum(np.diag(product), 1e-300))
     spectrum = np.linalg.eigvalsh(product / np.outer(norms, norms))
-    seen = spectrum[0] > 1e-15 * spectrum[-1]
-    condition = float(np.sqrt(spectrum[-1] / spectrum[0])) if seen else float("inf")
+    determined = spectrum[0] > 1e-15 * spectrum[-1]
+    condition = float(np.sqrt(spectrum[-1] / spectrum[0])) if determined else float("inf")
     level = chi2(parameters, lines) / max(degrees(lines), 1)
     known, _ = known_and_spread(parameters, lines, level)
     sizes = relative_sizes(parameters, n)

@@ -35,10 +35,8 @@ def profile_intervals(lines: Lines, estimate: Estimate, options: EstimatorOption
 
     Parameters
     ----------
-    lines : Lines
     estimate : Estimate
         By ml.
-    options : EstimatorOptions
     widened : float
         Factor on the noise covariance because chi2 exceeds its degrees of freedom.
 

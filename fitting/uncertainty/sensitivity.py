@@ -25,7 +25,6 @@ def slope_by_motion(problem: Problem, lines: Lines, parameters: Array) -> Comple
 
     Parameters
     ----------
-    problem : Problem
     lines : Lines
         Its scaled equations.
     parameters : ndarray, (p,)

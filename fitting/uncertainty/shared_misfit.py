@@ -21,8 +21,6 @@ def chi2_with_shared_errors(problem: Problem, lines: Lines, parameters: Array) -
 
     Parameters
     ----------
-    problem : Problem
-    lines : Lines
     parameters : ndarray, (p,)
         Scaled; K and D move only where they maximise the likelihood.
 
@@ -42,8 +40,8 @@ def chi2_with_shared_errors(problem: Problem, lines: Lines, parameters: Array) -
     rows = np.concatenate(columns, axis=1)
     prior = np.concatenate([np.zeros(free), np.ones(rows.shape[1] - free)])
     step = -solve_symmetric(2.0 * rows.T @ rows + np.diag(prior), 2.0 * rows.T @ residual)
-    left = residual + rows @ step
-    return float(2.0 * (left @ left) + step @ (prior * step))
+    remaining = residual + rows @ step
+    return float(2.0 * (remaining @ remaining) + step @ (prior * step))
 
 
 def _root(covariance: Array) -> Array:

@@ -1,8 +1,8 @@
 """The table of vibrometer formats, and which of them a file or folder is.
 
-A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages and the
-table in docs/vibrometer_files.md follow. What a file holds decides first, its name second; earlier entries
-win.
+A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages, the help
+of ``points2dof`` and the table in docs/vibrometer_files.md follow. What a file holds decides first, its name
+second; earlier entries win.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from kinematics.errors import KinematicsError
 from kinematics.readers import proprietary_formats
 from kinematics.readers.input_options import InputOptions
+from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.psv.fastscan import looks_like_fastscan
 from kinematics.readers.psv.per_point import looks_like_points
 from kinematics.readers.psv.text_blocks import EXPORT_ENDINGS, decoded, export_files
@@ -147,8 +148,8 @@ FORMATS = (
         (".uff", ".unv", ".bunv", ".ufb"),
         ("series",),
         series="described",
-        reads="58 (all ASCII forms) and 58b (both byte orders): responses, cross and auto spectra, time "
-        "responses; 15/2411 nodes, 18/2420 coordinate systems, 164 units; coherence matched to its response",
+        reads="functions 58 (all ASCII forms) and 58b (both byte orders): responses, cross and auto spectra, "
+        "time responses; 15/2411 nodes, 18/2420 coordinate systems, 164 units; coherence with its response",
     ),
     Format(
         "fastscan",
@@ -182,7 +183,7 @@ FORMATS = (
         lambda head: head.mapped or is_wide(head.text),
         options=("mapping",),
         reads="one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase "
-        "[deg], ...`); other names by a [mapping](#wide-tables)",
+        "[deg], ...`); other names by `--mapping`",
     ),
     Format(
         TIDY,
@@ -232,8 +233,7 @@ def format_of(path: Path, mapped: bool = False) -> Format:
 
 def _head_of(path: Path) -> Head:
     with path.open("rb") as stream:
-        beside = path.with_name(path.name + ".toml")
-        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), beside.is_file())
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapping_of(path, None) is not None)
 
 
 def _format_of_folder(path: Path) -> Format:

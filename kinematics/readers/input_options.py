@@ -15,8 +15,6 @@ from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import axis_vector
 
-AMPLITUDES = ("peak", "rms")
-LENGTH_UNITS = ("m", "mm", "um")
 SERIES = "the options of time series"
 
 
@@ -48,7 +46,7 @@ def is_file(item: str, file: str) -> bool:
 
 @dataclass(frozen=True)
 class InputOptions:
-    """Facts about the files that the options give.
+    """Facts about the files that the options give; their values are as `LdvOptions` checks them.
 
     Attributes
     ----------
@@ -72,7 +70,7 @@ class InputOptions:
     Raises
     ------
     KinematicsError
-        A rule that cannot be read; all faults together.
+        Points of a body that cannot be read; all faults together.
     """
 
     body: tuple[str, ...] = ()
@@ -90,17 +88,11 @@ class InputOptions:
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         bodies = [_body(text, faults) for text in self.body]
-        object.__setattr__(self, "bodies", tuple(rule for rule in bodies if rule is not None))
-        runs = [_run(text, faults) for text in self.run]
-        object.__setattr__(self, "runs", tuple(rule for rule in runs if rule is not None))
-        object.__setattr__(self, "direction", _direction(self.beam, faults) if self.beam else None)
-        if self.amplitude not in ("", *AMPLITUDES):
-            faults.append(Fault("{amplitude}", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
-        if self.length_unit not in ("", *LENGTH_UNITS):
-            faults.append(Fault("{length_unit}", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
-        if self.n_avg is not None and not 1.0 <= self.n_avg < float("inf"):
-            faults.append(Fault("{n_avg}", "a number of averages, 1 or more", f"{self.n_avg:g}"))
         raise_all(KinematicsError, faults)
+        runs = [text.partition("=") for text in self.run]
+        object.__setattr__(self, "bodies", tuple(rule for rule in bodies if rule is not None))
+        object.__setattr__(self, "runs", tuple((name.strip(), file.strip()) for name, _, file in runs))
+        object.__setattr__(self, "direction", _direction(self.beam) if self.beam else None)
 
     @property
     def stated_names(self) -> tuple[str, ...]:
@@ -123,11 +115,7 @@ class InputOptions:
 
 def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | None:
     """Read ``NAME=POINTS``."""
-    name, mark, points = (part.strip() for part in text.partition("="))
-    step = "Write it like {body} stapes=1-10,12 or {body} base=base.uff"
-    if not mark or not name or not points:
-        faults.append(Fault("{body}", "NAME=POINTS", text, "", step))
-        return None
+    name, _, points = (part.strip() for part in text.partition("="))
     chosen: list[Chosen] = []
     file = ""
     for item in points.split(","):
@@ -135,7 +123,8 @@ def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | No
         file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
         item_points = _points(file, item)
         if item_points is None:
-            faults.append(Fault("the points of {body}", "numbers, ranges or names", f"{text}", "", step))
+            step = "Write it like {body} stapes=1-10,12 or {body} base=base.uff"
+            faults.append(Fault("the points of {body}", "numbers, ranges or names", text, "", step))
             return None
         chosen.append(item_points)
     return name, tuple(chosen)
@@ -151,31 +140,13 @@ def _points(file: str, item: str) -> Chosen | None:
     return Chosen(file, "", first, last) if first <= last else None
 
 
-def _run(text: str, faults: list[Fault]) -> tuple[str, str] | None:
-    """Read ``NAME=FILE``."""
-    name, mark, file = (part.strip() for part in text.partition("="))
-    if not mark or not name or not file:
-        step = "Write it like {run} push=first.uff"
-        faults.append(Fault("{run}", "NAME=FILE", text, "", step))
-        return None
-    return name, file
-
-
-def _direction(text: str, faults: list[Fault]) -> Array | None:
+def _direction(text: str) -> Array:
     """Read ``-z`` or ``0,0.34,0.94``."""
     axis = axis_vector(text.strip())
     if axis is not None:
         return axis
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
-    length = float(np.linalg.norm(numbers))
-    if numbers.shape != (3,) or not abs(length - 1.0) < 1e-3:
-        expected = "x, y, z, -x, -y, -z or three numbers of length 1 (within 1e-3)"
-        faults.append(Fault("{beam}", expected, text, "", "It points from the sample towards the laser head"))
-        return None
-    return np.asarray(numbers / length)
+    numbers = np.array([float(part) for part in text.split(",")])
+    return np.asarray(numbers / np.linalg.norm(numbers))
 
 
 def check_used(options: InputOptions, files: Sequence[str]) -> list[Fault]:

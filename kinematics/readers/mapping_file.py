@@ -12,6 +12,12 @@ from stapeskit.json_toml import parse_toml
 from stapeskit.option_names import suggestion
 
 
+def mapping_of(path: Path, mapping: Path | None) -> Path | None:
+    """Return the mapping of a file: the one given, or ``<path>.toml`` where it exists."""
+    beside = path.with_name(path.name + ".toml")
+    return beside if mapping is None and beside.is_file() else mapping
+
+
 def _document(path: Path) -> dict[str, Any]:
     """Read the TOML of a mapping file.
 

@@ -28,7 +28,7 @@ class Cohort(CohortLaws, Result):
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return the exponents of the planned laws and the number of independent parameters."""
         rows = []
-        for planned in (law for law in self.laws if law.family == "primary"):
+        for planned in self.primary:
             low, high = planned.law.interval
             text = f"exponent {planned.law.exponent:.2f} (95 % {low:.2f} to {high:.2f})"
             text += f", p = {planned.law.p_value:.2g}"
@@ -124,7 +124,7 @@ def cohort(
         folder, name, known = _place(study)
         try:
             ear = read_ear(folder, name)
-        except (OSError, KeyError, ValueError, StapeskitError) as fault:
+        except (OSError, LookupError, ValueError, TypeError, AttributeError, StapeskitError) as fault:
             expected = "a folder with mass.json and kd.json of a finished study"
             faults.append(Fault(str(folder), expected, fault, "", "Run scan2kd on its study first"))
             continue

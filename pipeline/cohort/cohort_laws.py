@@ -106,6 +106,28 @@ class CohortLaws:
     notices: tuple[Notice, ...]
     _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def primary(self) -> list[CohortLaw]:
+        """The planned laws."""
+        return [law for law in self.laws if law.family == "primary"]
+
+    @property
+    def logarithms(self) -> LogTable:
+        """The table that laws are fitted on.
+
+        Raises
+        ------
+        PipelineError
+            There are too few ears for laws.
+        """
+        if self.table is None:
+            raise PipelineError.of("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears))
+        return self.table
+
+    def pairs(self, law: CohortLaw) -> LogPairs:
+        """Return the logarithms of the ears that have both quantities of a law."""
+        return self.logarithms.pairs(law.response, law.predictor)[0]
+
     def law(self, response: str, predictor: str) -> CohortLaw:
         """Return a law, by whole names or their beginnings: ``law("K11", "mass")``.
 
@@ -147,8 +169,7 @@ class CohortLaws:
             There is no such law, or the scan lacks the predictor, or a covariate is missing.
         """
         law = self.law(response, predictor)
-        table = self._table()
-        pairs, _ = table.pairs(law.response, law.predictor)
+        table = self.logarithms
         content = mass_content(mass)
         ear = replace(self.ears[0], mass=content, about=about or {}, side=content["frames"].get("side") or "")
         alone = log_table([ear])
@@ -161,7 +182,7 @@ class CohortLaws:
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
         columns = table.covariates.of_ear(stated(ear)) if table.covariates.names else None
         x = float(alone.values[0, column])
-        return self.predictor(law).predict(x, float(variance), _shared_variance(pairs), columns)
+        return self.predictor(law).predict(x, float(variance), _shared_variance(self.pairs(law)), columns)
 
     def tolerance(self, response: str, predictor: str = "mass") -> tuple[float, float]:
         """Return the 95 % range of ln of a response over ears of this population: "is this ear normal".
@@ -169,26 +190,20 @@ class CohortLaws:
         It is one of true values, and is wider by the errors that the ears share.
         """
         law = self.law(response, predictor)
-        pairs, _ = self._table().pairs(law.response, law.predictor)
-        return self.predictor(law).tolerance(_shared_variance(pairs))
+        return self.predictor(law).tolerance(_shared_variance(self.pairs(law)))
 
     def predictor(self, law: CohortLaw) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
         key = (law.response, law.predictor)
         if key not in self._predictors:
-            self._predictors[key] = Predictor(self._table().pairs(*key)[0])
+            self._predictors[key] = Predictor(self.pairs(law))
         return self._predictors[key]
-
-    def _table(self) -> LogTable:
-        if self.table is None:
-            raise PipelineError.of("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears))
-        return self.table
 
     def normal_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the 95 % range (SI) of each response over ears of this population, by its planned law."""
         ranges: dict[str, tuple[float, float]] = {}
-        for law in self.laws:
-            if law.family == "primary" and law.response not in ranges:
+        for law in self.primary:
+            if law.response not in ranges:
                 low, high = self.tolerance(law.response, law.predictor)
                 ranges[law.response] = (float(np.exp(low)), float(np.exp(high)))
         return ranges
@@ -330,7 +345,7 @@ def _law(table: LogTable, response: str, predictor: str, planned: bool) -> Cohor
 
 def _components(table: LogTable) -> Components | None:
     """Count the independent parameters among the responses of the ears that have all of them."""
-    columns = [table.column(name) for name in table.responses if "principal" not in name]
+    columns = [table.column(name) for name in table.entries]
     keep = np.all(np.isfinite(table.values[:, columns]), axis=1)
     if int(keep.sum()) < LEAST_EARS:
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
+from stapeskit.json_toml import read_json
 from stapeskit.page.quantities import MASS, matrix_units, si_unit
 from stapeskit.tables.text_cells import as_text_cell
 
@@ -121,10 +121,18 @@ class Quantity:
 
 
 def read_ear(folder: Path, name: str) -> Ear:
-    """Read the results of one study, called ``name``, from its output folder."""
-    mass, kd = (
-        json.loads((Path(folder) / file).read_text(encoding="utf-8")) for file in ("mass.json", "kd.json")
-    )
+    """Read the results of one study, called ``name``, from its output folder.
+
+    Raises
+    ------
+    OSError
+    KeyError, ValueError
+        A file is not what ct2mass or dof2kd writes.
+    """
+    mass, kd = (read_json(Path(folder) / file) for file in ("mass.json", "kd.json"))
+    for content, schema in ((mass, "stapeskit.mass/1"), (kd, "stapeskit.kd/1")):
+        if content.get("schema") != schema:
+            raise ValueError(f"schema {content.get('schema')} and not {schema}")
     return Ear(name, Path(folder).name, mass["frames"].get("side") or "", mass, kd)
 
 

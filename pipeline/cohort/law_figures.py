@@ -43,13 +43,10 @@ def _panels(count: int, height: float) -> tuple[Figure, list[Any]]:
 
 def laws_figure(cohort: CohortLaws) -> Figure:
     """Draw one panel for each planned law."""
-    laws = [law for law in cohort.laws if law.family == "primary"]
-    drawing, panels = _panels(len(laws), 3.1)
-    for panel, planned in zip(panels, laws, strict=True):
-        if cohort.table is not None:
-            pairs = cohort.table.pairs(planned.response, planned.predictor)[0]
-            unit = response_unit(planned.response, cohort.ears)
-            _draw_law(panel, planned, pairs, cohort.predictor(planned), unit)
+    drawing, panels = _panels(len(cohort.primary), 3.1)
+    for panel, planned in zip(panels, cohort.primary, strict=True):
+        unit = response_unit(planned.response, cohort.ears)
+        _draw_law(panel, planned, cohort.pairs(planned), cohort.predictor(planned), unit)
     return drawing
 
 
@@ -105,10 +102,7 @@ def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Figure:
     """Draw the residuals of ears left out, one panel for each law."""
     drawing, panels = _panels(len(laws), 2.4)
     for panel, law in zip(panels, laws, strict=True):
-        if cohort.table is None:
-            continue
-        factor = SHOWN.get(law.predictor, ("", 1.0))[1]
-        pairs = cohort.table.pairs(law.response, law.predictor)[0]
+        factor, pairs = SHOWN.get(law.predictor, ("", 1.0))[1], cohort.pairs(law)
         panel.axhspan(-2.0 * law.law.sigma, 2.0 * law.law.sigma, color=_BAND, lw=0)
         panel.axhline(0.0, color=_GREY, lw=1)
         few = pairs.n <= _MOST_ELLIPSES
@@ -149,13 +143,10 @@ def paired_ears(cohort: CohortLaws) -> list[tuple[str, int, int]]:
 
 def pairs_figure(cohort: CohortLaws, pairs: Sequence[tuple[str, int, int]]) -> Figure:
     """Draw left against right ears of the same persons, one panel for each diagonal entry of K and D."""
-    table = cohort.table
-    names = [] if table is None else [name for name in table.responses if "principal" not in name]
-    drawing, panels = _panels(len(names), 2.9)
+    table = cohort.logarithms
+    drawing, panels = _panels(len(table.entries), 2.9)
     left, right = np.array([pair[1] for pair in pairs]), np.array([pair[2] for pair in pairs])
-    for panel, name in zip(panels, names, strict=True):
-        if table is None:
-            continue
+    for panel, name in zip(panels, table.entries, strict=True):
         column = table.column(name)
         unit = response_unit(name, cohort.ears)
         sides = [

@@ -31,7 +31,7 @@ def law_sections(cohort: CohortLaws) -> list[Section]:
     notices = [page.notices(cohort.notices)] if cohort.notices else []
     if not cohort.laws or cohort.table is None:
         return [Section("Laws", notices, "laws")] if notices else []
-    primary = [law for law in cohort.laws if law.family == "primary"]
+    primary = cohort.primary
     others = sorted(
         (law for law in cohort.laws if law.family == "exploratory"), key=lambda law: law.law.p_value
     )
@@ -96,12 +96,12 @@ def _row(entry: CohortLaw) -> tuple[str, ...]:
 
 def _influence_section(cohort: CohortLaws, primary: Sequence[CohortLaw], as_paths: bool) -> list[Section]:
     """Return residuals of ears left out, and how much each ear moves an exponent."""
-    if not primary or cohort.table is None:
+    if not primary:
         return []
     named, rows = dict(zip((ear.folder for ear in cohort.ears), labels(cohort.ears), strict=True)), []
     for cohort_law in primary:
-        _, keep = cohort.table.pairs(cohort_law.response, cohort_law.predictor)
-        ears = [folder for folder, used in zip(cohort.table.ears, keep, strict=True) if used]
+        _, keep = cohort.logarithms.pairs(cohort_law.response, cohort_law.predictor)
+        ears = [folder for folder, used in zip(cohort.logarithms.ears, keep, strict=True) if used]
         change = cohort_law.left_out.exponents - cohort_law.law.exponent
         for k in np.argsort(-np.abs(np.nan_to_num(change)))[:2]:
             if np.isfinite(change[k]):
@@ -143,11 +143,10 @@ def _normal_section(cohort: CohortLaws) -> list[Section]:
 
 def _component_section(cohort: CohortLaws) -> list[Section]:
     """Return what is known of the number of independent parameters."""
-    components, table = cohort.components, cohort.table
-    if components is None or table is None:
+    components, names = cohort.components, cohort.logarithms.entries
+    if components is None:
         return []
     low, high = components.interval
-    names = [name for name in table.responses if "principal" not in name]
     shown = max(high, 1)
     rows = [
         (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in components.loadings[k]))
@@ -173,12 +172,12 @@ def _pairs_section(cohort: CohortLaws) -> list[Section]:
     pairs = paired_ears(cohort)
     if len(pairs) < 2:
         return []
-    rhos = [law.law.rho for law in cohort.laws if law.family == "primary"]
+    rhos = [law.law.rho for law in cohort.primary]
     words = f"{len(pairs)} persons have both ears in the cohort."
     if rhos:
         words += f" Estimated correlation of the two ears in the planned laws: {_span(rhos)}."
     rows = [(subject, *_ratios(cohort, left, right)) for subject, left, right in pairs[:_MOST_NAMED]]
-    header = ("person", *(f"{name} left / right" for name in _responses(cohort)))
+    header = ("person", *(f"{name} left / right" for name in cohort.logarithms.entries))
     figure = page.figure(
         pairs_figure(cohort, pairs),
         "Left against right ears of the same persons; line: equal.",
@@ -192,17 +191,10 @@ def _span(values: Sequence[float]) -> str:
     return f"{low:.2f}" if high - low < 0.005 else f"{low:.2f} to {high:.2f}"
 
 
-def _responses(cohort: CohortLaws) -> list[str]:
-    return [] if cohort.table is None else [n for n in cohort.table.responses if "principal" not in n]
-
-
 def _ratios(cohort: CohortLaws, left: int, right: int) -> list[str]:
     """Return the ratio of each response of two ears, with its standard deviation."""
-    table = cohort.table
-    if table is None:
-        return []
-    cells = []
-    for name in _responses(cohort):
+    table, cells = cohort.logarithms, []
+    for name in table.entries:
         column = table.column(name)
         ratio = float(np.exp(table.values[left, column] - table.values[right, column]))
         variance = table.own[left, column, column] + table.own[right, column, column]

@@ -71,6 +71,11 @@ class LogTable:
     covariates: Covariates
     ears: tuple[str, ...]
 
+    @property
+    def entries(self) -> list[str]:
+        """The responses that are entries of K and D."""
+        return [name for name in self.responses if "principal" not in name]
+
     def column(self, name: str) -> int:
         """Return the column of a quantity.
 

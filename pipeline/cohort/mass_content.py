@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import PipelineError
+from stapeskit.json_toml import read_json
 
 
 def mass_content(source: object) -> Mapping[str, Any]:
@@ -30,11 +30,10 @@ def mass_content(source: object) -> Mapping[str, Any]:
         path = Path(source)
         path = path / "mass.json" if path.is_dir() else path
         try:
-            content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            return read_json(path)
         except (OSError, ValueError) as fault:
             step = "Run ct2mass on the scan first"
             raise PipelineError.of(str(path), "a mass.json", fault, "", step) from fault
-        return content
     if hasattr(source, "measured_mass"):
         return dict(source.measured_mass().record.raw)
     mass = getattr(source, "mass", None)

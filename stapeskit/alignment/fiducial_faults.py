@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from stapeskit.alignment.exchanged_points import best_order, cycles
-from stapeskit.alignment.paired_points import kabsch
+from stapeskit.alignment.paired_points import kabsch, misfits
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
@@ -67,23 +67,25 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
     """
     count = len(a)
     free = 3 * count - 6
-    suspects = []
-    for out in range(count):
-        keep = np.arange(count) != out
-        rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
-        rest = a @ rotation.T + shift - b
-        energy = float(np.sum(weights[keep, None] * rest[keep] ** 2))
-        cost = 3.0 + 2.0 * np.log(count)
-        size = float(np.linalg.norm(rest[out]))
-        suspects.append(Explanation("wrong", (out,), energy, free - 3, cost, size, -rest[out]))
-    pairs = list(combinations(range(count), 2))
-    for i, j in pairs:
-        order = np.arange(count)
-        order[[i, j]] = j, i
-        energy = _energy(a, b[order], weights)
-        size = float(np.linalg.norm(b[i] - b[j]))
-        suspects.append(Explanation("swapped", (i, j), energy, free, 2.0 * np.log(len(pairs)), size))
-    suspects.append(Explanation("mirrored", (), _energy(a * [1.0, 1.0, -1.0], b, weights), free, 1.0))
+    cost = 3.0 + 2.0 * np.log(count)
+    energies, residuals = misfits(a, b, np.where(np.eye(count, dtype=bool), 0.0, weights))
+    offsets = -residuals[np.arange(count), np.arange(count)]
+    suspects = [
+        Explanation(
+            "wrong", (out,), energy, free - 3, cost, float(np.linalg.norm(offsets[out])), offsets[out]
+        )
+        for out, energy in enumerate(energies.tolist())
+    ]
+    pairs = np.array(list(combinations(range(count), 2)))
+    orders = np.tile(np.arange(count), (len(pairs), 1))
+    np.put_along_axis(orders, pairs, pairs[:, ::-1], axis=1)
+    cost = 2.0 * np.log(len(pairs))
+    suspects += [
+        Explanation("swapped", (i, j), energy, free, cost, float(np.linalg.norm(b[i] - b[j])))
+        for (i, j), energy in zip(pairs.tolist(), misfits(a, b[orders], weights)[0].tolist(), strict=True)
+    ]
+    energy = float(misfits(a * [1.0, 1.0, -1.0], b, weights)[0])
+    suspects.append(Explanation("mirrored", (), energy, free, 1.0))
     scale, energy = _scaled(a, b, weights)
     suspects.append(Explanation("scaled", (), energy, free - 1, 1.0, scale))
     return suspects
@@ -101,11 +103,6 @@ def best(suspects: Sequence[Explanation], stated: bool) -> tuple[Explanation, li
     ordered = sorted(suspects, key=score)
     alike = [candidate for candidate in ordered if score(candidate) < score(ordered[0]) + _ALIKE]
     return ordered[0], alike
-
-
-def _energy(a: Array, b: Array, weights: Array) -> float:
-    rotation, shift, _ = kabsch(a, b, weights)
-    return float(np.sum(weights[:, None] * (a @ rotation.T + shift - b) ** 2))
 
 
 def _scaled(a: Array, b: Array, weights: Array) -> tuple[float, float]:

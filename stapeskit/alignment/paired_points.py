@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.frames import cross_matrix, rotation_from_vector
@@ -11,23 +12,52 @@ from stapeskit.frames import cross_matrix, rotation_from_vector
 _ROUNDS = 50
 
 
-def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array, bool]:
-    """Return the proper rotation (3, 3) and the translation (3,), mm, of the weighted least-squares fit.
+def kabsch(
+    source_mm: Array, target_mm: Array, weights: Array
+) -> tuple[Array, Array, NDArray[np.bool_] | np.bool_]:
+    """Return the rotation and shift of the weighted least-squares fit of one set of points, or of many.
 
-    The third value is True where a reflection would have fitted better.
+    Parameters
+    ----------
+    source_mm, target_mm : ndarray, (..., n, 3)
+    weights : ndarray, (..., n)
+
+    Returns
+    -------
+    rotation : ndarray, (..., 3, 3)
+        Proper.
+    shift : ndarray, (..., 3)
+        mm.
+    mirrored : ndarray of bool, (...)
+        Whether a reflection would have fitted better.
 
     Notes
     -----
     Kabsch 1976 (doi:10.1107/S0567739476001873) with the sign of Umeyama 1991 (doi:10.1109/34.88573).
     """
-    share = weights / np.sum(weights)
-    source_centre, target_centre = share @ source_mm, share @ target_mm
-    cross = ((source_mm - source_centre) * share[:, None]).T @ (target_mm - target_centre)
+    share = (weights / np.sum(weights, axis=-1, keepdims=True))[..., None]
+    source_centre, target_centre = (
+        np.sum(share * points, axis=-2, keepdims=True) for points in (source_mm, target_mm)
+    )
+    cross = ((source_mm - source_centre) * share).swapaxes(-1, -2) @ (target_mm - target_centre)
     u, _, vt = np.linalg.svd(cross)
-    mirrored = bool(np.linalg.det(u) * np.linalg.det(vt) < 0.0)
-    sign = np.diag([1.0, 1.0, -1.0 if mirrored else 1.0])
-    rotation = vt.T @ sign @ u.T
-    return rotation, target_centre - rotation @ source_centre, mirrored
+    mirrored = np.linalg.det(u) * np.linalg.det(vt) < 0.0
+    u[..., 2] *= np.where(mirrored, -1.0, 1.0)[..., None]
+    rotation = (u @ vt).swapaxes(-1, -2)
+    return rotation, (target_centre - source_centre @ rotation.swapaxes(-1, -2))[..., 0, :], mirrored
+
+
+def misfits(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the weighted sums of squares (...) that the best rotation and shift leave, and residuals, mm.
+
+    Parameters
+    ----------
+    source_mm, target_mm : ndarray, (..., n, 3)
+    weights : ndarray, (..., n)
+    """
+    rotation, shift, _ = kabsch(source_mm, target_mm, weights)
+    residuals = source_mm @ rotation.swapaxes(-1, -2) + shift[..., None, :] - target_mm
+    return np.sum(weights[..., None] * residuals**2, axis=(-2, -1)), residuals
 
 
 def pose_rows(points_m: Array) -> Array:

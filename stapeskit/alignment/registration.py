@@ -156,7 +156,7 @@ def fit_rigid(
     energy = float(np.einsum("ni,nij,nj->", residuals, matrices, residuals))
     return _checked(
         a, b, RigidTransform.from_parts(rotation, shift, to, source), residuals, matrices, weights, energy,
-        stated, mirrored, names or tuple(str(place + 1) for place in range(len(a))),
+        stated, bool(mirrored), names or tuple(str(place + 1) for place in range(len(a))),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.json_toml import parse_json
+from stapeskit.json_toml import read_json
 from stapeskit.own_files import check_whole
 from stapeskit.records.mass_checks import MADE_BY, check
 from stapeskit.spatial import (
@@ -222,13 +222,9 @@ def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise StapeskitError.of("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
     try:
-        raw = parse_json(path.read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError) as fault:
-        got = f"text that is none ({fault})"
-        raise StapeskitError.of("the mass file", "JSON", got, path.name, MADE_BY) from fault
-    if not isinstance(raw, dict):
-        raise StapeskitError.of("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY)
-    return raw
+        return read_json(path)
+    except ValueError as fault:
+        raise StapeskitError.of("the mass file", "a JSON object", fault, path.name, MADE_BY) from fault
 
 
 def _record(raw: dict[str, Any], name: str) -> MassRecord:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.guard import read_apart
 from stapeskit.json_toml import parse_json
@@ -24,7 +25,6 @@ from stapeskit.tables.text_cells import as_text_cell, from_text_cell
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
-Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
 _WANTED = "a whole HDF5 file of points2dof"
 # Rows written at a time.

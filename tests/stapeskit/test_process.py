@@ -255,3 +255,10 @@ new_figure(1.0, 1.0)
 print(read, matplotlib.rcParams['text.usetex'], matplotlib.rcParams['lines.linewidth'])
 """
     assert run(body, tmp_path).stdout == "True False 1.5\n"
+
+
+def test_linear_algebra_of_a_command_runs_in_one_thread(tmp_path):
+    """Threads of OpenBLAS beside other programs make a fit six times slower."""
+    body = "import os, sys\nprint(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    free = {name: value for name, value in environment().items() if name != "OPENBLAS_NUM_THREADS"}
+    assert run(body, tmp_path, env=free).stdout == "1 False\n"

@@ -19,6 +19,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.matlab_file import describe, read_mat
+from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.matlab.mapping import Layout, layout_of, read_mapping
 from kinematics.readers.matlab.variables import LENGTH_END, Variables
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
@@ -55,9 +56,7 @@ def with_mapping(tree: Mapping[str, Any], path: Path, mapping: Path | None) -> R
     KinematicsError
         As in read.
     """
-    beside = path.with_name(path.name + ".toml")
-    if mapping is None and beside.is_file():
-        mapping = beside
+    mapping = mapping_of(path, mapping)
     if mapping is not None:
         block = _from_layout(Variables(tree, path.name, tree), read_mapping(mapping))
         return _joined([block], path.name)

@@ -19,7 +19,7 @@ from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.value_checks import check_frequencies, in_mm
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, collect_faults, raise_all
+from stapeskit.faults import Fault, Place, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice
 
 _POINT = ("point index", "punktindex", "punkt-index")
@@ -200,6 +200,5 @@ def _joined(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
     sources = list(dict.fromkeys(source for _, source in entries))
     if len(sources) < 2 or len(sources) == len({recording.where for recording, _ in entries}):
         return []
-    listed = ", ".join(sources[:4]) + (" ..." if len(sources) > 4 else "")
-    text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as parts of one run."
+    text = f"{name} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
     return [Notice("sources_joined", text)]

@@ -24,7 +24,7 @@ from kinematics.readers.uff.motion_functions import (
     point_name,
 )
 from kinematics.readers.unit_labels import is_none, plain
-from stapeskit.faults import Fault, collect_faults, raise_all
+from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice, unique
 
@@ -119,7 +119,7 @@ def _label(function: Function) -> str:
 def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> str:
     """Return the name of the signal that all responses refer to; empty when a stepped sine needs none."""
     labels = list(dict.fromkeys(_label(function) for function in times))
-    shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
+    shown = list_some(labels, _MOST_NAMED)
     if options.reference_channel:
         wanted = options.reference_channel.strip().lower()
         fitting = [

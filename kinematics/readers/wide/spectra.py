@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.recording import (
     Recording,
     Recordings,
@@ -61,8 +62,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     """
     path = Path(path)
     sheet = read_sheet(path)
-    beside = path.with_name(path.name + ".toml")
-    mapping = beside if mapping is None and beside.is_file() else mapping
+    mapping = mapping_of(path, mapping)
     document: dict[str, Any] = {} if mapping is None else read_mapping(mapping)
     beams, unused = beams_of(sheet.names)
     if document:

@@ -37,8 +37,7 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
     ]
     header = ["ear", *(f"{quantity.name.replace('_', ' ')} ({quantity.unit})" for quantity in shown)]
     parts = [PACKAGE, _table("Ears with standard deviations, SI units.", [header, *rows])]
-    laws = [law for law in cohort.laws if law.family == "primary"]
-    if laws:
+    if cohort.primary:
         rows = [
             [
                 law_name(law),
@@ -49,7 +48,7 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
                 f"{law.law.sigma:.3f}",
                 str(law.law.n),
             ]
-            for law in laws
+            for law in cohort.primary
         ]
         header = ["law", "exponent", "95 % interval", "p", "q", "scatter (ln)", "ears"]
         parts.append(_table("Planned laws.", [header, *rows]))

@@ -13,7 +13,6 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
     """Write cohort_laws.svg and cohort_exponents.svg."""
     from pipeline.cohort.law_figures import exponents_figure, laws_figure
 
-    planned = [law for law in cohort.laws if law.family == "primary"]
     # The date would make equal cohorts different files.
-    for name, drawing in (("laws", laws_figure(cohort)), ("exponents", exponents_figure(planned))):
+    for name, drawing in (("laws", laws_figure(cohort)), ("exponents", exponents_figure(cohort.primary))):
         drawing.savefig(folder / f"cohort_{name}.svg", format="svg", metadata={"Date": None})

@@ -43,9 +43,8 @@ def components_table(cohort: CohortLaws) -> pd.DataFrame:
     components, table = cohort.components, cohort.table
     if components is None or table is None:
         return pd.DataFrame(columns=["component", "sd_log"])
-    names = [name for name in table.responses if "principal" not in name]
     columns = {"component": np.arange(1, len(components.sd) + 1), "sd_log": components.sd}
-    return pd.DataFrame(columns | dict(zip(names, components.loadings.T, strict=True)))
+    return pd.DataFrame(columns | dict(zip(table.entries, components.loadings.T, strict=True)))
 
 
 def sheets(cohort: CohortLaws, content: Mapping[str, Any]) -> dict[str, pd.DataFrame]:

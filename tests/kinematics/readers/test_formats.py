@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from kinematics.cli import parser
 from kinematics.readers import formats, read_measurement
 from kinematics.readers.formats import FORMATS, TIDY, Format, format_of
 from kinematics.readers.input_options import InputOptions
@@ -24,6 +25,11 @@ def test_every_entry_has_a_reader_that_takes_its_options(entry):
     parameters = inspect.signature(import_module(entry.module).read).parameters
     assert len(parameters) == 1 + len(entry.options)
     assert all(hasattr(InputOptions(), name) for name in entry.options)
+
+
+def test_the_help_of_the_command_lists_every_format():
+    text = " ".join(parser().format_help().split())
+    assert all(f"{entry.words}: {entry.reads.replace('`', '')}" in text for entry in FORMATS if entry.reads)
 
 
 def test_names_are_different():

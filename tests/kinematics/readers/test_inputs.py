@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinematics.options import LdvOptions
 from kinematics.readers import InputOptions
 from kinematics.readers.assemble_measurement import assemble
+from kinematics.readers.from_options import input_options
 from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.tidy.points_csv import read_points
 from stapeskit.faults import Place, StapeskitError
@@ -112,11 +114,11 @@ def test_points_without_or_with_two_bodies_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ({"body": ("stapes",)}, "--body must be NAME=POINTS; got stapes"),
+        ({"body": ("stapes",)}, "--body must be NAME=POINTS, or a table"),
         ({"body": ("=1",)}, "--body must be NAME=POINTS"),
         ({"body": ("stapes=1,,2",)}, "the points of --body must be numbers, ranges or names"),
         ({"body": ("stapes=5-2",)}, "the points of --body must be numbers, ranges or names; got stapes=5-2"),
-        ({"run": ("push",)}, "--run must be NAME=FILE; got push"),
+        ({"run": ("push",)}, "--run must be NAME=FILE, or a table"),
         ({"beam": "up"}, "--beam must be x, y, z, -x, -y, -z or three numbers of length 1"),
         ({"beam": "1,1,1"}, "three numbers of length 1 (within 1e-3); got 1,1,1"),
         ({"beam": "nan,0,0"}, "three numbers of length 1"),
@@ -127,14 +129,17 @@ def test_points_without_or_with_two_bodies_are_named(tmp_path):
 )
 def test_what_is_said_is_checked_first(said, words):
     with pytest.raises(StapeskitError) as caught:
-        InputOptions(**said)
+        input_options(LdvOptions(**said))
     assert words in str(caught.value)
 
 
 def test_all_that_is_said_wrongly_is_told_at_once():
     with pytest.raises(StapeskitError) as caught:
-        InputOptions(body=("a", "b=3-1"), beam="up", run=("x",))
-    assert len(str(caught.value).splitlines()) == 4
+        LdvOptions(body=("a", "b=3-1"), beam="up", run=("x",))
+    assert len(str(caught.value).splitlines()) == 3
+    with pytest.raises(StapeskitError) as caught:
+        input_options(LdvOptions(body=("a=1,,2", "b=3-1"), frf="h2"))
+    assert len(str(caught.value).splitlines()) == 3
 
 
 def test_files_that_nobody_gave_are_named():

@@ -28,6 +28,7 @@ def ear(number, rng, exponent=2.0, density=1900.0, side="left"):
     channel = 0.01 * sizes
     covariance = np.diag(channel**2) + relative**2 * np.outer(entries, entries)
     mass = {
+        "schema": "stapeskit.mass/1",
         "density_kg_m3": density,
         "mass_known_by": "density",
         "mass_kg": float(theta[0]),
@@ -41,6 +42,7 @@ def ear(number, rng, exponent=2.0, density=1900.0, side="left"):
         "segmentation": {"voxel_size_mm": [0.02, 0.02, 0.02]},
     }
     kd = {
+        "schema": "stapeskit.kd/1",
         "dof": ["y", "alpha", "gamma"],
         "estimator": "ml",
         "model": {"damping_law": "viscous"},

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import stapeskit
 from pipeline.cohort.cohort_laws import (
     PRIMARY,
     cohort_laws,
@@ -207,8 +208,6 @@ def test_an_unknown_law_names_those_there_are(studied):
 
 
 def test_folders_of_studies_become_a_cohort(ears, tmp_path):
-    import stapeskit
-
     for one in ears:
         folder = tmp_path / one.folder
         folder.mkdir()
@@ -222,3 +221,14 @@ def test_folders_of_studies_become_a_cohort(ears, tmp_path):
     with pytest.raises(PipelineError) as refused:
         stapeskit.cohort([tmp_path / "nowhere"])
     assert refused.value.faults[0].thing.endswith("nowhere")
+
+
+@pytest.mark.parametrize(
+    "text", ["[1]", "[" * 100_000, "{}", '{"schema": "stapeskit.mass/1", "frames": 3}', "no JSON"]
+)
+def test_a_folder_with_other_files_is_named(tmp_path, text):
+    for name in ("mass.json", "kd.json"):
+        (tmp_path / name).write_text(text)
+    with pytest.raises(PipelineError) as caught:
+        stapeskit.cohort([tmp_path])
+    assert caught.value.faults[0].thing == str(tmp_path)

@@ -97,7 +97,11 @@ def test_every_fault_of_a_record_is_refused(tmp_path, edit, match):
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("{", "must be JSON"), ("[1]", "a JSON object; got list"), (None, "an existing mass.json")],
+    [
+        ("{", "must be a JSON object; got Expecting"),
+        ("[1]", "a JSON object; got list"),
+        (None, "an existing mass.json"),
+    ],
 )
 def test_what_is_no_record_is_refused(tmp_path, text, match):
     path = tmp_path / "mass.json"
