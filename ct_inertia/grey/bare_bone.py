@@ -221,7 +221,7 @@ def bare_bone(
 def _without_plate(
     volume: Volume, ready: Prepared, start: tuple[float, float | None, float], bone: float
 ) -> tuple[Cut, FaceFit | None, Field | None]:
-    """Subtract the plate's blurred face from the grey values near the stapes.
+    """Subtract the plate's blurred face from the grey values near the stapes, and from the plate's mask.
 
     The third value holds the grey values given back where bone displaces the plastic.
     """
@@ -239,4 +239,4 @@ def _without_plate(
     missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air, near)
     if missing is not None:
         grey[near] += missing[near]
-    return replace(cut, grey=grey), fit, missing
+    return replace(cut, grey=grey, plate=cut.plate & ~near), fit, missing

@@ -69,6 +69,7 @@ def fit_bodies(
     noise: float,
     fit_contrast: bool = True,
     side: NDArray[np.bool_] | None = None,
+    most_smoothing: float = _MOST_CALM,
 ) -> BodyFit:
     """Fit two-valued bodies and their blur to grey values above air.
 
@@ -88,6 +89,8 @@ def fit_bodies(
     side : ndarray of bool, [z, y, x], optional
         Where two bodies face each other across a narrow gap, the voxels on one's side: the surfaces on
         the two sides move each by itself.
+    most_smoothing : float
+        Largest width, voxels, of the smoothing of the grey values that the surface is taken from.
 
     Notes
     -----
@@ -104,7 +107,7 @@ def fit_bodies(
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
     data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
-    calm = _calmed(data, noise / contrast)
+    calm = _calmed(data, noise / contrast, most_smoothing)
     side = None if side is None else np.pad(side, _PAD)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
@@ -153,9 +156,9 @@ def _smoothed(
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
 
 
-def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+def _calmed(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
     """Smooth the grey values that the surface is taken from, in step with their noise."""
-    width = min(_CALM_PER_NOISE * noise, _MOST_CALM)
+    width = min(_CALM_PER_NOISE * noise, most)
     return gaussian(data, width, truncate=3.0) if width > 0.2 else data
 
 

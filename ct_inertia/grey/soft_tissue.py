@@ -32,6 +32,9 @@ _LEAST_CELLS = calibrated("soft.least_cells")
 # Voxels that are looked at, evenly spread: they bound the time.
 _MOST_LOOKED_AT = 150_000
 _WINDOW_SIGMAS = calibrated("soft.window_sigmas")
+# Smoothing, voxels, of the grey values that the surface of the bone is taken from: enough against single
+# voxels. Bone alone is fitted with no more, or its thin walls would vanish first and seem to need a medium.
+_CALM_VOXELS = 0.6
 # Rounds in which body and medium are fitted in turn: a fixed count.
 _ROUNDS = 5
 _MOST_SOFT = calibrated("soft.densest")
@@ -132,7 +135,7 @@ def taken_off(
     noise = air.noise / contrast * np.sqrt(air.correlation)
     least = max(0.5 * _LEAST_SHARE, 3.0 * noise / np.sqrt(float(np.prod(2.0 * np.sqrt(np.pi) * width))))
     medium = np.zeros_like(share)
-    calm = gaussian(share, 0.6, truncate=3.0)
+    calm = gaussian(share, _CALM_VOXELS, truncate=3.0)
     for _ in range(_ROUNDS):
         body = body_share(calm, np.float32(0.5) * (1 + medium), everywhere)
         model = blurred(body, sigma_mm, spacing)
@@ -146,9 +149,9 @@ def taken_off(
     # Bone itself is left as it is: there the medium is unknown.
     taken *= model < 0.98
     if np.any(taken):
-        bone_alone = fit_bodies(
-            share * np.float32(contrast), everywhere, spacing_mm, contrast, sigma_mm, air.noise, False
-        )
+        excess = share * np.float32(contrast)
+        start = (contrast, sigma_mm, air.noise, False)
+        bone_alone = fit_bodies(excess, everywhere, spacing_mm, *start, most_smoothing=_CALM_VOXELS)
         gain = (share - model - medium * (1 - model)) ** 2
         gain -= (share - blurred(bone_alone.body, sigma_mm, spacing)) ** 2
         taken *= gaussian(np.where(model < _CLEAR, gain, np.float32(0.0)), width, truncate=3.0) < 0
