@@ -70,6 +70,7 @@ def fit_bodies(
     fit_contrast: bool = True,
     side: NDArray[np.bool_] | None = None,
     most_smoothing: float = _MOST_CALM,
+    beside: NDArray[np.bool_] | None = None,
 ) -> BodyFit:
     """Fit two-valued bodies and their blur to grey values above air.
 
@@ -91,6 +92,8 @@ def fit_bodies(
         the two sides move each by itself.
     most_smoothing : float
         Largest width, voxels, of the smoothing of the grey values that the surface is taken from.
+    beside : ndarray of bool, [z, y, x], optional
+        Voxels that bodies reach into and that are not compared, for something else lies there, too.
 
     Notes
     -----
@@ -106,7 +109,8 @@ def fit_bodies(
     """
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
-    data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
+    filled = own if beside is None else own | np.pad(beside, _PAD)
+    data = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
     calm = _calmed(data, noise / contrast, most_smoothing)
     side = None if side is None else np.pad(side, _PAD)
     level = np.full(data.shape, 0.5, dtype=np.float32)
@@ -114,7 +118,7 @@ def fit_bodies(
     rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
     for k in range(rounds):
         share = data / np.float32(contrast)
-        body = body_share(calm / np.float32(contrast), level, own)
+        body = body_share(calm / np.float32(contrast), level, filled)
         if not fit_contrast and k == rounds - 1:
             break
         model = blurred(body, sigma_mm, spacing)

@@ -110,12 +110,13 @@ def test_bone_that_tapers_off_below_the_blur_is_no_soft_medium():
     assert tapered_wall(0.25) > 0.5
 
 
-def test_cupping_of_three_percent_at_coarse_voxels_is_told_and_moves_no_volume():
-    placed, volume = scan(cupping=0.03, pose_seed=2, noise_seed=2)
+@pytest.mark.parametrize("seed", [3, 5])
+def test_cupping_of_three_percent_at_coarse_voxels_is_told_and_moves_no_volume(seed):
+    placed, volume = scan(cupping=0.03, pose_seed=seed, noise_seed=seed)
     bodies = find_bodies(volume)
     assert "bone_cupping" in codes(bodies) or "bone_inhomogeneous" in codes(bodies)
     exact = truth(placed)["volume_m3"] * 1e9
-    assert abs(bodies.moments.volume_mm3 - exact) < 2.5 * sd(bodies)[0]
+    assert bodies.moments.volume_mm3 == pytest.approx(exact, rel=2e-3)
     assert sd(bodies)[0] / exact < 5e-3
 
 
