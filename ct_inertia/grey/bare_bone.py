@@ -198,7 +198,7 @@ def bare_bone(
         cut = replace(cut, grey=empty_voids(cut, voids, contrast))
     soft: SoftTissue | None = None
     if unfitted:
-        soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+        soft = taken_off(cut, (distance, away), reach, spacing, (air, bone.level), blur[0])
     else:
         known = (air, bone.level, guess.between)
         soft = subtract_soft_tissue(cut, (distance, away), reach, spacing, known, blur[0])
@@ -207,7 +207,7 @@ def bare_bone(
         clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
         if not fitted and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
             blur = clear
-            soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+            soft = taken_off(cut, (distance, away), reach, spacing, (air, bone.level), blur[0])
         cut = replace(cut, grey=soft.grey)
     bend: Field | None = None
     if skewness < 0.0 or (skewness > 0.0 and stated is None and suspected is None):
