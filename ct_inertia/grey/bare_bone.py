@@ -184,12 +184,12 @@ def bare_bone(
         stated = coat_image(cut, coat, near, spacing, (air.level, bone.level), blur[0])
         cut = replace(cut, grey=cut.grey - np.float32(contrast) * stated.share)
     edges = ready.edges
-    skewness = 0.0
+    skewness, long_tails = 0.0, False
     # What moved, and what was sharpened, has edges that are not symmetric either.
     if edges is not None and not ready.overshoot and not edges.uneven:
-        skewness = edges.skewness(air.level, bone.level_at, bone.sd)
+        skewness, long_tails = edges.departures(air.level, bone.level_at, bone.sd)
     suspected: CoatImage | None = None
-    if coat is None and edges is not None and (edges.softened or skewness > 0.0):
+    if coat is None and (long_tails or skewness > 0.0):
         suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     unfitted = face is None and bool(np.any(cut.plate & (distance <= reach)))
