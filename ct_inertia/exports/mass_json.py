@@ -102,6 +102,7 @@ def mass_json(
                 result.options.mass_known_by,
                 cut=any(notice.code == CUT_BY_BORDER for notice in result.notices),
                 bare=any(notice.code == BARE for notice in result.notices),
+                linear=result.bodies is not None and result.bodies.levels is not None,
             ),
         },
         "mass_known_by": result.options.mass_known_by,

@@ -184,12 +184,12 @@ def bare_bone(
         stated = coat_image(cut, coat, near, spacing, (air.level, bone.level), blur[0])
         cut = replace(cut, grey=cut.grey - np.float32(contrast) * stated.share)
     edges = ready.edges
-    skewness = 0.0
+    skewness, long_tails = 0.0, False
     # What moved, and what was sharpened, has edges that are not symmetric either.
     if edges is not None and not ready.overshoot and not edges.uneven:
-        skewness = edges.skewness(air.level, bone.level_at, bone.sd)
+        skewness, long_tails = edges.departures(air.level, bone.level_at, bone.sd)
     suspected: CoatImage | None = None
-    if coat is None and edges is not None and (edges.softened or skewness > 0.0):
+    if coat is None and (long_tails or skewness > 0.0):
         suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     unfitted = face is None and bool(np.any(cut.plate & (distance <= reach)))
@@ -198,7 +198,7 @@ def bare_bone(
         cut = replace(cut, grey=empty_voids(cut, voids, contrast))
     soft: SoftTissue | None = None
     if unfitted:
-        soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+        soft = taken_off(cut, (distance, away), reach, spacing, (air, bone.level), blur[0])
     else:
         known = (air, bone.level, guess.between)
         soft = subtract_soft_tissue(cut, (distance, away), reach, spacing, known, blur[0])
@@ -207,7 +207,7 @@ def bare_bone(
         clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
         if not fitted and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
             blur = clear
-            soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+            soft = taken_off(cut, (distance, away), reach, spacing, (air, bone.level), blur[0])
         cut = replace(cut, grey=soft.grey)
     bend: Field | None = None
     if skewness < 0.0 or (skewness > 0.0 and stated is None and suspected is None):
@@ -221,7 +221,7 @@ def bare_bone(
 def _without_plate(
     volume: Volume, ready: Prepared, start: tuple[float, float | None, float], bone: float
 ) -> tuple[Cut, FaceFit | None, Field | None]:
-    """Subtract the plate's blurred face from the grey values near the stapes.
+    """Subtract the plate's blurred face from the grey values near the stapes, and from the plate's mask.
 
     The third value holds the grey values given back where bone displaces the plastic.
     """
@@ -239,4 +239,4 @@ def _without_plate(
     missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air, near)
     if missing is not None:
         grey[near] += missing[near]
-    return replace(cut, grey=grey), fit, missing
+    return replace(cut, grey=grey, plate=cut.plate & ~near), fit, missing

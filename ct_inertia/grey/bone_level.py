@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.cupping import LEAST_RMS, Cupping, deep_cupping_notice, find_cupping
+from ct_inertia.grey.cupping import Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.normal_distribution import normal_cdf
@@ -149,12 +149,8 @@ def bone_of(
     random: float,
     rest: float,
     around: Surroundings,
-    least_cupping: float = LEAST_RMS,
 ) -> Bone:
-    """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3).
-
-    Cupping without a slope beside it must show by ``least_cupping`` (root mean square, share of contrast).
-    """
+    """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3)."""
     middle = places_mm.mean(axis=0)
     level, contrast = float(values.mean()), float(values.mean()) - air.level
     cell = np.floor((places_mm - places_mm.min(axis=0)) / (_CELL_VOXELS * around.spacing_mm)).astype(np.int64)
@@ -196,8 +192,7 @@ def bone_of(
             f"its grey value; without a calibration the budget holds what uniform density would change."
         )
         notices = (Notice("bone_inhomogeneous", text),)
-    least = LEAST_RMS if sloping else least_cupping
-    cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping), least)
+    cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping))
     return Bone(level, sd, noise, "interior", notices, slope, middle, cupping)
 
 

@@ -13,7 +13,7 @@ from stapeskit.warnings import Notice
 # Most voxels of the fit, thinned evenly above: for time only.
 _MOST = 60_000
 _SIGNIFICANT = calibrated("cupping.significant")
-LEAST_RMS = calibrated("cupping.least_rms")
+_LEAST_RMS = calibrated("cupping.least_rms")
 _LEAST_DEEP = calibrated("cupping.least_deep")
 
 
@@ -51,7 +51,6 @@ def find_cupping(
     contrast: float,
     correlation: float,
     sloping: bool,
-    least: float = LEAST_RMS,
 ) -> Cupping | None:
     """Search for cupping in the grey values (n,) of pure bone at places (n, 3); None where there is none.
 
@@ -66,8 +65,6 @@ def find_cupping(
         Variance of sums of noise over that of white noise.
     sloping : bool
         The level of bone already follows a slope.
-    least : float
-        What must show of the paraboloid beside a free slope: root mean square, as a share of the contrast.
 
     Notes
     -----
@@ -94,7 +91,7 @@ def find_cupping(
         plane = np.linalg.lstsq(flat, squared, rcond=None)[0]
     # The slope is free: what is left of the paraboloid without it is what shows that it is one.
     shown = curvature * float(radial.std())
-    if curvature < _SIGNIFICANT * sd or shown < least * contrast:
+    if curvature < _SIGNIFICANT * sd or shown < _LEAST_RMS * contrast:
         return None
     low, high = np.percentile(curvature * _left(places, plane), [1.0, 99.0])
     return Cupping(curvature, plane, float(high - low) / contrast)

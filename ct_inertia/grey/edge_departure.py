@@ -51,20 +51,29 @@ class Profiles:
         return replace(self, values=(grey - air) / (bone - air)[:, None])
 
 
-def sharpening(edges: Profiles) -> tuple[float, float, bool]:
-    """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long."""
+def sharpening(edges: Profiles) -> tuple[float, float]:
+    """Return f over the apparent variance, and the overshoot; 0 and 0 where not significant."""
     profile = edges.values.mean(axis=0)
-    u = _normalised(profile)
-    shapes = [-_bell(u), -u * _bell(u), -(u**3 - 3.0 * u) * _bell(u)]
-    cumulant, sd = _last_factor(shapes, u, edges, _SHAPE_MODEL_SD)
     overshoot = float(np.max(-profile[PLACES < -0.5]))
-    if cumulant > -_SIGNIFICANT * sd or overshoot <= 0.0:
-        return 0.0, 0.0, cumulant > _SIGNIFICANT * sd
+    if _cumulant(edges, 0.0) > -_SIGNIFICANT or overshoot <= 0.0:
+        return 0.0, 0.0
     misfit = [_fit_edge(profile, trial)[1] for trial in _TRIALS]
     best = int(np.clip(np.argmin(misfit), 1, len(_TRIALS) - 2))
     second, first, _ = np.polyfit(_TRIALS[best - 1 : best + 2], misfit[best - 1 : best + 2], 2)
     strength = float(np.clip(-0.5 * first / second if second > 0.0 else _TRIALS[best], 0.0, _TRIALS[-1]))
-    return strength, overshoot, False
+    return strength, overshoot
+
+
+def long_tails(edges: Profiles | None, level_sd: float) -> bool:
+    """Return whether the mean edge has longer tails than a Gaussian; parameters as for `skewness`."""
+    return edges is not None and _cumulant(edges, level_sd) > _SIGNIFICANT
+
+
+def _cumulant(edges: Profiles, level_sd: float) -> float:
+    """Return the fourth cumulant of the mean edge in its standard deviations."""
+    u = _normalised(edges.values.mean(axis=0))
+    factor, sd = _last_factor(-(u**3 - 3.0 * u) * _bell(u), u, edges, (_SHAPE_MODEL_SD, level_sd))
+    return factor / sd
 
 
 def skewness(
@@ -93,22 +102,28 @@ def skewness(
         if found is None:
             return 0.0
         u = _normalised(found.values.mean(axis=0))
-        shapes = [-_bell(u), -u * _bell(u), (u**2 - 1.0) * _bell(u)]
-        factor, sd = _last_factor(shapes, u, found, _SKEWNESS_SD)
-        by_level = level_sd * float(np.linalg.pinv(np.column_stack(shapes))[-1] @ normal_cdf(u))
+        factor, sd = _last_factor((u**2 - 1.0) * _bell(u), u, found, (_SKEWNESS_SD, level_sd))
         factor -= _USUAL_SKEWNESS
-        if abs(factor) < _SIGNIFICANT_SKEWNESS * np.hypot(sd, by_level):
+        if abs(factor) < _SIGNIFICANT_SKEWNESS * sd:
             return 0.0
     return factor
 
 
-def _last_factor(shapes: list[Array], u: Array, edges: Profiles, model_sd: float) -> tuple[float, float]:
-    """Fit shapes (places,) to what a blurred step leaves of the mean edge; return the last factor, its sd."""
-    row = np.linalg.pinv(np.column_stack(shapes))[-1]
+def _last_factor(
+    shape: Array, u: Array, edges: Profiles, model_and_level_sd: tuple[float, float]
+) -> tuple[float, float]:
+    """Fit a shape (places,) to what a blurred step leaves of the mean edge; return its factor and the sd.
+
+    Shift and width of the step are free; a level of bone off by ``level_sd`` adds as much of the step.
+    """
+    model_sd, level_sd = model_and_level_sd
+    row = np.linalg.pinv(np.column_stack([-_bell(u), -u * _bell(u), shape]))[-1]
     profile = edges.values.mean(axis=0)
     scores = sums(((edges.values - profile) @ row)[:, None], edges.cells) / len(edges.values)
     shared = edges.shared_sd**2 * float(np.sum(row**2))
-    return float(row @ (profile - normal_cdf(u))), float(np.sqrt(np.sum(scores**2) + model_sd**2 + shared))
+    level = level_sd * float(row @ normal_cdf(u))
+    variance = np.sum(scores**2) + model_sd**2 + shared + level**2
+    return float(row @ (profile - normal_cdf(u))), float(np.sqrt(variance))
 
 
 def _normalised(profile: Array) -> Array:

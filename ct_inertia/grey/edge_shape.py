@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.edge_departure import PLACES, Profiles, cells_of, sharpening, skewness, sums
+from ct_inertia.grey.edge_departure import PLACES, Profiles, cells_of, long_tails, sharpening, skewness, sums
 from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import gaussian, interpolated
@@ -58,8 +58,6 @@ class EdgeShape:
         where they are not significant.
     overshoot : float
         Largest departure from a blurred step outside the surface, as a share of the contrast.
-    softened : bool
-        Edges have longer tails than a Gaussian: something soft on the bone, or bone less dense there.
     levels : (air, bone)
         Grey values of which ``edges`` are shares.
     edges : Profiles
@@ -71,19 +69,24 @@ class EdgeShape:
     uneven: bool
     sharpening_mm2: float
     overshoot: float
-    softened: bool
     levels: tuple[float, float]
     edges: Profiles
     independent: Callable[[], Profiles | None]
 
-    def skewness(self, air: float, bone_at: Callable[[Array], Array], bone_sd: float) -> float:
-        """Return `edge_departure.skewness` between air and the level (n,) of bone at the edges (n, 3)."""
+    def departures(self, air: float, bone_at: Callable[[Array], Array], bone_sd: float) -> tuple[float, bool]:
+        """Return `edge_departure.skewness`, and whether edges have long tails: something soft on the bone.
 
-        def rescaled(found: Profiles | None) -> Profiles | None:
+        Both are those between air and the level (n,) of bone at the edges (n, 3).
+        """
+
+        @cache
+        def rescaled(again: bool) -> Profiles | None:
+            found = self.independent() if again else self.edges
             return None if found is None else found.between(self.levels, air, bone_at(found.points_mm))
 
         share_sd = bone_sd / (self.levels[1] - self.levels[0])
-        return skewness(lambda: rescaled(self.edges), lambda: rescaled(self.independent()), share_sd)
+        skewed = skewness(lambda: rescaled(False), lambda: rescaled(True), share_sd)
+        return skewed, long_tails(rescaled(False), share_sd)
 
 
 def uneven_notice(shape: EdgeShape) -> Notice:
@@ -173,16 +176,15 @@ def edge_shape(
         return _together(found).as_shares(shared_sd) if found else None
 
     shares = seen.as_shares(shared_sd)
-    strength, overshoot, softened = sharpening(shares)
+    strength, overshoot = sharpening(shares)
     if strength and noise:
         again = independent()
-        strength, overshoot, _ = (0.0, 0.0, False) if again is None else sharpening(again)
+        strength, overshoot = (0.0, 0.0) if again is None else sharpening(again)
     return EdgeShape(
         np.ascontiguousarray(seen.covariance_mm2[::-1, ::-1]),
         seen.uneven,
         strength * seen.sigma_mm**2,
         overshoot,
-        softened,
         levels,
         shares,
         independent,

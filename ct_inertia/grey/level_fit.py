@@ -69,6 +69,8 @@ def fit_bodies(
     noise: float,
     fit_contrast: bool = True,
     side: NDArray[np.bool_] | None = None,
+    most_smoothing: float = _MOST_CALM,
+    beside: NDArray[np.bool_] | None = None,
 ) -> BodyFit:
     """Fit two-valued bodies and their blur to grey values above air.
 
@@ -88,6 +90,10 @@ def fit_bodies(
     side : ndarray of bool, [z, y, x], optional
         Where two bodies face each other across a narrow gap, the voxels on one's side: the surfaces on
         the two sides move each by itself.
+    most_smoothing : float
+        Largest width, voxels, of the smoothing of the grey values that the surface is taken from.
+    beside : ndarray of bool, [z, y, x], optional
+        Voxels that bodies reach into and that are not compared, for something else lies there, too.
 
     Notes
     -----
@@ -103,15 +109,16 @@ def fit_bodies(
     """
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
-    data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
-    calm = _calmed(data, noise / contrast)
+    filled = own if beside is None else own | np.pad(beside, _PAD)
+    data = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
+    calm = _calmed(data, noise / contrast, most_smoothing)
     side = None if side is None else np.pad(side, _PAD)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
     rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
     for k in range(rounds):
         share = data / np.float32(contrast)
-        body = body_share(calm / np.float32(contrast), level, own)
+        body = body_share(calm / np.float32(contrast), level, filled)
         if not fit_contrast and k == rounds - 1:
             break
         model = blurred(body, sigma_mm, spacing)
@@ -153,9 +160,9 @@ def _smoothed(
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
 
 
-def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+def _calmed(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
     """Smooth the grey values that the surface is taken from, in step with their noise."""
-    width = min(_CALM_PER_NOISE * noise, _MOST_CALM)
+    width = min(_CALM_PER_NOISE * noise, most)
     return gaussian(data, width, truncate=3.0) if width > 0.2 else data
 
 

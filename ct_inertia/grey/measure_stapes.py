@@ -219,14 +219,19 @@ def _bone(
     ):
         return inside, None
     own = distance_mm <= reach_mm
+    beside: NDArray[np.bool_] | None = None
     if np.any(around.foreign):
-        own &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= 0.999 * reach_mm
-    box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(own))
+        clear = capped_distance(around.foreign, around.spacing_mm, reach_mm) >= 0.999 * reach_mm
+        beside, own = own & ~clear & ~around.foreign, own & clear
+    used = own if beside is None else own | beside
+    box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(used))
     start = float(np.percentile(around.grey[around.bone], 90.0)) - air.level
     if inside is not None:
         start = inside.level - air.level
     excess = around.grey[box] - np.float32(air.level)
-    fit = fit_bodies(excess, own[box], around.spacing_mm, start, sigma_mm, air.noise)
+    next_to = None if beside is None else beside[box]
+    shape = (around.spacing_mm, start, sigma_mm, air.noise)
+    fit = fit_bodies(excess, own[box], *shape, beside=next_to)
     thin = thin_bone(fit, around, own[box], box, air)
     if thin is not None and (np.any(thin.slope) or thin.cupping is not None):
         return thin, fit

@@ -172,9 +172,10 @@ def _modelled(
     box = tuple(
         slice(max(0, int(k.min()) - m), int(k.max()) + m + 1) for k, m in zip(index, margin, strict=True)
     )
-    known = np.ones(own[box].shape, dtype=bool)
+    known, beside = np.ones(own[box].shape, dtype=bool), None
     if np.any(cut.plate[box]):
         known = capped_distance(cut.plate[box], spacing_mm, reach_mm) >= 0.999 * reach_mm
+        beside = ~known & ~cut.plate[box]
     excess = cut.grey[box] - np.float32(air)
     # Bone of another density gets the stapes' height for the fit, and its tail its own height again.
     other = np.float32(neighbour_share(cut, levels))
@@ -182,7 +183,8 @@ def _modelled(
 
     def fitted(side: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         alike = np.where(side, excess, excess / other)
-        return alike, fit_bodies(alike, known, spacing_mm, bone - air, sigma_mm, 0.0, False, side).body
+        start = (bone - air, sigma_mm, 0.0, False, side)
+        return alike, fit_bodies(alike, known, spacing_mm, *start, beside=beside).body
 
     alike, body = fitted(own[box])
     if off is not None:

@@ -24,6 +24,8 @@ BARE = "bare_bone_assumed"
 # Mucosa of the middle ear: 20 to 50 um thick, attenuates like water, 10 to 20 % of the contrast of bone and
 # air. The effect on an uncleaned stapes is reported for the middle of both.
 USUAL_MM, USUAL_GREY = 0.035, 0.15
+# A tone curve that brightens the middle, as image programs apply it; the effect is that with air at black.
+USUAL_GAMMA = 0.7
 # Standard deviation of a stated value without one, as a share of it.
 _UNSTATED_SD = 1.0 / 3.0
 # No coat is added farther than 5.2 widths of the blur from bone, where its share is Phi(-5.2) = 1e-7.
@@ -165,13 +167,23 @@ def with_suspected_coat(
     return with_contribution(moments, "coat", np.outer(step, step)), Notice("coat_suspected", text)
 
 
-def bare_bone_notice(surface: Surface, volume_mm3: float) -> Notice:
-    """Report that bare bone is assumed, and what a usual coat on that surface would add."""
-    share = USUAL_GREY * USUAL_MM * surface.area_mm2 / volume_mm3
+def bare_bone_notice(surface: Surface, volume_mm3: float, blur_mm: float) -> Notice:
+    """Report that bare bone on a linear grey scale is assumed, and what a usual departure would add.
+
+    Notes
+    -----
+    A scale bent by h between air and bone adds 4 h m (1 - m) to a share m. Across a plane edge of blur s the
+    integral of m (1 - m) is s / sqrt(pi).
+    """
+    per_mm = 100.0 * surface.area_mm2 / volume_mm3
+    bend = 0.5**USUAL_GAMMA - 0.5
     text = (
         f"Bare bone is assumed, and the budget holds nothing for a soft coat: mucosa of "
         f"{1e3 * USUAL_MM:.0f} um with {100.0 * USUAL_GREY:.0f} % of the contrast of bone would add "
-        f"{100.0 * share:.1f} % to volume and mass, and is hard to distinguish from the blur of the scan. "
-        f"State it with {named('coat')} THICKNESS+-SD (um), or {named('coat')} 0 for cleaned bone."
+        f"{USUAL_GREY * USUAL_MM * per_mm:.1f} % to volume and mass, and is hard to distinguish from the "
+        f"blur of the scan. State it with {named('coat')} THICKNESS+-SD (um), or {named('coat')} 0 for "
+        f"cleaned bone. Grey values are taken to be linear in the attenuation: an export with a gamma of "
+        f"{USUAL_GAMMA} would add up to {4.0 * bend * blur_mm / np.sqrt(np.pi) * per_mm:.1f} %, its "
+        f"inverse take off as much, and neither always shows."
     )
     return Notice(BARE, text)

@@ -32,6 +32,9 @@ _LEAST_CELLS = calibrated("soft.least_cells")
 # Voxels that are looked at, evenly spread: they bound the time.
 _MOST_LOOKED_AT = 150_000
 _WINDOW_SIGMAS = calibrated("soft.window_sigmas")
+# Smoothing, voxels, of the grey values that the surface of the bone is taken from: enough against single
+# voxels. Bone alone is fitted with no more, or its thin walls would vanish first and seem to need a medium.
+_CALM_VOXELS = 0.6
 # Rounds in which body and medium are fitted in turn: a fixed count.
 _ROUNDS = 5
 _MOST_SOFT = calibrated("soft.densest")
@@ -101,13 +104,13 @@ def subtract_soft_tissue(
     """
     if not _seen(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
         return None
-    soft = taken_off(cut, distances_mm[0], reach_mm, spacing_mm, levels[:2], sigma_mm)
+    soft = taken_off(cut, distances_mm, reach_mm, spacing_mm, levels[:2], sigma_mm)
     return soft if np.any(soft.taken) else None
 
 
 def taken_off(
     cut: Cut,
-    distance_mm: NDArray[np.float32],
+    distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
     reach_mm: float,
     spacing_mm: Array,
     levels: tuple[Air, float],
@@ -117,22 +120,30 @@ def taken_off(
 
     Notes
     -----
+    Other bone of another density gets the stapes' height: else a medium in the gap would make up for it.
+
     Bone thinner than the blur (the edges of gutters) stays below half of its contrast and looks like
     something soft. A two-valued body whose surface lies at a fitted level explains it without a medium:
     where that leaves the smaller sum of squares over the window, nothing is subtracted.
     """
-    air, bone = levels
+    (distance_mm, away_mm), (air, bone) = distances_mm, levels
     contrast = bone - air.level
     near = distance_mm < 1.99 * reach_mm
     box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(near))
     share = (cut.grey[box] - np.float32(air.level)) / np.float32(contrast)
+    height = np.ones_like(share)
+    if away_mm is not None:
+        height[away_mm[box] < np.minimum(distance_mm[box], reach_mm)] = neighbour_share(
+            cut, (air.level, bone)
+        )
+        share /= height
     spacing = spacing_mm[::-1]
     everywhere = np.ones(share.shape, dtype=bool)
     width = _WINDOW_SIGMAS * sigma_mm / spacing
     noise = air.noise / contrast * np.sqrt(air.correlation)
     least = max(0.5 * _LEAST_SHARE, 3.0 * noise / np.sqrt(float(np.prod(2.0 * np.sqrt(np.pi) * width))))
     medium = np.zeros_like(share)
-    calm = gaussian(share, 0.6, truncate=3.0)
+    calm = gaussian(share, _CALM_VOXELS, truncate=3.0)
     for _ in range(_ROUNDS):
         body = body_share(calm, np.float32(0.5) * (1 + medium), everywhere)
         model = blurred(body, sigma_mm, spacing)
@@ -146,16 +157,16 @@ def taken_off(
     # Bone itself is left as it is: there the medium is unknown.
     taken *= model < 0.98
     if np.any(taken):
-        bone_alone = fit_bodies(
-            share * np.float32(contrast), everywhere, spacing_mm, contrast, sigma_mm, air.noise, False
-        )
+        excess = share * np.float32(contrast)
+        start = (contrast, sigma_mm, air.noise, False)
+        bone_alone = fit_bodies(excess, everywhere, spacing_mm, *start, most_smoothing=_CALM_VOXELS)
         gain = (share - model - medium * (1 - model)) ** 2
         gain -= (share - blurred(bone_alone.body, sigma_mm, spacing)) ** 2
         taken *= gaussian(np.where(model < _CLEAR, gain, np.float32(0.0)), width, truncate=3.0) < 0
         medium *= taken != 0
     grey, whole = cut.grey.copy(), np.zeros_like(cut.grey)
-    whole[box] = taken
-    grey[box] -= np.float32(contrast) * taken
+    whole[box] = taken * height
+    grey[box] -= np.float32(contrast) * whole[box]
     collar = (medium > least) & (distance_mm[box] <= reach_mm) & (model < _CLEAR)
     level = float(np.median(medium[collar])) if np.any(collar) else 0.0
     return SoftTissue(grey, whole, level)

@@ -16,7 +16,6 @@ _NEARLY = calibrated("thin_bone.fitted_share")
 _MORE_NEARLY = calibrated("thin_bone.compared_share")
 _LEAST = calibrated("thin_bone.least_voxels")
 _TREND_SD = calibrated("thin_bone.trend_sd")
-_LEAST_CUPPING = calibrated("thin_bone.least_cupping")
 
 
 def thin_bone(
@@ -68,5 +67,5 @@ def thin_bone(
     plain = float((excess[most] / m[most]).mean()) if np.any(most) else float(fitted[0])
     rest = _TREND_SD * abs(plain - float(fitted[0]))
     seen = most if np.count_nonzero(most) >= _LEAST else np.ones(len(m), dtype=bool)
-    bone = bone_of(values[seen], places[seen], air, random, rest, around, _LEAST_CUPPING)
+    bone = bone_of(values[seen], places[seen], air, random, rest, around)
     return replace(bone, found_by="fit", seen=0.0)

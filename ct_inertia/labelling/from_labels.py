@@ -307,6 +307,9 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         plate_mesh = surface_with_planes(volume, unlabelled.sight, unlabelled.region)
     mask = every == STAPES
     labelled = _labelled(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
+    bare = (
+        () if coat is not None else (bare_bone_notice(coarse.surface, moments.volume_mm3, measured.sigma_mm),)
+    )
     evidence: dict[str, Any] = {
         "separation": cut.method,
         "iso_level_share": float(level),
@@ -336,7 +339,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
             *measured.notices,
             *border_notices(volume, cut),
             *ends,
-            *([bare_bone_notice(coarse.surface, moments.volume_mm3)] if coat is None else []),
+            *bare,
         ),
     )
 

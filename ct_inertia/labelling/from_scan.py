@@ -119,7 +119,7 @@ def _assembled(
         # Bright edges of bone look like cupping.
         notices = [notice for notice in notices if notice.code != "bone_cupping"]
     if coat is None:
-        notices.append(bare_bone_notice(coarse.surface, moments.volume_mm3))
+        notices.append(bare_bone_notice(coarse.surface, moments.volume_mm3, measured.sigma_mm))
     stapes, level = mesh.result()
     if is_thresholded(_as_stored(cut)):
         moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))

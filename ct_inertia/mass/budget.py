@@ -64,9 +64,13 @@ def mass_sd_missing(content: Mapping[str, Any]) -> str:
 
 
 def not_included(
-    contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False, bare: bool = False
+    contributions: Mapping[str, Any],
+    mass_known_by: str,
+    cut: bool = False,
+    bare: bool = False,
+    linear: bool = False,
 ) -> list[str]:
-    """List what the budget does not hold: values without an uncertainty, a cut-off part, a soft coat."""
+    """List what the budget does not hold: values without an uncertainty, a cut-off part, assumptions."""
     missing = []
     if mass_known_by not in contributions:
         missing.append(_MASS_SOURCES[mass_known_by])
@@ -74,6 +78,8 @@ def not_included(
         missing.append(f"voxel size not included ({SCANNER_WORDS})")
     if bare:
         missing.append("bare bone assumed: soft coat not included")
+    if linear and "grey_scale" not in contributions:
+        missing.append("linear grey scale assumed: tone curve or gamma of the export not included")
     if cut:
         missing.append("cut part not included")
     return missing

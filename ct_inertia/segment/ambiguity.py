@@ -24,16 +24,20 @@ _SHOWN = 4
 def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
     """Refuse two bodies that can be the stapes equally well; the likeliest comes first.
 
+    A body that was parted in two ways is one: its middles lie within half of its shortest extent.
+
     Parameters
     ----------
     possible : list of Piece
     places_mm : list of ndarray, (3,)
         The middle of each, scan coordinates.
     """
+    one = 0.5 * float(possible[0].extents_mm[-1])
     rivals = [
         f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm"
         for piece, place in zip(possible, places_mm, strict=True)
-        if piece is possible[0] or piece.score > possible[0].score - RIVAL
+        if piece is possible[0]
+        or (piece.score > possible[0].score - RIVAL and np.linalg.norm(place - places_mm[0]) > one)
     ]
     if len(rivals) > 1:
         raise CtInertiaError(

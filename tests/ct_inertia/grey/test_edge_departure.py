@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.grey.edge_departure import PLACES, Profiles, skewness
+from ct_inertia.grey.edge_departure import PLACES, Profiles, long_tails, skewness
 from ct_inertia.grey.edge_shape import edge_shape
 from ct_inertia.grey.grey_scale import bend_of_scale
 from ct_inertia.volume.grid_operations import gaussian
@@ -54,6 +54,15 @@ def test_a_level_of_bone_that_may_be_wrong_hides_the_skewness_that_it_makes():
     assert factor(wrong, 0.03) == 0.0
 
 
+def test_a_level_of_bone_that_may_be_wrong_hides_the_long_tails_that_it_makes():
+    tails = ndtr(PLACES) + 0.012 * (PLACES**3 - 3.0 * PLACES) * -np.exp(-0.5 * PLACES**2) / np.sqrt(
+        2.0 * np.pi
+    )
+    assert long_tails(profiles(tails), 0.0)
+    assert not long_tails(profiles(tails), 0.3)
+    assert not long_tails(profiles(ndtr(PLACES)), 0.0)
+
+
 def test_profiles_found_in_other_noise_have_the_last_word():
     seen = profiles(bent(0.12))
     assert skewness(lambda: seen, lambda: seen, 0.0) < 0.0
@@ -78,7 +87,7 @@ def test_a_ball_exported_with_a_gamma_shows_it_between_any_levels(gamma, sign):
     air, bone = (0.2 / 1.7) ** gamma, (1.2 / 1.7) ** gamma
     nothing = np.zeros(SHAPE, dtype=bool)
     shape = edge_shape(grey, ~nothing, nothing, (air, air + 0.95 * (bone - air)), np.full(3, H), 0.02)
-    found = shape.skewness(air, lambda points: np.full(len(points), bone), 1e-3 * (bone - air))
+    found, _ = shape.departures(air, lambda points: np.full(len(points), bone), 1e-3 * (bone - air))
     assert np.sign(found) == sign
 
 

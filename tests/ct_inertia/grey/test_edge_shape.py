@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from ct_inertia.grey import edge_shape as edge_shape_module
+from ct_inertia.grey.edge_departure import long_tails
 from ct_inertia.grey.edge_shape import _Fit as Fitted
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
@@ -98,7 +99,7 @@ def test_fringes_show_through_noise(noise):
 def test_a_thin_soft_coat_makes_longer_tails_and_is_suspected():
     grey = gaussian_filter(ball(16.0) + np.float32(0.15) * (ball(17.5) - ball(16.0)), 1.2)
     found = measured(grey, 0.01)
-    assert found.softened
+    assert long_tails(found.edges, 0.0)
     assert found.sharpening_mm2 == 0.0
 
 
@@ -130,5 +131,5 @@ def test_the_least_limit_is_that_of_infinitely_many_cells():
 def test_edges_in_fluid_are_no_edges_of_the_blur(level):
     pool = np.where(np.indices(SHAPE)[0] < 28, level * (1.0 - ball()), 0.0)
     found = measured(gaussian_filter(ball() + pool, 1.3), 0.01)
-    assert not found.softened
+    assert not long_tails(found.edges, 0.0)
     assert not found.uneven

@@ -65,6 +65,19 @@ def test_a_ball_too_small_for_pure_bone_gives_its_level(radius):
     assert abs(fit.contrast - 1000.0) < 3.0 * fit.relative_sd * fit.contrast
 
 
+@pytest.mark.parametrize("height", [0.0, 0.15])
+def test_a_body_of_which_a_part_is_not_compared_keeps_its_blur(height):
+    """Bone beside a plate is there, though its grey values are not compared: cut off, its edge is sharp."""
+    image = blurred_ball(0.45)
+    z = (np.arange(len(image)) - 0.5 * (len(image) - 1)) * H
+    reach, clear = image > 1e-5, np.broadcast_to(z > -height, image.T.shape).T
+    fit = fit_bodies(image, reach & clear, SPACING, 0.95, 1.05 * SIGMA, 0.0, beside=reach & ~clear)
+    assert fit.contrast == pytest.approx(1.0, rel=1e-3)
+    assert fit.sigma_mm == pytest.approx(SIGMA, rel=0.02)
+    cut_off = fit_bodies(image, reach & clear, SPACING, 0.95, 1.05 * SIGMA, 0.0)
+    assert abs(cut_off.contrast - 1.0) > 2.0 * abs(fit.contrast - 1.0)
+
+
 def test_loud_noise_does_not_lower_the_level():
     rng = np.random.default_rng(0)
     image = blurred_ball(0.5)

@@ -10,6 +10,8 @@ from ct_inertia.frames.footplate_face import correct_blur
 from ct_inertia.grey.partial_volume import as_vector
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read_scan import read_volume
+from ct_inertia.segment.ambiguity import refuse_rivals
+from ct_inertia.segment.candidates import Piece
 from ct_inertia.segment.coarse_segmentation import SearchOptions
 from ct_inertia.surface.surface import enclosed_volume
 from ct_inertia.surface.surface_field import Diffusion, Mesh
@@ -169,6 +171,15 @@ def test_two_stapedes_need_a_seed_or_a_box():
     assert find_bodies(volume, SearchOptions(box_mm=box)).moments.centroid_mm == pytest.approx(
         truth, abs=2e-3
     )
+
+
+def test_one_body_that_was_parted_in_two_ways_is_no_rival_of_itself():
+    size = {"volume_mm3": 1.6, "extents_mm": np.array([3.4, 2.5, 1.2]), "at_border": False, "holes": 1}
+    box = {"low": np.zeros(3, dtype=int), "high": np.ones(3, dtype=int), "centre": np.zeros(3)}
+    first, again = (Piece(label, **size, **box) for label in (1, 2))
+    refuse_rivals([first, again], [np.zeros(3), np.array([0.05, 0.02, 0.0])])
+    with pytest.raises(CtInertiaError, match="got 2"):
+        refuse_rivals([first, again], [np.zeros(3), np.array([2.0, 0.0, 0.0])])
 
 
 def test_a_seed_must_lie_in_bone_and_in_the_scan():
