@@ -35,7 +35,7 @@ def test_a_medium_is_taken_off_to_within_its_stated_sd(bare, level):
     share = in_medium(bare, level)
     cut = cut_of(share, share > 0.5 * (1.0 + level))
     distance = capped_distance(cut.stapes, SPACINGS, 3.0 * REACH)
-    soft = taken_off(cut, distance, REACH, SPACINGS, (NO_NOISE, BONE), SIGMA)
+    soft = taken_off(cut, (distance, None), REACH, SPACINGS, (NO_NOISE, BONE), SIGMA)
     own = distance <= REACH
     truth = ellipsoid_moments(np.full(3, 0.4))
     middle = np.full(3, 0.5 * 43 * SPACING)

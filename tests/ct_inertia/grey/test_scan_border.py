@@ -69,4 +69,5 @@ def test_a_whole_stapes_has_no_cut_part_in_its_budget(tmp_path):
     assert [words.split(":")[0].split(" (")[0] for words in missing] == [
         "voxel size not included",
         "bare bone assumed",
+        "linear grey scale assumed",
     ]
