@@ -53,14 +53,11 @@ class Points2Dof:
     ----------
     motion : RigidMotion
         With covariance, shared errors and all notices.
-    channels : tuple of ChannelVerdict
     measurement : Measurement
         In the footplate frame.
-    placement : Placement
     fits : mapping of (run, body) to LineFit
         By position.
     diagnoses : mapping of (run, body) to Diagnosis
-    options : Options
     unseen : mapping of str to tuple of str
         By body: the rigid motions that its beams cannot see, in words.
     calibration : Calibration or None

@@ -35,7 +35,6 @@ class Calibration:
 
     Attributes
     ----------
-    model : GeometryModel
     values : ndarray, (k,)
         Most probable parameters, rad, 1 and m; zero is the geometry as given.
     covariance : ndarray, (k, k)
@@ -46,7 +45,6 @@ class Calibration:
         How far the data pull the geometry beyond what the priors let expect.
     fall : float
         By how much the sum of squared normalised residuals fell.
-    notices : tuple of Notice
     """
 
     model: GeometryModel
@@ -96,7 +94,6 @@ def calibrate(
         In the footplate frame.
     dof : sequence of sequence of str
         By body: the degrees of freedom that are left free at every line.
-    priors : GeometryPriors
     weights : mapping of (run, body) to ndarray, (channel, freq)
         1 / (2 sd^2), zero where a value is not used.
 

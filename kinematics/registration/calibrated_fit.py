@@ -34,8 +34,6 @@ def calibrate_with_noise(
         In the footplate frame.
     dof : tuple of str
         Those that are fitted; all others that the beams observe are left free too.
-    priors : GeometryPriors
-    robust : str
 
     Raises
     ------
@@ -70,7 +68,6 @@ def calibration_errors(
 
     Parameters
     ----------
-    made : Calibration
     fits : mapping of (run, body) to LineFit
         With the calibrated geometry.
     shape : sequence of int

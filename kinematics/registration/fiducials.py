@@ -37,7 +37,6 @@ class Fiducials:
         ``plate``, ``scan`` or ``footplate``.
     sd_mm : ndarray, (n,) or (n, 3), or None
         Standard deviation per coordinate, or along each vibrometer axis; None when not stated.
-    path : Path or None
     sd_ref_mm : ndarray, (n,), or None
         Standard deviation per coordinate of the reference; None: it is part of ``sd_mm``.
     """

@@ -78,7 +78,6 @@ def fit_to_surface(
 
     Parameters
     ----------
-    cloud : Cloud
     surface : TriangleSurface
         In scan coordinates.
     guess : (RigidTransform, ndarray (6, 6)), optional

@@ -35,7 +35,6 @@ class SweepInformation:
     score : ndarray, (p,)
     energy : float
         Sum of squared residuals over noise.
-    freedom, lines : int
     """
 
     information: Array
@@ -72,7 +71,6 @@ class LaserMoments:
         Real moment of the residuals with the same.
     energy : float
         Sum of squared residuals over noise.
-    freedom, lines : int
     """
 
     span: Array

@@ -50,9 +50,6 @@ def check_surfaces(
     measurement : Measurement
         In its own frame, the source of ``placement``. Points of a body named stapes are held against the
         stapes, of a body named plate against the plate, all others against the nearer of bone and plate.
-    placement : Placement
-    mass : MassRecord
-    surfaces : ScanSurfaces
     bone : Cloud, optional
         More bone points, not measured by the beams.
 

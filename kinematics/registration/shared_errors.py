@@ -31,10 +31,8 @@ def pose_derivatives(fit: LineFit, body: BodyChannels, placement: Placement) -> 
 
     Parameters
     ----------
-    fit : LineFit
     body : BodyChannels
         Positions and directions in the footplate frame, as fitted.
-    placement : Placement
 
     Notes
     -----
@@ -69,7 +67,6 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
 
     Parameters
     ----------
-    fit : LineFit
     changes : ndarray, (n, channel, m)
         Derivatives of the observation rows of ``channels``.
     channels : slice or mask

@@ -14,7 +14,6 @@ class SurfaceCheck:
 
     Attributes
     ----------
-    body, surface : str
     points : tuple of str, (n,)
     distance_mm : ndarray, (n,)
         Signed distance from the surface, outside positive.
@@ -23,7 +22,6 @@ class SurfaceCheck:
     chi2, n_dof, p_value : float, int, float
         Of all distances with their joint covariance; with estimated sd (``stated`` False) the p-value is that
         of the shift against the scatter around it.
-    stated : bool
     shift_mm : ndarray, (3,)
         Translation of the points relative to the surface that explains the distances, in footplate axes, at
         the centroid of the points; without what is open.
@@ -33,7 +31,6 @@ class SurfaceCheck:
         Length of the shift, and its standard deviation along itself.
     open_motions : tuple of str
         Motions that these distances do not show.
-    notices : tuple of Notice
     """
 
     body: str

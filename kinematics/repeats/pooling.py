@@ -43,7 +43,6 @@ def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
 
     Parameters
     ----------
-    measurement : Measurement
     alarm : float
         Probability of any alarm in a measurement without fault.
 
@@ -237,7 +236,6 @@ def with_gain_errors(motion: RigidMotion, repeats: Sequence[RunRepeats]) -> Rigi
     ----------
     motion : RigidMotion
         Absolute, with the runs that were pooled.
-    repeats : sequence of RunRepeats
 
     Notes
     -----

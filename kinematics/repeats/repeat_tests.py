@@ -28,7 +28,6 @@ class RepeatTest:
         ``gain_trend``, ``phase_trend``, ``gain_outlier``, ``gain_level`` (of the gain of all channels),
         ``shape_trend``, ``shape_level``, ``shape_outlier``, ``shape_scatter`` (of the responses relative
         to each other).
-    p_value : float
     size : float
         Relative change: from the first to the last repeat, from the lowest to the highest level, or of the
         outlying take from the others; rad for the phase, the factor on the stated noise for the scatter.

@@ -75,7 +75,6 @@ def residual_map(fit: LineFit, freq_hz: Array, columns: int = COLUMNS) -> Residu
 
     Parameters
     ----------
-    fit : LineFit
     freq_hz : ndarray, (freq,)
     columns : int
         At most; neighbouring lines share one, which shows the largest of them.

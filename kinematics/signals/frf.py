@@ -113,7 +113,6 @@ def effective_averages(taper: Array, hop: int, segments: int) -> float:
     Parameters
     ----------
     taper : ndarray, (segment,)
-    hop, segments : int
 
     Notes
     -----
@@ -154,8 +153,6 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     ----------
     records : sequence of (ndarray (sample,), ndarray (channel, sample))
         Reference and responses of every record; each record is cut into segments by itself.
-    sample_rate_hz : float
-    how : Welch
     where : str
         Place for messages.
 

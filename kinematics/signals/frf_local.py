@@ -54,8 +54,6 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     ----------
     records : sequence of (ndarray (sample,), ndarray (channel, sample))
         Reference and responses of every record, of the length of the shortest.
-    sample_rate_hz : float
-    how : Local
     where : str
         Place for messages.
 

@@ -45,7 +45,6 @@ class Frf:
         window correlates the noise of neighbouring lines.
     reference : ndarray, (freq,)
         Size of the reference: peak amplitude of a line, or root mean square in a resolution band.
-    notices : tuple of Notice
 
     Notes
     -----

@@ -116,7 +116,6 @@ def fit_sine(
     ----------
     signals : ndarray, (channel, sample)
         All of the record is used: ``settle`` is left to stepped_frf.
-    sample_rate_hz, freq_hz : float
     how : SteppedSine, optional
     where : str
         Place for messages.

@@ -36,7 +36,6 @@ def delay_notice(
         The estimate over all records and E|dH|^2, by which channels are weighted.
     power : ndarray, (freq,)
         Of the reference.
-    sample_rate_hz : float
 
     Notes
     -----

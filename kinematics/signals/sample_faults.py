@@ -31,7 +31,6 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
         Records of every channel.
     leads : iterable of str
         References. Pauses are not looked for in them, and spikes nowhere when they are pulses.
-    file : str
     """
     clipped, spikes, still = [], {}, {}
     apart = set(leads)

@@ -74,8 +74,6 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
 
     Parameters
     ----------
-    table : Table
-    columns : Columns
     listed : Points or None
         What a points file says of positions.
     others : sequence of str

@@ -34,9 +34,6 @@ def explain_misfit(
 
     Parameters
     ----------
-    placed : Measurement
-    run : int
-    body : BodyChannels
     fit : LineFit
         Of the degrees of freedom that are wanted.
     known : bool

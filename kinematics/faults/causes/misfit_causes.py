@@ -26,9 +26,6 @@ class MisfittingBody:
 
     Attributes
     ----------
-    placed : Measurement
-    run : int
-    body : BodyChannels
     beams : BeamSet
         For the fitted degrees of freedom.
     known : bool
@@ -144,7 +141,6 @@ class Explanation:
         Code of the warning.
     verdict : str
         Of the channels, as in ``dof.channels.csv``.
-    channels : list of int
     text : str
         What was found, with its size.
     step : str

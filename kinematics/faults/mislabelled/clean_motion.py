@@ -35,10 +35,8 @@ class CleanMotion:
 
     Attributes
     ----------
-    run : int
     number : int
         Of the body.
-    body : BodyChannels
     lines : ndarray, (n,), int
         The lines that were looked at.
     freq_hz, rate : ndarray, (n,)
@@ -92,7 +90,6 @@ def fit_clean_motion(
         Run and body.
     fit : LineFit
         Holds the readings.
-    placed : Measurement
     beams : BeamSet
         For all degrees of freedom that are observed.
     sd : ndarray, (channel, n)

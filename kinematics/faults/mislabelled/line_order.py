@@ -55,7 +55,6 @@ class Reordered:
 
     Attributes
     ----------
-    run, body : int
     lines : ndarray, (freq,), int
         From which line the readings of each line are to be taken.
     estimate : str
@@ -118,7 +117,6 @@ def reordered_bodies(
 
     Parameters
     ----------
-    motion : RigidMotion
     derivatives : int
         Time derivatives in what was measured: the readings are what has another order.
     structure, base : str

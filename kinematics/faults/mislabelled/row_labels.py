@@ -32,7 +32,6 @@ class _Place:
     ----------
     text : str
         What the rows are then, in words.
-    at : CleanMotion
     arms_m : ndarray, (3,)
     source : ndarray, (n,), int
         From which line of that motion the rows at each line of their own are.
@@ -70,7 +69,6 @@ def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> d
     Parameters
     ----------
     motions : mapping of (run, body) to CleanMotion
-    runs : sequence of str
 
     Notes
     -----
