@@ -83,11 +83,11 @@ def read_fiducials(path: Path) -> Fiducials:
     names, frames = _words(table, faults)
     spread = _spread(table, faults)
     raise_all(KinematicsError, [_by_name(fault, table, names) for fault in faults])
-    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    measured, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
     sd = spread.get("sd_mm")
     if _SD_AXES[0] in spread:
         sd = np.column_stack([spread[name] for name in _SD_AXES])
-    return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
+    return Fiducials(names, measured, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
 
 
 def _by_name(fault: Fault, table: Table, names: Sequence[str]) -> Fault:

@@ -143,9 +143,9 @@ def laser_moments(
     span, upper = np.linalg.qr(by_channel[:, None] * basis)
     if np.min(np.abs(np.diag(upper))) < 1e-6 * np.max(np.abs(upper)):
         return None
-    seen = span.T @ readings
-    residual = readings - span @ seen
-    coefficients = np.linalg.solve(upper, seen)
+    projected = span.T @ readings
+    residual = readings - span @ projected
+    coefficients = np.linalg.solve(upper, projected)
     factors = np.stack([np.ones(len(lines)), np.full(len(lines), 1j), -2j * np.pi * freq_hz[lines]])
     features = (factors[:, None, :] * coefficients).reshape(-1, len(lines))
     inverse = np.linalg.inv(upper)

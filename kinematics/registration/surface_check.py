@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -49,6 +51,11 @@ class SurfaceCheck:
     size_mm: tuple[float, float]
     open_motions: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance from the surface."""
+        return float(np.sqrt(np.mean(self.distance_mm**2)))
 
 
 def shift_words(check: SurfaceCheck) -> str:

@@ -109,8 +109,8 @@ def split_noise(
             error = -np.sum(weight * response.conj() * block, axis=0) / safe
             common += np.abs(error) ** 2 / dof
             own += np.abs(block + response * error) ** 2 / dof
-        left = np.maximum(1.0 - weight * power / safe, 0.1)
-        own = np.maximum(own / left, 1e-6 * spectrum)
+        redundancy = np.maximum(1.0 - weight * power / safe, 0.1)
+        own = np.maximum(own / redundancy, 1e-6 * spectrum)
         weight = 1.0 / np.maximum(own, floor)
         excess = (common * information)[information > 0.0]
         if not excess.size or np.mean(excess) < _NOTABLE_EXCESS + 4.0 / np.sqrt(max(dof, 1.0) * excess.size):

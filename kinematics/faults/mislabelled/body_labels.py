@@ -222,12 +222,12 @@ class Comparison:
 
 def compare_labels(pair: Pair, derivatives: int) -> Comparison | None:
     """Compare ways to label two bodies by the misfit of one ligament; None with too few lines."""
-    given = pair.misfit()
-    if given is None:
+    as_given = pair.misfit()
+    if as_given is None:
         return None
-    best = Comparison(given, given, pair)
+    best = Comparison(as_given, as_given, pair)
     for name, kind in KINDS.items():
-        if given < kind.above or (kind.last and best.believed):
+        if as_given < kind.above or (kind.last and best.believed):
             continue
         for other, details in kind.labels(pair, derivatives):
             misfit = other.misfit()

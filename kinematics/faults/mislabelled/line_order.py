@@ -86,24 +86,24 @@ class Reordered:
         )
 
 
-def put_in_order(motion: RigidMotion, found: Sequence[Reordered], derivatives: int) -> RigidMotion:
+def put_in_order(motion: RigidMotion, reordered: Sequence[Reordered], derivatives: int) -> RigidMotion:
     """Return a motion with the lines of some bodies in their order."""
-    if not found:
+    if not reordered:
         return motion
     q, covariance = motion.q.copy(), motion.covariance.copy()
-    for one in found:
-        ratio, own = rate_ratio(one.lines, motion.freq_hz, derivatives), (one.run, one.body)
-        q[own] = q[own][one.lines] * ratio[:, None]
-        covariance[own] = covariance[own][one.lines] * (ratio**2)[:, None, None]
+    for body in reordered:
+        ratio, own = rate_ratio(body.lines, motion.freq_hz, derivatives), (body.run, body.body)
+        q[own] = q[own][body.lines] * ratio[:, None]
+        covariance[own] = covariance[own][body.lines] * (ratio**2)[:, None, None]
     return replace(motion, q=q, covariance=covariance)
 
 
-def order_notices(motion: RigidMotion, found: Sequence[Reordered]) -> list[Notice]:
+def order_notices(motion: RigidMotion, reordered: Sequence[Reordered]) -> list[Notice]:
     """Return one warning for all bodies and runs with the same lines in a wrong order."""
     bodies_of: dict[str, list[str]] = {}
-    for one in found:
-        where = f" in run {motion.runs[one.run]}" if len(motion.runs) > 1 else ""
-        bodies_of.setdefault(one.sentence, []).append(f"{motion.bodies[one.body]}{where}")
+    for body in reordered:
+        where = f" in run {motion.runs[body.run]}" if len(motion.runs) > 1 else ""
+        bodies_of.setdefault(body.sentence, []).append(f"{motion.bodies[body.body]}{where}")
     return [
         Notice("label_swap", sentence.format(bodies=" and of ".join(bodies)))
         for sentence, bodies in bodies_of.items()
@@ -129,15 +129,15 @@ def reordered_bodies(
     """
     rate = motion.freq_hz[:, None] ** derivatives
     orders = list(text_orders(motion.freq_hz))
-    found = _by_course(motion, rate, orders)
-    right = put_in_order(motion, found, derivatives)
+    reordered = _by_course(motion, rate, orders)
+    right = put_in_order(motion, reordered, derivatives)
     exchanged = _exchanged(right, rate)
     if exchanged:
-        given = ligament_misfit(right, structure, base)
+        as_given = ligament_misfit(right, structure, base)
         misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base)
-        if given is None or misfit is None or misfit <= given:
-            found += exchanged
-    return found or _by_ligament(motion, rate, orders, (structure, base))
+        if as_given is None or misfit is None or misfit <= as_given:
+            reordered += exchanged
+    return reordered or _by_ligament(motion, rate, orders, (structure, base))
 
 
 def _as_text(run: int, body: int, lines: Order, what: str, freq_hz: Array, because: str) -> Reordered:
@@ -162,7 +162,7 @@ def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]
     """
     from scipy.special import fdtrc
 
-    found = []
+    reordered = []
     sd = standard_deviation(motion) if orders else np.zeros(0)
     for run, body in product(range(len(motion.runs)), range(len(motion.bodies))) if orders else ():
         readings, noise = motion.q[run, body] * rate, sd[run, body] * rate
@@ -177,8 +177,8 @@ def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]
                 lines, places = np.arange(len(good)), np.flatnonzero(good)
                 lines[places] = places[order]
                 least, likeliest = chance, _as_text(run, body, lines, what, motion.freq_hz, _SMOOTH)
-        found += [] if likeliest is None else [likeliest]
-    return found
+        reordered += [] if likeliest is None else [likeliest]
+    return reordered
 
 
 def _by_ligament(
@@ -193,27 +193,27 @@ def _by_ligament(
     if pair is None:
         return []
     pair = replace(pair, structure=pair.structure * rate, base=pair.base * rate, sd=pair.sd * rate)
-    given = pair.misfit()
-    if given is None:
+    as_given = pair.misfit()
+    if as_given is None:
         return []
-    least, found = given, list[Reordered]()
+    least, reordered = as_given, list[Reordered]()
     for (lines, what), bodies in product(orders, ((0,), (1,), (0, 1))):
         of_body = [lines if body in bodies else slice(None) for body in (0, 1)]
         sd = np.stack([pair.sd[:, body, of_body[body]] for body in (0, 1)], axis=1)
         structure, base = pair.structure[:, of_body[0]], pair.base[:, of_body[1]]
         misfit = replace(pair, structure=structure, base=base, sd=sd).misfit()
-        if misfit is not None and misfit < least and joins_better(given, misfit):
+        if misfit is not None and misfit < least and joins_better(as_given, misfit):
             least = misfit
-            found = [
+            reordered = [
                 _as_text(run, motion.bodies.index(names[body]), lines, what, motion.freq_hz, _JOINED)
                 for run, body in product(range(len(motion.runs)), bodies)
             ]
-    return found
+    return reordered
 
 
 def _exchanged(motion: RigidMotion, rate: Array) -> list[Reordered]:
     """Return the bodies whose motion is smooth only when two lines are exchanged."""
-    found, sd = [], standard_deviation(motion)
+    reordered, sd = [], standard_deviation(motion)
     for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
         pair = exchanged_pair(motion.q[run, body] * rate, sd[run, body] * rate)
         if pair is None:
@@ -226,8 +226,8 @@ def _exchanged(motion: RigidMotion, rate: Array) -> list[Reordered]:
             "of the two lines are exchanged: check their freq_hz."
         )
         estimate = f"rows of the lines at {first:.6g} and {second:.6g} Hz exchanged"
-        found.append(Reordered(run, body, lines, estimate, sentence))
-    return found
+        reordered.append(Reordered(run, body, lines, estimate, sentence))
+    return reordered
 
 
 def steps_ratio(readings: ComplexArray, sd: Array, order: Order) -> tuple[float, int]:
@@ -246,8 +246,8 @@ def _neighbours(order: Order) -> Order:
 
 def _step(white: ComplexArray, pairs: Order) -> float:
     """Return the mean of |step|^2 over the squares of its ends, where these are well above noise."""
-    one, two = white[pairs // len(white)], white[pairs % len(white)]
-    size = np.sum(np.abs(one) ** 2 + np.abs(two) ** 2, axis=1)
+    lower, upper = white[pairs // len(white)], white[pairs % len(white)]
+    size = np.sum(np.abs(lower) ** 2 + np.abs(upper) ** 2, axis=1)
     weight = size / (size + _NOISY * white.shape[1])
-    step = np.sum(np.abs(one - two) ** 2, axis=1) / np.maximum(size, 1e-300)
+    step = np.sum(np.abs(lower - upper) ** 2, axis=1) / np.maximum(size, 1e-300)
     return float(np.sum(weight * step) / np.maximum(np.sum(weight), 1e-300))

@@ -56,6 +56,6 @@ def find_mislabelled(
     for key, findings in findings_of.items():
         out = [c for finding in findings for c in finding.channels]
         rest = diagnose(placed, placed.bodies[key[1]], fits[key], known[key], out)
-        kept = 0.0 if not rest.findings else rest.kept
-        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
+        unexplained = 0.0 if not rest.findings else rest.kept
+        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=unexplained)
     return diagnoses_with_labels

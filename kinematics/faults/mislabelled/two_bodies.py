@@ -137,11 +137,11 @@ class Pair:
         dq, s = dq.reshape(-1, size), s.reshape(-1, size)
         total = 0.0
         for row in range(size):
-            left = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
+            misfit = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
             # Noise would be explained by nothing as well: a base that hardly moves is no structure.
             if own[row] ** 2 > _MOVES * np.mean(of_s[:, row]):
-                left = min(left, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
-            total += left
+                misfit = min(misfit, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
+            total += misfit
         return total / max(dq.size - 1.5 * size * size, 1.0)
 
     def lag(self) -> Lag | None:
