@@ -26,17 +26,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.fault_scenes import (
-    FAULTS,
-    GEOMETRIES,
-    Scene,
-    bound,
-    bound_of_search,
-    measured,
-    nameable,
-    possible,
-    scene,
-)
+from benchmarks.fault_bounds import bound, bound_of_search, nameable
+from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, measured, possible, scene
 from kinematics.errors import KinematicsError
 from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement

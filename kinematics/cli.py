@@ -77,23 +77,25 @@ def parser() -> Parser:
 
 def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Run the command on its arguments."""
-    given = parser().parse(arguments)
+    options = parser().parse(arguments)
     from kinematics.measure_motion import measure, motion_inputs
     from kinematics.motion_outputs import output_set
     from kinematics.options import LdvOptions
     from stapeskit.progress import stage_on_terminal
 
-    ldv = given.make(LdvOptions)
-    with stage_on_terminal(not given.quiet and not given.json) as progress:
+    ldv = options.make(LdvOptions)
+    with stage_on_terminal(not options.quiet and not options.json) as progress:
         progress("reading the measurement")
         inputs = motion_inputs(ldv)
-        outputs = output_set(given.out, [*inputs.by_role.values(), given.config], given.mass, given.force)
+        outputs = output_set(
+            options.out, [*inputs.by_role.values(), options.config], options.mass, options.force
+        )
         outputs.check()
         progress("fitting rigid motion, looking for faults")
-        result = measure(ldv, inputs, given.mass, ["points2dof", *arguments])
+        result = measure(ldv, inputs, options.mass, ["points2dof", *arguments])
         progress("drawing the report")
-        files = _write(given, result, outputs)
-    return given, _outcome(result, files)
+        files = _write(options, result, outputs)
+    return options, _outcome(result, files)
 
 
 def _write(options: ParsedOptions, result: MotionResult, outputs: OutputSet) -> list[Path]:

@@ -32,7 +32,6 @@ def without_channels(measurement: Measurement, names: Sequence[str]) -> Measurem
 
     Parameters
     ----------
-    measurement : Measurement
     names : sequence of str
         BODY:POINT for all beams of a point, BODY:POINT:BEAM for one: x, -z ... or X,Y,Z as in the file.
 

@@ -36,10 +36,8 @@ class SearchedFits:
         As fitted.
     screens : tuple of Screened
         By body; with the channels as fitted.
-    fits : dict of LineFit
     known : dict of bool
         Whether the noise is stated.
-    diagnoses : dict of Diagnosis
     notices : list of Notice
         Of the fits.
     applied : ndarray, (p,), or None
@@ -86,7 +84,6 @@ def fit_and_search(
         By body.
     beams : sequence of BeamSet
         By body.
-    robust : str
     """
     fits: dict[tuple[int, int], LineFit] = {}
     searched: dict[tuple[int, int], LineFit] = {}

@@ -39,7 +39,6 @@ class MotionInputs:
     ----------
     files : tuple of Path
         Vibrometer files and folders.
-    points, fiducials, plate_points, bone_points : Path or None
     frame : str or None
         ``footplate`` (default), ``plate`` or ``scan``: of coordinates that nothing ties to the footplate.
     mirror, mirror_points : str or None
@@ -147,10 +146,8 @@ def motion_of(
 
     Parameters
     ----------
-    inputs : MotionInputs
     read : MeasurementInputs
         From `read_inputs`.
-    options : Options
     mass : MeasuredMass, optional
         Frames and surfaces of the scan.
     provenance : mapping, optional
@@ -218,7 +215,6 @@ def measure(
 
     Parameters
     ----------
-    options : LdvOptions
     inputs : MotionInputs
         From `motion_inputs`.
     given_mass : path, MeasuredMass, or result of ct2mass, optional

@@ -23,7 +23,6 @@ class BodyChannels:
 
     Attributes
     ----------
-    body : str
     points : tuple of str, (channel,)
         Name of the point of each channel.
     positions_mm : ndarray, (channel, 3)
@@ -166,13 +165,11 @@ class Measurement:
         Excitations.
     freq_hz : ndarray, (freq,)
         Ascending.
-    bodies : tuple of BodyChannels
     order : int
         Time derivatives in the quantity that was measured (0, 1, 2): its noise is what is level over
         frequency when nothing else is known.
     inputs : mapping of str to Path
         Files by their role.
-    notices : tuple of Notice
     takes : tuple of Take, (run,)
         What each entry of ``runs`` (their ``name``) is while repeats and levels are not pooled yet; empty
         in a measurement without any.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.mislabelled.exchanged_lines import column_offset
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.option_names import named
 from stapeskit.records.motion import RigidMotion
@@ -29,8 +32,35 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
         f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; "
         "lines are matched within 1e-6."
     )
-    text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
+    text += _column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
     return [Notice("frequencies_differ", text)]
+
+
+def _column_offset(freq_hz: Array, measured: Sequence[NDArray[np.bool_]], names: Sequence[str]) -> str:
+    """Describe an offset or a factor between the frequencies of two bodies; empty without one.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (freq,)
+    measured : sequence of ndarray (freq,), bool
+        Where each body was measured.
+    names : sequence of str
+        Of the bodies.
+    """
+    for one, two in combinations(range(len(names)), 2):
+        first, second = freq_hz[measured[one]], freq_hz[measured[two]]
+        if len(first) != len(second) or len(first) < 3 or np.array_equal(first, second):
+            continue
+        shift, ratio = second - first, second / first
+        close = 1e-5 * float(np.median(np.diff(first)))
+        if np.ptp(shift) < close:
+            how = f"plus {np.mean(shift):.6g} Hz"
+        elif np.ptp(ratio) < 1e-6 * float(np.mean(ratio)):
+            how = f"times {np.mean(ratio):.6g}"
+        else:
+            continue
+        return f" The frequencies of {names[two]} are those of {names[one]} {how} throughout: check freq_hz."
+    return ""
 
 
 def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:

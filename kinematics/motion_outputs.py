@@ -25,8 +25,6 @@ def output_set(
 
     Parameters
     ----------
-    out : Path
-    inputs : sequence of Path or None
     mass_file : Path, optional
         The surfaces and labels next to it are inputs, too.
     force : bool
@@ -52,12 +50,8 @@ def write_outputs(
 
     Parameters
     ----------
-    folder : Path
-    stem : str
-    result : Points2Dof
     scenery : Scenery, optional
         The stapes to draw behind the points.
-    report : bool
     hash_of : callable
         Returns the content hash of a file.
     """

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import Correction, correction_notices, shown
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.mislabelled.exchanged_lines import exchanged_lines
-from kinematics.faults.mislabelled.line_order import sorted_bodies
+from kinematics.faults.mislabelled.line_order import order_notices, put_in_order, reordered_bodies
 from kinematics.faults.mislabelled.phase_convention import phase_notice
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import unseen_motions
@@ -54,14 +53,11 @@ class Points2Dof:
     ----------
     motion : RigidMotion
         With covariance, shared errors and all notices.
-    channels : tuple of ChannelVerdict
     measurement : Measurement
         In the footplate frame.
-    placement : Placement
     fits : mapping of (run, body) to LineFit
         By position.
     diagnoses : mapping of (run, body) to Diagnosis
-    options : Options
     unseen : mapping of str to tuple of str
         By body: the rigid motions that its beams cannot see, in words.
     calibration : Calibration or None
@@ -148,11 +144,10 @@ def points2dof(
     motion = with_corrections(motion, searched.placed, searched.fits, corrections)
     motion = with_gain_errors(motion, ready.repeats.repeats if options.repeats == "pool" else ())
     if not _spoils_motion(diagnoses):
-        right = motion
-        for found in sorted_bodies(motion, searched.placed.order):
-            notices.append(found.notice(motion))
-            right = found.undone(right, searched.placed.order)
-        notices += exchanged_lines(right) + phase_notice(right, mass)
+        derivatives = searched.placed.order
+        reordered = reordered_bodies(motion, derivatives)
+        right = put_in_order(motion, reordered, derivatives)
+        notices += order_notices(motion, reordered) + phase_notice(right, mass, derivatives)
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices
@@ -189,11 +184,11 @@ def _searched(
         searched, corrections = corrected_fits(searched, options.dof, options.robust)
     if not _spoils_motion(searched.diagnoses):
         motion = _motion(searched.placed, searched.fits, options.dof)
-        found = sorted_bodies(motion, searched.placed.order)
-        whole = [one.correction(searched.placed) for one in found]
-        if whole:
-            searched = search_again(searched, whole, options.dof, options.robust)
-        corrections += tuple(whole)
+        reordered = reordered_bodies(motion, searched.placed.order)
+        of_bodies = [body.correction(searched.placed) for body in reordered]
+        if of_bodies:
+            searched = search_again(searched, of_bodies, options.dof, options.robust)
+        corrections += tuple(of_bodies)
     return searched, corrections
 
 

@@ -36,7 +36,6 @@ class PreparedMeasurement:
         By body.
     calibration : Calibration or None
         The geometry as estimated, when that was asked for.
-    notices : tuple of Notice
     """
 
     repeats: Pooled
@@ -56,8 +55,6 @@ def prepare_measurement(
     ----------
     measurement : Measurement
         Positions and directions in the source frame of ``placement``.
-    placement : Placement
-    options : Options
 
     Raises
     ------

@@ -181,19 +181,19 @@ def _decibels(measurement: Measurement) -> Iterator[str]:
         basis = basis[:, strength > _SEEN * strength[0]]
         if not value.size or basis.shape[1] == len(value):
             continue
-        given = _not_rigid(value, basis)
+        as_given = _not_rigid(value, basis)
         amplitude = np.abs(value)
-        for unit in _UNITS if given > _NOT_RIGID else ():
+        for unit in _UNITS if as_given > _NOT_RIGID else ():
             level = amplitude / unit
             if not _LEAST_DB < np.median(level) < _MOST_DB:
                 continue
             linear = 10.0 ** ((level - np.max(level)) / 20.0)
             after = _not_rigid(linear * np.exp(1j * np.angle(value)), basis)
-            if after < _CURED * given:
+            if after < _CURED * as_given:
                 yield (
                     f"body {body.body} moves as a rigid body only when its amplitudes are taken as decibels "
                     f"({100.0 * np.sqrt(after):.2g} % of them are no rigid motion then, "
-                    f"{100.0 * np.sqrt(given):.2g} % as given). Give amplitudes, 10^(dB/20) times the "
+                    f"{100.0 * np.sqrt(as_given):.2g} % as given). Give amplitudes, 10^(dB/20) times the "
                     "reference."
                 )
 

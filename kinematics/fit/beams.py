@@ -154,7 +154,7 @@ def _blind(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> 
     top = values[0] if values[0] > 0.0 else 1.0
     null = vt[values / top < limit]
     motions = []
-    for vector in _simplified(null):
+    for vector in row_echelon(null):
         motion = np.zeros(6)
         motion[dof_indices(tuple(dof))] = vector / scale
         motion[:3] -= np.cross(motion[3:], centre)
@@ -162,7 +162,7 @@ def _blind(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> 
     return motions
 
 
-def _simplified(null: Array) -> Array:
+def row_echelon(null: Array) -> Array:
     """Reduce a basis to row echelon form with pivoting, so that each vector has few entries."""
     rows = null.copy()
     done: list[int] = []

@@ -36,7 +36,6 @@ def align_to_scan(
     measurement : Measurement
         In vibrometer coordinates, or in ``frame`` when there are neither fiducials nor plate points.
     fiducials : Fiducials, optional
-    frame : str
     mass : MassRecord, optional
     surfaces : ScanSurfaces, optional
         The surfaces of the scan; with them the measured points are held against the surfaces.

@@ -12,6 +12,7 @@ from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
+from kinematics.registration.prior_errors import compare_with_priors, shown
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.option_names import named
 from stapeskit.spatial import dof_indices, point_rows
@@ -35,7 +36,6 @@ class Calibration:
 
     Attributes
     ----------
-    model : GeometryModel
     values : ndarray, (k,)
         Most probable parameters, rad, 1 and m; zero is the geometry as given.
     covariance : ndarray, (k, k)
@@ -46,7 +46,6 @@ class Calibration:
         How far the data pull the geometry beyond what the priors let expect.
     fall : float
         By how much the sum of squared normalised residuals fell.
-    notices : tuple of Notice
     """
 
     model: GeometryModel
@@ -96,7 +95,6 @@ def calibrate(
         In the footplate frame.
     dof : sequence of sequence of str
         By body: the degrees of freedom that are left free at every line.
-    priors : GeometryPriors
     weights : mapping of (run, body) to ndarray, (channel, freq)
         1 / (2 sd^2), zero where a value is not used.
 
@@ -147,7 +145,7 @@ def calibrate(
             break
     information, _ = _information(model, blocks, dof, values, noise=True)
     covariance = _inverse(information + np.diag(prior))
-    chi2, n_dof, p = _against_prior(values, covariance, model.prior_sd)
+    chi2, n_dof, p = compare_with_priors(values, covariance, model.prior_sd, np.eye(len(values)))
     calibration = Calibration(
         model, values, covariance, model.moved(values), chi2, n_dof, p, 2.0 * (start - target)
     )
@@ -256,9 +254,9 @@ def _alike(
         second = second - block.lines * np.linalg.inv(weighted.T @ weighted)
     values, vectors = np.linalg.eigh(second)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
-    seen = white @ half
-    seen = seen - np.einsum("cm,km...->kc...", q, np.einsum("cm,kc...->km...", q, seen))
-    flat = seen.reshape(len(slopes), -1)
+    unexplained = white @ half
+    unexplained = unexplained - np.einsum("cm,km...->kc...", q, np.einsum("cm,kc...->km...", q, unexplained))
+    flat = unexplained.reshape(len(slopes), -1)
     return flat @ flat.T, score
 
 
@@ -290,8 +288,8 @@ def _each(
 
 def _gram(columns: ComplexArray | Array, q: Array) -> Array:
     """Return the real Gram matrix of columns (line, channel, k) off the columns q (line, channel, m)."""
-    seen = q.transpose(0, 2, 1) @ columns
-    flat, inside = columns.reshape(-1, columns.shape[2]), seen.reshape(-1, columns.shape[2])
+    projected = q.transpose(0, 2, 1) @ columns
+    flat, inside = columns.reshape(-1, columns.shape[2]), projected.reshape(-1, columns.shape[2])
     return np.real(flat.conj().T @ flat) - np.real(inside.conj().T @ inside)
 
 
@@ -304,23 +302,6 @@ def _inverse(matrix: Array) -> Array:
     scale = 1.0 / np.sqrt(np.diag(matrix))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray(0.5 * (inverse + inverse.T))
-
-
-def _against_prior(values: Array, covariance: Array, prior_sd: Array) -> tuple[float, int, float]:
-    """Return chi2 of the estimate under the priors, in the directions that the data show.
-
-    Notes
-    -----
-    If the priors hold, the estimate has the covariance prior - posterior.
-    """
-    from scipy.special import chdtrc
-
-    gained, vectors = np.linalg.eigh(np.eye(len(values)) - covariance / np.outer(prior_sd, prior_sd))
-    seen = gained > 0.05
-    along = vectors.T @ (values / prior_sd)
-    chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
-    count = int(np.sum(seen))
-    return chi2, count, float(chdtrc(count, chi2)) if count else 1.0
 
 
 def _notices(calibration: Calibration) -> tuple[Notice, ...]:
@@ -338,9 +319,10 @@ def _notices(calibration: Calibration) -> tuple[Notice, ...]:
     if calibration.p_value < _UNLIKELY:
         worst = int(np.argmax(np.abs(calibration.values) / calibration.model.prior_sd))
         name = calibration.model.names[worst]
-        size = _shown(
-            name, calibration.values[worst], calibration.sd[worst], calibration.model.prior_sd[worst]
-        )
+        _, factor, unit = shown(name)
+        sizes = (calibration.values[worst], calibration.sd[worst], calibration.model.prior_sd[worst])
+        value, sd, prior = (factor * size for size in sizes)
+        size = f"{name} by {value:+.3g} ± {sd:.2g}{'' if unit == '°' else ' '}{unit} (stated {prior:.2g})"
         text = (
             "calibration: the data pull the geometry beyond what the stated errors allow "
             f"(chi2 {calibration.chi2:.3g} for {calibration.n_dof}, p {calibration.p_value:.1g}), "
@@ -361,12 +343,3 @@ def _grouped(names: Sequence[str]) -> str:
     elif points:
         others.append("positions of " + ", ".join(points))
     return ", ".join(others)
-
-
-def _shown(name: str, value: float, sd: float, prior: float) -> str:
-    factor, unit = 180.0 / np.pi, "°"
-    if name.startswith("position."):
-        factor, unit = 1e6, " um"
-    elif name.startswith("gain."):
-        factor, unit = 100.0, " %"
-    return f"{name} by {value * factor:+.3g} ± {sd * factor:.2g}{unit} (stated {prior * factor:.2g})"

@@ -34,8 +34,6 @@ def calibrate_with_noise(
         In the footplate frame.
     dof : tuple of str
         Those that are fitted; all others that the beams observe are left free too.
-    priors : GeometryPriors
-    robust : str
 
     Raises
     ------
@@ -70,7 +68,6 @@ def calibration_errors(
 
     Parameters
     ----------
-    made : Calibration
     fits : mapping of (run, body) to LineFit
         With the calibrated geometry.
     shape : sequence of int
@@ -127,13 +124,13 @@ def _named(calibration: Calibration, fit: LineFit, number: int) -> ComplexArray:
 
 def _strongest(calibration: Calibration, fits: Mapping[tuple[int, int], LineFit], half: Array) -> Array:
     """Return the combinations (k, p) of unit-variance errors that move the motion most, against its size."""
-    seen = []
+    changes = []
     for (_run, number), fit in fits.items():
         rows = np.einsum("kp,kcm->pcm", half, _all_rows(calibration, fit, number))
         step = max(1, fit.q.shape[0] // _SAMPLE_LINES)
         part = np.stack([fit_derivatives(fit, row[None])[0, ::step] for row in rows])
         size = np.sqrt(np.nanmean(np.abs(fit.q) ** 2, axis=0))
         part = np.nan_to_num(part / np.where(size > 0.0, size, 1.0)).reshape(len(rows), -1)
-        seen.append(np.hstack([part.real, part.imag]))
-    _, vectors = np.linalg.eigh(sum(part @ part.T for part in seen))
+        changes.append(np.hstack([part.real, part.imag]))
+    _, vectors = np.linalg.eigh(sum(part @ part.T for part in changes))
     return np.asarray(vectors[:, ::-1][:, :_PATTERNS])

@@ -29,11 +29,9 @@ def with_corrections(
 
     Parameters
     ----------
-    motion : RigidMotion
     placed : Measurement
         As fitted.
     fits : mapping of (run, body) to LineFit
-    corrections : sequence of Correction
 
     Notes
     -----

@@ -37,7 +37,6 @@ class Fiducials:
         ``plate``, ``scan`` or ``footplate``.
     sd_mm : ndarray, (n,) or (n, 3), or None
         Standard deviation per coordinate, or along each vibrometer axis; None when not stated.
-    path : Path or None
     sd_ref_mm : ndarray, (n,), or None
         Standard deviation per coordinate of the reference; None: it is part of ``sd_mm``.
     """
@@ -84,11 +83,11 @@ def read_fiducials(path: Path) -> Fiducials:
     names, frames = _words(table, faults)
     spread = _spread(table, faults)
     raise_all(KinematicsError, [_by_name(fault, table, names) for fault in faults])
-    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    measured, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
     sd = spread.get("sd_mm")
     if _SD_AXES[0] in spread:
         sd = np.column_stack([spread[name] for name in _SD_AXES])
-    return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
+    return Fiducials(names, measured, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
 
 
 def _by_name(fault: Fault, table: Table, names: Sequence[str]) -> Fault:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kinematics.fit.beams import row_echelon
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 
@@ -35,7 +36,8 @@ def undetermined(
     frame = "scan" if axes is None else axes.source
     place = middle_mm if axes is None else axes.inverse().points(middle_mm)
     described = []
-    for vector in _echelon(vectors[:, values < OPEN**2].T, rotation, into):
+    turn = np.kron(np.eye(2), into @ rotation)
+    for vector in row_echelon(vectors[:, values < OPEN**2].T @ turn.T):
         described.append(_words(vector[:3], vector[3:] / lever, place, frame))
     return described
 
@@ -45,22 +47,6 @@ def open_motions(rows: Array, lever: float) -> tuple[Array, Array]:
     scaled = rows / np.array([1.0] * 3 + [lever] * 3)
     values, vectors = np.linalg.eigh(scaled.T @ scaled / max(len(rows), 1))
     return values, vectors
-
-
-def _echelon(null: Array, rotation: Array, into: Array) -> Array:
-    """Turn motions into the wanted axes and combine them so that each has few entries."""
-    turn = np.kron(np.eye(2), into @ rotation)
-    rows = null @ turn.T
-    done: list[int] = []
-    for row in range(len(rows)):
-        free = [k for k in range(6) if k not in done]
-        column = free[int(np.argmax(np.abs(rows[row, free])))]
-        rows[row] /= rows[row, column]
-        for other in range(len(rows)):
-            if other != row:
-                rows[other] -= rows[other, column] * rows[row]
-        done.append(column)
-    return rows
 
 
 def _words(slide: Array, turn: Array, place: Array, frame: str) -> str:

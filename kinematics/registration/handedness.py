@@ -65,7 +65,7 @@ def check_axes(
     stated = all(body.sd is not None and not body.relative for body in placed.bodies)
     if stated and not loud:
         return []
-    given, freedom = _misfits(placed, fits, np.eye(3))
+    misfits, freedom = _misfits(placed, fits, np.eye(3))
     if freedom < 20:
         return []
     turn = footplate_from_source.rotation
@@ -75,13 +75,14 @@ def check_axes(
     best = min(mirrored, key=lambda axis: sum(mirrored[axis].values()))
     after = sum(mirrored[best].values())
     rival = sum(
-        mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
+        mirrored[best][key] + (misfits[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0)
+        for key in misfits
     )
     share = _CURED_SHARE if loud else _CURED_SHARE_UNKNOWN_NOISE
     # the excess of chi2 over its mean under noise alone, and at least its standard deviation
     noise, scatter = (float(freedom), float(np.sqrt(2.0 * freedom))) if stated else (0.0, 0.0)
     excess, before_excess, rival_excess = (
-        max(size - noise, scatter) for size in (after, sum(given.values()), rival)
+        max(size - noise, scatter) for size in (after, sum(misfits.values()), rival)
     )
     if excess > share * before_excess or after > _LEAST_MISFIT * freedom:
         return []
@@ -96,7 +97,7 @@ def check_axes(
             f"{cure}."
         )
         return [Notice("mirrored_axes", text)]
-    before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
+    before, after = (np.sqrt(value / freedom) for value in (sum(misfits.values()), after))
     raise KinematicsError.of(
         "the positions of the points",
         "in the same axes as the beam directions",

@@ -78,7 +78,6 @@ def fit_to_surface(
 
     Parameters
     ----------
-    cloud : Cloud
     surface : TriangleSurface
         In scan coordinates.
     guess : (RigidTransform, ndarray (6, 6)), optional
@@ -145,8 +144,8 @@ def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:
     if towards is None:
         return fits
     hidden = [np.mean(fit.normal @ (fit.pose.rotation @ towards) < _FACING_AWAY) for fit in fits]
-    seen = [fit for fit, share in zip(fits, hidden, strict=True) if share < _MOST_FACING_AWAY]
-    return seen or fits
+    reachable = [fit for fit, share in zip(fits, hidden, strict=True) if share < _MOST_FACING_AWAY]
+    return reachable or fits
 
 
 def _from_guess(cloud: Cloud, surface: TriangleSurface, guess: Guess, towards: Array | None) -> Refined:

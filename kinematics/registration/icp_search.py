@@ -118,14 +118,16 @@ def _starts(local: Array, samples: Array, normals: Array, towards: Array | None)
     turns = even_rotations(_ROTATIONS)
     rotation, shift = [], []
     for turn in turns:
-        seen = samples
+        visible = samples
         if towards is not None:
             facing = normals @ (turn @ towards) > 0.2
-            seen = samples[facing] if np.count_nonzero(facing) > 50 else samples
+            visible = samples[facing] if np.count_nonzero(facing) > 50 else samples
         turned = local @ turn.T
-        box = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) - 0.5 * (turned.min(axis=0) + turned.max(axis=0))
+        box = 0.5 * (visible.min(axis=0) + visible.max(axis=0)) - 0.5 * (
+            turned.min(axis=0) + turned.max(axis=0)
+        )
         rotation += [turn, turn]
-        shift += [seen.mean(axis=0), box]
+        shift += [visible.mean(axis=0), box]
     return np.array(rotation), np.array(shift)
 
 
@@ -186,8 +188,8 @@ def _misses(
     distance, near = tree.query(placed)  # type: ignore[attr-defined]
     offset = np.einsum("spi,spi->sp", placed - samples[near], normals[near])
     distance = np.where(distance < 0.1 * np.ptp(samples, axis=0).max(), np.abs(offset), distance)
-    kept = max(4, int(_TRIM * distance.shape[1]))
-    miss = np.mean(np.sort(distance, axis=1)[:, :kept], axis=1)
+    nearest = max(4, int(_TRIM * distance.shape[1]))
+    miss = np.mean(np.sort(distance, axis=1)[:, :nearest], axis=1)
     if towards is not None:
         facing = np.einsum("spi,si->sp", normals[near], rotation @ towards)
         miss = miss * (1.0 + 5.0 * np.mean(facing < _FACING, axis=1)) + 1e-3 * np.mean(

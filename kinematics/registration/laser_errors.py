@@ -215,8 +215,8 @@ def channel_parts(fit: LineFit, sets: NDArray[np.bool_]) -> ComplexArray:
             weights = fit.at(part)[2]
             value = np.where(weights > 0.0, weights * value, 0.0)
         summed = (rows @ np.ascontiguousarray(value).view(float)).view(complex)
-        for number, one in enumerate(summed.reshape(len(sets), size, value.shape[1])):
-            solved = symmetric_batches.times(fit.solution.inverse[:, part], one)
+        for number, right in enumerate(summed.reshape(len(sets), size, value.shape[1])):
+            solved = symmetric_batches.times(fit.solution.inverse[:, part], right)
             out[number, part] = (beams.to_dof @ solved).T
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out

@@ -19,11 +19,10 @@ from kinematics.registration.laser_moments import (
     laser_moments,
     sweep_information,
 )
+from kinematics.registration.prior_errors import LEAST_GAINED, compare_with_priors
 from stapeskit.arrays import Array
 
 _LEAST_LINES = 2
-# Directions in which the data gain less than this share of the prior variance say nothing.
-_LEAST_GAINED = 0.05
 # Probability below which an estimate contradicts what was stated.
 UNLIKELY = 1e-3
 # A scatter of the lasers that fewer correct measurements show than the search raises alarms is a fault.
@@ -74,22 +73,8 @@ class LaserEstimate:
 
     @property
     def p_value(self) -> float:
-        """Probability of an estimate so far from 0 by the stated sd.
-
-        Notes
-        -----
-        If the priors hold, the estimate has the covariance prior - posterior, both against the mean of all
-        lasers.
-        """
-        from scipy.special import chdtrc
-
-        gained, vectors = np.linalg.eigh(
-            self._against_mean - self.covariance / np.outer(self.prior_sd, self.prior_sd)
-        )
-        seen = gained > _LEAST_GAINED
-        along = vectors.T @ (self.values / self.prior_sd)
-        chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
-        return float(chdtrc(int(np.sum(seen)), chi2)) if np.any(seen) else 1.0
+        """Probability of an estimate so far from 0 by the stated sd, both against the mean of all lasers."""
+        return compare_with_priors(self.values, self.covariance, self.prior_sd, self._against_mean)[2]
 
     @property
     def _against_mean(self) -> Array:
@@ -109,11 +94,11 @@ class LaserEstimate:
         from scipy.special import ndtr
 
         variance = np.diag(self._against_mean) * self.prior_sd**2 - self.sd**2
-        seen = variance > _LEAST_GAINED * self.prior_sd**2
-        if not np.any(seen):
+        observed = variance > LEAST_GAINED * self.prior_sd**2
+        if not np.any(observed):
             return 1.0
-        largest = float(np.max(np.abs(self.values[seen]) / np.sqrt(variance[seen])))
-        return min(1.0, 2.0 * float(np.sum(seen)) * float(ndtr(-largest)))
+        largest = float(np.max(np.abs(self.values[observed]) / np.sqrt(variance[observed])))
+        return min(1.0, 2.0 * float(np.sum(observed)) * float(ndtr(-largest)))
 
     @property
     def detectable(self) -> Array:
@@ -131,11 +116,13 @@ class LaserEstimate:
 
         whole = np.diag(self._against_mean)
         gained = 1.0 - (self.sd / self.prior_sd) ** 2 / whole
-        seen = gained * whole > _LEAST_GAINED
-        if not np.any(seen):
+        observed = gained * whole > LEAST_GAINED
+        if not np.any(observed):
             return np.full(len(whole), np.inf)
-        needed = float(ndtri(POWER) - ndtri(0.5 * _ALARM_LEVEL / float(np.sum(seen))))
-        return np.where(seen, needed * self.prior_sd / np.sqrt(whole * np.where(seen, gained, 1.0)), np.inf)
+        needed = float(ndtri(POWER) - ndtri(0.5 * _ALARM_LEVEL / float(np.sum(observed))))
+        return np.where(
+            observed, needed * self.prior_sd / np.sqrt(whole * np.where(observed, gained, 1.0)), np.inf
+        )
 
     @property
     def beyond_belief(self) -> bool:
@@ -145,8 +132,8 @@ class LaserEstimate:
     @property
     def explains_misfit(self) -> bool:
         """Whether errors of lasers and positions as small as stated may explain the misfit."""
-        left = self.energy - self.fall - self.freedom
-        enough = left < COHERENT_SD * np.sqrt(self.freedom)
+        excess = self.energy - self.fall - self.freedom
+        enough = excess < COHERENT_SD * np.sqrt(self.freedom)
         return bool(enough and self.fall > _WORTH_CORRECTING and self.as_stated)
 
     @property
@@ -205,9 +192,9 @@ def laser_estimate(
                           places, prior, size)
             for used, weights, lines in channel_patterns(fit, body, left_out[run, number])
         ]  # fmt: skip
-        held = [block for block in own if block is not None]
-        if sum(block.lines for block in held) >= _LEAST_LINES:
-            sweeps.append(held)
+        moments = [block for block in own if block is not None]
+        if sum(block.lines for block in moments) >= _LEAST_LINES:
+            sweeps.append(moments)
     spread = np.array(prior)
     values, covariance = np.zeros(len(spread)), np.diag(spread**2)
     start = np.zeros(len(spread))

@@ -35,7 +35,6 @@ class SweepInformation:
     score : ndarray, (p,)
     energy : float
         Sum of squared residuals over noise.
-    freedom, lines : int
     """
 
     information: Array
@@ -72,7 +71,6 @@ class LaserMoments:
         Real moment of the residuals with the same.
     energy : float
         Sum of squared residuals over noise.
-    freedom, lines : int
     """
 
     span: Array
@@ -145,9 +143,9 @@ def laser_moments(
     span, upper = np.linalg.qr(by_channel[:, None] * basis)
     if np.min(np.abs(np.diag(upper))) < 1e-6 * np.max(np.abs(upper)):
         return None
-    seen = span.T @ readings
-    residual = readings - span @ seen
-    coefficients = np.linalg.solve(upper, seen)
+    projected = span.T @ readings
+    residual = readings - span @ projected
+    coefficients = np.linalg.solve(upper, projected)
     factors = np.stack([np.ones(len(lines)), np.full(len(lines), 1j), -2j * np.pi * freq_hz[lines]])
     features = (factors[:, None, :] * coefficients).reshape(-1, len(lines))
     inverse = np.linalg.inv(upper)

@@ -10,11 +10,10 @@ from kinematics.faults.diagnose import Diagnosis
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_errors import LaserErrors
 from kinematics.registration.laser_estimate import UNLIKELY
+from kinematics.registration.prior_errors import shown
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
-UNITS = {"laser_gain": ("gain", 100.0, "%"), "laser_phase": ("phase", 180.0 / np.pi, "°"),
-          "laser_delay": ("delay", 1e6, "us")}  # fmt: skip
 _LASER_KINDS = ("gain", "phase", "delay")
 
 
@@ -44,7 +43,7 @@ def laser_notices(lasers: LaserErrors) -> list[Notice]:
     prior = lasers.prior_sd
     worst = int(np.argmax(np.abs(lasers.estimate.values) / prior))
     kind, _, number = lasers.names[worst].partition(".")
-    name, factor, unit = UNITS[kind]
+    name, factor, unit = shown(kind)
     beams = direction_name(lasers.directions[int(number) - 1])
     text = (
         f"the lasers disagree by more than stated: most the {name} of the laser along ({beams}), by "
@@ -60,7 +59,7 @@ def laser_table(lasers: LaserErrors) -> list[tuple[str, float, float, float, str
     rows = []
     for place, full in enumerate(lasers.names):
         kind, _, number = full.partition(".")
-        name, factor, unit = UNITS[kind]
+        name, factor, unit = shown(kind)
         beams = direction_name(lasers.directions[int(number) - 1])
         sizes = (lasers.estimate.values[place], lasers.sd[place], lasers.prior_sd[place])
         value, sd, stated = (float(size) * factor for size in sizes)

@@ -30,7 +30,6 @@ def motion_errors(
     placed : Measurement
         In the footplate frame, as fitted.
     fits : mapping of (run, body) to LineFit
-    placement : Placement
     lasers : LaserErrors, optional
     calibration : Calibration, optional
         Then positions and gains are known as it leaves them.

@@ -42,7 +42,6 @@ class Placement:
         Displacement of the measurement's frame in its own axes (RigidTransform.perturbed) per parameter.
     registration : Registration or None
         The fit of the fiducials or of points on a surface, when there are any.
-    notices : tuple of Notice
     checks : tuple of SurfaceCheck
         Measured points against the surfaces of the scan (kinematics.registration.sample_displacement).
     """
@@ -197,7 +196,6 @@ def place_on_surface(fit: Registration, mass: MassRecord) -> Placement:
     ----------
     fit : Registration
         scan_from_vibrometer.
-    mass : MassRecord
 
     Raises
     ------

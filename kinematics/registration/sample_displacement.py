@@ -50,9 +50,6 @@ def check_surfaces(
     measurement : Measurement
         In its own frame, the source of ``placement``. Points of a body named stapes are held against the
         stapes, of a body named plate against the plate, all others against the nearer of bone and plate.
-    placement : Placement
-    mass : MassRecord
-    surfaces : ScanSurfaces
     bone : Cloud, optional
         More bone points, not measured by the beams.
 
@@ -136,13 +133,13 @@ def _check_mirror(
         return
     to_fit = fit.transform @ to_scan.inverse()
     point, normal = to_fit.inverse().points(fit.plane_mm[0]), to_fit.inverse().vectors(fit.plane_mm[1])
-    given, mirrored = [], []
+    as_given, mirrored = [], []
     for cloud, surface in pairs:
         placed = to_scan.points(cloud.points_mm)
-        given.append(surface.closest(placed)[1])
+        as_given.append(surface.closest(placed)[1])
         flipped = placed - 2.0 * np.outer((placed - point) @ normal, normal)
         mirrored.append(surface.closest(flipped)[1])
-    proper, other = (float(np.median(np.concatenate(part))) for part in (given, mirrored))
+    proper, other = (float(np.median(np.concatenate(part))) for part in (as_given, mirrored))
     if proper > _LEAST_MIRROR_MM and other < 0.3 * proper:
         raise KinematicsError.of(
             "the coordinates of the vibrometer frame",
@@ -165,13 +162,13 @@ def _checked(
     axes = mass.scan_from_footplate
     lever = max(float(np.sqrt(np.mean(np.sum((placed - middle) ** 2, axis=1)))), 1e-9)
     values, motions = open_motions(rows, lever)
-    seen = motions[:, values >= OPEN**2] / np.array([1.0] * 3 + [lever] * 3)[:, None]
+    observed = motions[:, values >= OPEN**2] / np.array([1.0] * 3 + [lever] * 3)[:, None]
     joint = np.diag(own**2) + by_pose
-    chi2, n_dof, p = _test(rows @ seen, distance, joint, own, cloud.sd_mm is not None)
+    chi2, n_dof, p = _test(rows @ observed, distance, joint, own, cloud.sd_mm is not None)
     if cloud.sd_mm is None:
-        scale = _scatter(rows @ seen, distance)
+        scale = _scatter(rows @ observed, distance)
         joint = np.diag(np.full(len(distance), max(scale, _LEAST_SD_MM) ** 2)) + by_pose
-    shift, covariance = _shift(rows, seen, distance, joint)
+    shift, covariance = _shift(rows, observed, distance, joint)
     turn = np.kron(np.eye(2), axes.rotation.T)
     shift, covariance = turn @ shift, turn @ covariance @ turn.T
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -194,7 +191,7 @@ def _checked(
         tuple(open_),
     )
     return _told(
-        surface_check, _alone(rows @ seen, distance, joint, chi2, surface_check) if p < _UNLIKELY else []
+        surface_check, _alone(rows @ observed, distance, joint, chi2, surface_check) if p < _UNLIKELY else []
     )
 
 
@@ -217,8 +214,8 @@ def _pose_part(cloud: Cloud, placement: Placement, to_scan: RigidTransform, norm
 
 def _scatter(design: Array, distance: Array) -> float:
     """Return the root mean square distance that a rigid shift leaves, with its degrees of freedom."""
-    left = distance - design @ np.linalg.lstsq(design, distance, rcond=None)[0]
-    return float(np.sqrt(np.sum(left**2) / max(len(distance) - design.shape[1], 1)))
+    residual = distance - design @ np.linalg.lstsq(design, distance, rcond=None)[0]
+    return float(np.sqrt(np.sum(residual**2) / max(len(distance) - design.shape[1], 1)))
 
 
 def _test(design: Array, distance: Array, joint: Array, own: Array, stated: bool) -> tuple[float, int, float]:
@@ -296,15 +293,14 @@ def _told(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
             "scan, the others lie on it; check its position."
         )
         return replace(check, notices=(Notice("point_off_surface", text),))
-    rms = float(np.sqrt(np.mean(check.distance_mm**2)))
     turn = ", ".join(
         f"{name} {value:+.2f} ± {sd:.2f}°"
         for name, value, sd in zip(("alpha", "beta", "gamma"), check.turn_deg, check.turn_sd_deg, strict=True)
     )
     unseen = f"; not seen: {'; '.join(check.open_motions)}" if check.open_motions else ""
     text = (
-        f"the {len(check.points)} points of {check.body} lie {rms * 1e3:.0f} um rms off the {check.surface} "
-        f"of the scan (p {check.p_value:.1g}): it moved, or the registration is wrong. Best rigid shift in "
-        f"footplate axes: {shift_words(check)}; {turn}{unseen}."
+        f"the {len(check.points)} points of {check.body} lie {check.rms_mm * 1e3:.0f} um rms off the "
+        f"{check.surface} of the scan (p {check.p_value:.1g}): it moved, or the registration is wrong. Best "
+        f"rigid shift in footplate axes: {shift_words(check)}; {turn}{unseen}."
     )
     return replace(check, notices=(Notice("sample_moved", text),))

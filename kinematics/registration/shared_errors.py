@@ -31,10 +31,8 @@ def pose_derivatives(fit: LineFit, body: BodyChannels, placement: Placement) -> 
 
     Parameters
     ----------
-    fit : LineFit
     body : BodyChannels
         Positions and directions in the footplate frame, as fitted.
-    placement : Placement
 
     Notes
     -----
@@ -69,7 +67,6 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
 
     Parameters
     ----------
-    fit : LineFit
     changes : ndarray, (n, channel, m)
         Derivatives of the observation rows of ``channels``.
     channels : slice or mask
@@ -91,11 +88,11 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
     pairs = (basis[:, None, :, None] * changes.transpose(1, 0, 2)[:, :, None, :]).reshape(rows, -1).T
     out = np.empty((count, q.shape[1], size), dtype=complex)
     for part, residual, _sd, weights in fit.blocks(channels):
-        left = (flat @ (weights * residual).view(float)).view(complex).reshape(count, size, -1)
-        left = np.tensordot(beams.to_dof.T, left, axes=(1, 1))
+        score = (flat @ (weights * residual).view(float)).view(complex).reshape(count, size, -1)
+        score = np.tensordot(beams.to_dof.T, score, axes=(1, 1))
         each = (pairs @ weights).reshape(count, size, size, -1)
         known = np.einsum("nabf,bf->naf", each, q[:, part])
-        solved = symmetric_batches.times(fit.solution.inverse[:, part], left - known.transpose(1, 0, 2))
+        solved = symmetric_batches.times(fit.solution.inverse[:, part], score - known.transpose(1, 0, 2))
         out[:, part] = np.tensordot(beams.to_dof, solved, axes=1).transpose(1, 2, 0)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
@@ -118,9 +115,9 @@ def _derivatives_of_all(
     back = forward @ basis + solve @ ((basis.T * weight) @ changes @ beams.to_dof)
     forward, back = forward.reshape(count * size, -1), back.reshape(count * size, size)
     out = np.empty((count, z.shape[1], size), dtype=complex)
-    given = fit.value[channels]
-    given = given if given.strides[1] == given.itemsize else np.ascontiguousarray(given)
-    value, motion = given.view(float), np.ascontiguousarray(z).view(float)
+    readings = fit.value[channels]
+    readings = readings if readings.strides[1] == readings.itemsize else np.ascontiguousarray(readings)
+    value, motion = readings.view(float), np.ascontiguousarray(z).view(float)
     for part in blocks(*fit.value.shape):
         lines = slice(2 * part.start, 2 * part.stop)
         change = forward @ value[:, lines] - back @ motion[:, lines]
@@ -225,9 +222,9 @@ def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping
     flat = (np.repeat(list(sd_m.values()), 3)[:, None, None] * table).reshape(3 * len(sd_m), -1)
     energy, vectors = np.linalg.eigh(flat.real @ flat.real.T + flat.imag @ flat.imag.T)
     energy = np.maximum(energy[::-1], 0.0)
-    left = 1.0 - np.cumsum(energy) / max(float(np.sum(energy)), 1e-300)
-    count = min(int(np.sum(left > _LEFT_OUT)) + 1, _PATTERNS, len(energy))
-    size = 1.0 / np.sqrt(1.0 - min(max(float(left[count - 1]), 0.0), 0.5))
+    unexplained = 1.0 - np.cumsum(energy) / max(float(np.sum(energy)), 1e-300)
+    count = min(int(np.sum(unexplained > _LEFT_OUT)) + 1, _PATTERNS, len(energy))
+    size = 1.0 / np.sqrt(1.0 - min(max(float(unexplained[count - 1]), 0.0), 0.5))
     shifts = []
     for vector in vectors.T[::-1][:count]:
         moved = size * np.repeat(list(sd_m.values()), 3) * vector

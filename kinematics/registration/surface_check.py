@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -14,7 +16,6 @@ class SurfaceCheck:
 
     Attributes
     ----------
-    body, surface : str
     points : tuple of str, (n,)
     distance_mm : ndarray, (n,)
         Signed distance from the surface, outside positive.
@@ -23,7 +24,6 @@ class SurfaceCheck:
     chi2, n_dof, p_value : float, int, float
         Of all distances with their joint covariance; with estimated sd (``stated`` False) the p-value is that
         of the shift against the scatter around it.
-    stated : bool
     shift_mm : ndarray, (3,)
         Translation of the points relative to the surface that explains the distances, in footplate axes, at
         the centroid of the points; without what is open.
@@ -33,7 +33,6 @@ class SurfaceCheck:
         Length of the shift, and its standard deviation along itself.
     open_motions : tuple of str
         Motions that these distances do not show.
-    notices : tuple of Notice
     """
 
     body: str
@@ -52,6 +51,11 @@ class SurfaceCheck:
     size_mm: tuple[float, float]
     open_motions: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance from the surface."""
+        return float(np.sqrt(np.mean(self.distance_mm**2)))
 
 
 def shift_words(check: SurfaceCheck) -> str:

@@ -44,12 +44,10 @@ class RunRepeats:
 
     Attributes
     ----------
-    run : str
     takes : tuple of Take, (take,)
     gain, phase_deg : ndarray, (take,)
         Amplitude of each take relative to their geometric mean (per unit of level when levels are stated),
         and phase relative to the mean.
-    tests : tuple of RepeatTest
     found : tuple of RepeatTest
         Those that raise an alarm.
     lines, channels : int
@@ -230,7 +228,6 @@ def compare(
 
     Parameters
     ----------
-    run : str
     takes : sequence of Take, (take,)
     shapes : Shapes
         Of the same takes.

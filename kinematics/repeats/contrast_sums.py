@@ -38,7 +38,6 @@ class ContrastSums:
         Sum of the squared energies of the cells.
     products, chances, pairs : ndarray, (lag,)
         Products of neighbouring lines, what chance makes of their squares, and how many pairs went in.
-    lines : int
     """
 
     energy: float = 0.0

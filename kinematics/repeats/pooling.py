@@ -43,7 +43,6 @@ def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
 
     Parameters
     ----------
-    measurement : Measurement
     alarm : float
         Probability of any alarm in a measurement without fault.
 
@@ -122,11 +121,11 @@ def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]
         for place in places
         if any(np.nansum(np.abs(body.displacement[place])) > 0.0 for body in measurement.bodies)
     ]
-    kept = live or places
-    dead = [takes[place].name for place in places if place not in kept]
+    measured = live or places
+    dead = [takes[place].name for place in places if place not in measured]
     text = f"{', '.join(dead)}: zeros or empty cells throughout; not compared or pooled."
     notices = [Notice("repeat_empty", text)] if dead else []
-    return kept, [takes[place] for place in kept], notices
+    return measured, [takes[place] for place in measured], notices
 
 
 def _shapes(measurement: Measurement, places: Sequence[int]) -> Shapes:
@@ -237,7 +236,6 @@ def with_gain_errors(motion: RigidMotion, repeats: Sequence[RunRepeats]) -> Rigi
     ----------
     motion : RigidMotion
         Absolute, with the runs that were pooled.
-    repeats : sequence of RunRepeats
 
     Notes
     -----

@@ -29,7 +29,6 @@ class Stack:
 
     Attributes
     ----------
-    bodies : tuple of BodyChannels
     places : tuple of int
         Indices of the takes among the runs of the bodies.
     rate : ndarray, (freq,)
@@ -142,10 +141,6 @@ class Shapes:
 
 def shapes_of(stack: Stack) -> Shapes:
     """Decompose takes into one common shape and a gain of each.
-
-    Parameters
-    ----------
-    stack : Stack
 
     Notes
     -----

@@ -17,7 +17,6 @@ def frequency_shifts(shapes: Shapes, freq_hz: Array, body: NDArray[np.intp]) -> 
 
     Parameters
     ----------
-    shapes : Shapes
     freq_hz : ndarray, (freq,)
     body : ndarray, (channel,), int
         Body of each channel; responses are taken relative to the strongest channel of the last one, the

@@ -28,7 +28,6 @@ class RepeatTest:
         ``gain_trend``, ``phase_trend``, ``gain_outlier``, ``gain_level`` (of the gain of all channels),
         ``shape_trend``, ``shape_level``, ``shape_outlier``, ``shape_scatter`` (of the responses relative
         to each other).
-    p_value : float
     size : float
         Relative change: from the first to the last repeat, from the lowest to the highest level, or of the
         outlying take from the others; rad for the phase, the factor on the stated noise for the scatter.
@@ -98,9 +97,9 @@ def _regression(design: Array, values: Array) -> tuple[float, float, int] | None
     if freedom < 1:
         return None
     coefficients, *_ = np.linalg.lstsq(design, values, rcond=None)
-    left = values - design @ coefficients
+    residual = values - design @ coefficients
     inverse = np.linalg.inv(design.T @ design)
-    return float(coefficients[-1]), float(np.sqrt(left @ left / freedom * inverse[-1, -1])), freedom
+    return float(coefficients[-1]), float(np.sqrt(residual @ residual / freedom * inverse[-1, -1])), freedom
 
 
 def _gain_outlier(design: Array, values: Array) -> RepeatTest | None:
@@ -109,23 +108,23 @@ def _gain_outlier(design: Array, values: Array) -> RepeatTest | None:
     if freedom < 2:
         return None
     hat = design @ np.linalg.pinv(design)
-    left = values - hat @ values
+    residual = values - hat @ values
     keep = 1.0 - np.diag(hat)
     good = keep > 1e-6
-    total = float(left @ left)
-    without = np.maximum(total - left**2 / np.where(good, keep, 1.0), 1e-300) / freedom
-    t = np.where(good, np.abs(left) / np.sqrt(without * np.where(good, keep, 1.0)), 0.0)
+    total = float(residual @ residual)
+    without = np.maximum(total - residual**2 / np.where(good, keep, 1.0), 1e-300) / freedom
+    t = np.where(good, np.abs(residual) / np.sqrt(without * np.where(good, keep, 1.0)), 0.0)
     worst = int(np.argmax(t))
     p = min(1.0, count * _two_sided(t[worst], freedom)) if total > 0.0 else 1.0
-    return RepeatTest("gain_outlier", p, float(np.expm1(left[worst] / keep[worst])), worst)
+    return RepeatTest("gain_outlier", p, float(np.expm1(residual[worst] / keep[worst])), worst)
 
 
 def _collinear(columns: Sequence[Array], new: Array) -> bool:
     """Return whether a regressor hardly differs from a combination of others."""
     centred = new - new.mean()
     base = np.column_stack(columns)
-    left = centred - base @ np.linalg.lstsq(base, centred, rcond=None)[0]
-    return bool(np.linalg.norm(left) < _COLLINEAR_SHARE * np.linalg.norm(centred))
+    residual = centred - base @ np.linalg.lstsq(base, centred, rcond=None)[0]
+    return bool(np.linalg.norm(residual) < _COLLINEAR_SHARE * np.linalg.norm(centred))
 
 
 def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated: bool) -> list[RepeatTest]:

@@ -20,10 +20,6 @@ _LOOKED_AT = 8
 def scatter_noise(shapes: Shapes) -> Array | None:
     """Return the noise of every channel (channel, freq) in units of its scale, from what takes leave.
 
-    Parameters
-    ----------
-    shapes : Shapes
-
     Returns
     -------
     ndarray, (channel, freq), or None

@@ -42,10 +42,8 @@ def moving_picture(result: Points2Dof, now: Moment, scenery: Scenery) -> Markup:
 
     Parameters
     ----------
-    result : Points2Dof
     now : Moment
         What is shown first.
-    scenery : Scenery
 
     Notes
     -----

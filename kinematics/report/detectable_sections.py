@@ -10,7 +10,7 @@ from kinematics.faults.detectable import SHIFT_UM, TURN_DEG, Detectable, detecta
 from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
 from kinematics.faults.unit_slips import FASTEST, SLOWEST
 from kinematics.measurement import direction_name
-from kinematics.registration.laser_notices import UNITS
+from kinematics.registration.prior_errors import shown
 from kinematics.report.draw_motion import full_motion
 from stapeskit.arrays import Array
 from stapeskit.option_names import named
@@ -87,7 +87,7 @@ def _laser_rows(result: Points2Dof) -> list[tuple[str, ...]]:
     sizes = lasers.estimate.detectable.reshape(-1, len(lasers.directions))
     kinds = dict.fromkeys(name.partition(".")[0] for name in lasers.names)
     for kind, values in zip(kinds, sizes, strict=True):
-        name, factor, unit = UNITS[kind]
+        name, factor, unit = shown(kind)
         worst = int(np.argmax(values))
         both = (float(np.median(values)), float(values[worst]))
         cells = [size_of(factor * value, unit) if np.isfinite(value) else "-" for value in both]

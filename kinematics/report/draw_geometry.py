@@ -34,7 +34,6 @@ def placement_figure(result: Points2Dof, scenery: Scenery | None = None) -> Figu
 
     Parameters
     ----------
-    result : Points2Dof
     scenery : Scenery, optional
         Surface and outline to draw, and what the axes are called.
     """
@@ -67,7 +66,6 @@ def equal_panels(sights: Sequence[View], half: Array, above: float = 0.75) -> tu
 
     Parameters
     ----------
-    sights : sequence of View
     half : ndarray, (3,)
         Half of what every panel shows along x, y and z, mm.
     above : float

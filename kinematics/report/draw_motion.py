@@ -36,7 +36,6 @@ class Moment:
 
     Attributes
     ----------
-    run, line : int
     q : ndarray, (body, 6), complex
         m and rad, or per unit of the reference; degrees of freedom that were not fitted are zero.
     exaggeration : float
@@ -134,8 +133,6 @@ def stroboscope_figure(result: Points2Dof, now: Moment, scenery: Scenery | None 
 
     Parameters
     ----------
-    result : Points2Dof
-    now : Moment
     scenery : Scenery, optional
     """
     import matplotlib

@@ -75,7 +75,6 @@ def residual_map(fit: LineFit, freq_hz: Array, columns: int = COLUMNS) -> Residu
 
     Parameters
     ----------
-    fit : LineFit
     freq_hz : ndarray, (freq,)
     columns : int
         At most; neighbouring lines share one, which shows the largest of them.
@@ -209,12 +208,12 @@ def _verdicts(result: Points2Dof, run: int, number: int) -> list[ChannelVerdict]
 
 def channel_labels(body: BodyChannels) -> list[str]:
     """Return a short name of every channel: its point, and which of its beams when there are several."""
-    short, seen = distinct_short_names(body.points, 12), dict.fromkeys(body.points, 0)
+    short, beams = distinct_short_names(body.points, 12), dict.fromkeys(body.points, 0)
     several = {name for name, count in Counter(body.points).items() if count > 1}
     labels = []
     for name in body.points:
-        seen[name] += 1
-        labels.append(f"{short[name]}, beam {seen[name]}" if name in several else short[name])
+        beams[name] += 1
+        labels.append(f"{short[name]}, beam {beams[name]}" if name in several else short[name])
     return labels
 
 

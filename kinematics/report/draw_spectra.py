@@ -54,7 +54,6 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
 
     Parameters
     ----------
-    motion : RigidMotion
     runs : tuple of int
         At most four.
     """

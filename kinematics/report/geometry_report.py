@@ -40,8 +40,7 @@ def rows(result: Points2Dof) -> list[tuple[str, str]]:
 
 
 def _check_words(check: SurfaceCheck) -> str:
-    rms = float(np.sqrt(np.mean(check.distance_mm**2)))
-    sentences = [f"{len(check.points)} points {rms * 1e3:.3g} µm rms off it"]
+    sentences = [f"{len(check.points)} points {check.rms_mm * 1e3:.3g} µm rms off it"]
     if np.isfinite(check.chi2):
         sentences.append(f"p {check.p_value:.2g}")
     return ", ".join(sentences)
@@ -145,10 +144,9 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
     )
     entries = []
     for check in checks:
-        rms = float(np.sqrt(np.mean(check.distance_mm**2)))
         expected = float(np.sqrt(np.mean(check.expected_sd_mm**2)))
         entries.append(
-            (f"{check.body} on the {check.surface}", len(check.points), f"{rms * 1e3:.3g}",
+            (f"{check.body} on the {check.surface}", len(check.points), f"{check.rms_mm * 1e3:.3g}",
              f"{expected * 1e3:.3g}", f"{check.p_value:.2g}", shift_words(check),
              "; ".join(check.open_motions) or "none")
         )  # fmt: skip
@@ -166,6 +164,7 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
 
 
 def _calibration(calibration: Calibration) -> Section:
+    from kinematics.registration.prior_errors import shown
     from stapeskit.page import page
     from stapeskit.page.page import Section
 
@@ -183,11 +182,11 @@ def _calibration(calibration: Calibration) -> Section:
     )
     entries = []
     for place, name in enumerate(calibration.model.names):
-        factor, unit = _unit(name)
+        _, factor, unit = shown(name)
         value, sd, prior = calibration.values[place], calibration.sd[place], calibration.model.prior_sd[place]
-        seen = "seen" if calibration.seen[place] else ""
+        mark = "seen" if calibration.seen[place] else ""
         numbers = (f"{value * factor:+.3g}", f"{sd * factor:.2g}", f"{prior * factor:.2g}")
-        entries.append((name, *numbers, unit, seen))
+        entries.append((name, *numbers, unit, mark))
     head = ("parameter", "estimate", "sd", "stated sd", "unit", "determined by the data")
     most = 60
     section.add(page.table(head, entries[:most]))
@@ -215,11 +214,3 @@ def _lasers(lasers: LaserErrors) -> Section:
     ]
     section.add(page.table(("parameter", "estimate", "sd", "stated sd", "unit"), rows))
     return section
-
-
-def _unit(name: str) -> tuple[float, str]:
-    if name.startswith("position."):
-        return 1e6, "um"
-    if name.startswith("gain."):
-        return 100.0, "%"
-    return 180.0 / np.pi, "°"

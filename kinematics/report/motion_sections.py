@@ -94,9 +94,9 @@ def motion_section(result: Points2Dof) -> Section:
             palette=True,
         )
         section.add(drawn if number == 0 else page.folded(f"Runs {names}", drawn))
-    left = runs - _RUNS_A_FIGURE * _MOST_FIGURES
-    if left > 0:
-        section.add(page.text(f"The last {left} runs are not drawn; the table of the motion has them."))
+    undrawn = runs - _RUNS_A_FIGURE * _MOST_FIGURES
+    if undrawn > 0:
+        section.add(page.text(f"The last {undrawn} runs are not drawn; the table of the motion has them."))
     if motion.shared is not None:
         section.add(page.subheading("Errors that all lines share"), _shared_table(result))
         section.add(

@@ -40,7 +40,6 @@ def sections(result: Points2Dof, scenery: Scenery | None = None, interactive: bo
 
     Parameters
     ----------
-    result : Points2Dof
     scenery : Scenery, optional
         The stapes in the footplate frame, drawn behind the points.
     interactive : bool
@@ -67,8 +66,6 @@ def write_report(path: Path, result: Points2Dof, scenery: Scenery | None = None)
 
     Parameters
     ----------
-    path : Path
-    result : Points2Dof
     scenery : Scenery, optional
     """
     motion = result.motion

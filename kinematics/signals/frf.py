@@ -113,7 +113,6 @@ def effective_averages(taper: Array, hop: int, segments: int) -> float:
     Parameters
     ----------
     taper : ndarray, (segment,)
-    hop, segments : int
 
     Notes
     -----
@@ -154,8 +153,6 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     ----------
     records : sequence of (ndarray (sample,), ndarray (channel, sample))
         Reference and responses of every record; each record is cut into segments by itself.
-    sample_rate_hz : float
-    how : Welch
     where : str
         Place for messages.
 
@@ -210,11 +207,11 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
     tiny = np.finfo(float).tiny
     value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
-    left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
+    unexplained = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
     own, common = split_noise(
-        lambda: (y - value * x for x, y in segments()), np.maximum(left, 0.0), value, float(total)
+        lambda: (y - value * x for x, y in segments()), np.maximum(unexplained, 0.0), value, float(total)
     )
-    share = np.where(left > 0.0, own / np.where(left > 0.0, left, 1.0), 1.0)
+    share = np.where(unexplained > 0.0, own / np.where(unexplained > 0.0, unexplained, 1.0), 1.0)
     variance = variance * np.minimum(share, 1.0)
     if averages < _STEADY:
         true = np.maximum(np.abs(gxy) / np.maximum(np.abs(value), tiny), tiny)
@@ -288,8 +285,8 @@ def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -
     if how.estimator == "h1" or how.noise_ratio is not None or len(own) < _LEAST_TOGETHER:
         return []
     high = own if how.estimator == "h2" else 0.5 * own
-    seen = np.sum(high**2 * np.abs(value) ** 2 / np.maximum(variance, np.finfo(float).tiny), axis=1)
-    if np.max(seen) < _NOTABLE_BIAS_SD**2:
+    bias = np.sum(high**2 * np.abs(value) ** 2 / np.maximum(variance, np.finfo(float).tiny), axis=1)
+    if np.max(bias) < _NOTABLE_BIAS_SD**2:
         return []
     worst = float(np.max(np.median(high, axis=1)))
     text = (

@@ -54,8 +54,6 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     ----------
     records : sequence of (ndarray (sample,), ndarray (channel, sample))
         Reference and responses of every record, of the length of the shortest.
-    sample_rate_hz : float
-    how : Local
     where : str
         Place for messages.
 
@@ -100,8 +98,8 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     if np.any(power == 0.0):
         step = "Restrict the band to where the reference has power"
         raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
-    value, left, lever = _fitted(x, y)
-    rows = left.reshape(len(value), count, -1)
+    value, residual, lever = _fitted(x, y)
+    rows = residual.reshape(len(value), count, -1)
     raw = np.sum(np.abs(rows) ** 2, axis=2) / freedom
     own, common = split_noise(
         lambda: (rows[:, :, k] for k in range(rows.shape[2])), raw, value, float(freedom)
@@ -157,7 +155,7 @@ def _fitted(x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArra
     size = np.sqrt(np.mean(np.abs(x) ** 2, axis=(1, 2)))
     transient = np.kron(np.eye(records), place)
     value = np.empty(y.shape[:2], dtype=complex)
-    left = np.empty((*y.shape[:2], records * width), dtype=complex)
+    residual = np.empty((*y.shape[:2], records * width), dtype=complex)
     lever = np.empty(count)
     step = max(1, _HELD // (records * width * (transient.shape[1] + len(y))))
     for start in range(0, count, step):
@@ -170,6 +168,6 @@ def _fitted(x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArra
         inside = base.conj().transpose(0, 2, 1) @ data
         inverse = np.linalg.pinv(upper, rcond=1e-10)[:, 0]
         value[:, part] = (np.einsum("bk,bkc->bc", inverse, inside) / size[part, None]).T
-        left[:, part] = (data - base @ inside).transpose(2, 0, 1)
+        residual[:, part] = (data - base @ inside).transpose(2, 0, 1)
         lever[part] = np.sum(np.abs(inverse) ** 2, axis=1) / size[part] ** 2
-    return value, left, lever
+    return value, residual, lever

@@ -45,7 +45,6 @@ class Frf:
         window correlates the noise of neighbouring lines.
     reference : ndarray, (freq,)
         Size of the reference: peak amplitude of a line, or root mean square in a resolution band.
-    notices : tuple of Notice
 
     Notes
     -----
@@ -110,8 +109,8 @@ def split_noise(
             error = -np.sum(weight * response.conj() * block, axis=0) / safe
             common += np.abs(error) ** 2 / dof
             own += np.abs(block + response * error) ** 2 / dof
-        left = np.maximum(1.0 - weight * power / safe, 0.1)
-        own = np.maximum(own / left, 1e-6 * spectrum)
+        redundancy = np.maximum(1.0 - weight * power / safe, 0.1)
+        own = np.maximum(own / redundancy, 1e-6 * spectrum)
         weight = 1.0 / np.maximum(own, floor)
         excess = (common * information)[information > 0.0]
         if not excess.size or np.mean(excess) < _NOTABLE_EXCESS + 4.0 / np.sqrt(max(dof, 1.0) * excess.size):

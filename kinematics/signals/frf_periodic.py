@@ -82,8 +82,6 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     ----------
     records : sequence of (ndarray (sample,), ndarray (channel, sample))
         Reference and responses of every record. Records may hold different realisations of the signal.
-    sample_rate_hz : float
-    how : Periodic
     where : str
         Place for messages.
 

@@ -116,7 +116,6 @@ def fit_sine(
     ----------
     signals : ndarray, (channel, sample)
         All of the record is used: ``settle`` is left to stepped_frf.
-    sample_rate_hz, freq_hz : float
     how : SteppedSine, optional
     where : str
         Place for messages.
@@ -143,10 +142,10 @@ def fit_sine(
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
     base = _base(count, sample_rate_hz, freq_hz, how, run_hz)
     coefficients = _solved(base, signals.T)
-    left = signals - (base @ coefficients).T
+    residual_signals = signals - (base @ coefficients).T
     orders = _orders(sample_rate_hz, freq_hz, how)
     pairs = (coefficients[0 : 2 * orders : 2] - 1j * coefficients[1 : 2 * orders : 2]).T
-    residual = _near(left, sample_rate_hz, freq_hz)
+    residual = _near(residual_signals, sample_rate_hz, freq_hz)
     variance = np.mean(np.abs(residual) ** 2, axis=1) / 2.0
     sd = np.sqrt(variance)
     power = np.maximum(np.var(signals, axis=1), np.finfo(float).tiny)
@@ -156,7 +155,7 @@ def fit_sine(
         sd,
         pairs[:, 1:],
         residual,
-        _unsteady(left, sample_rate_hz, freq_hz, pairs[:, 0], sd),
+        _unsteady(residual_signals, sample_rate_hz, freq_hz, pairs[:, 0], sd),
         0.5 * np.abs(pairs[:, 0]) ** 2 / power,
         run_hz,
     )
@@ -204,12 +203,12 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
     plain = replace(how, harmonics=1)
     for _ in range(6):
         base = _base(half, rate, coarse, plain)
-        halves, left = [], np.full(len(level), 1e-20)
+        halves, energy = [], np.full(len(level), 1e-20)
         for part in (level[:, :half].T, level[:, half : 2 * half].T):
             fitted = _solved(base, part)
             halves.append(fitted[0] - 1j * fitted[1])
-            left += np.mean((part - base @ fitted) ** 2, axis=0)
-        turn = np.sum(halves[1] * np.conj(halves[0]) / left) * np.exp(-2j * np.pi * coarse * half / rate)
+            energy += np.mean((part - base @ fitted) ** 2, axis=0)
+        turn = np.sum(halves[1] * np.conj(halves[0]) / energy) * np.exp(-2j * np.pi * coarse * half / rate)
         if turn == 0.0:
             break
         change = float(np.angle(turn)) / (2.0 * np.pi) * rate / half
@@ -249,33 +248,35 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
     return bend * rate / (2.0 * np.pi * third**2) * signals.shape[1]
 
 
-def _near(left: Array, rate: float, freq: float) -> ComplexArray:
+def _near(residual: Array, rate: float, freq: float) -> ComplexArray:
     """Return spectral samples of the residual beside the line, (channel, offset), scaled as its error.
 
     Offsets lie at least three bins away, where the fit took nothing out, and keep off 0 Hz; a Hann window
     keeps other frequencies out.
     """
-    count = left.shape[1]
+    count = residual.shape[1]
     bins = np.concatenate([-np.arange(_GAP, _GAP + OFFSETS), np.arange(_GAP, _GAP + OFFSETS)])
     places = freq + bins * rate / count
-    kept = places[(places > 2.0 * rate / count) & (places < 0.5 * rate - 2.0 * rate / count)]
-    kept = kept[np.abs(kept / freq - np.round(kept / freq)) * freq > 2.5 * rate / count]
-    narrow = kept[np.abs(kept - freq) < _NEAR * freq]
-    kept = narrow if len(narrow) >= 12 else kept
-    if len(kept) < 4:
-        kept = places[places > 0.0]
+    offsets_hz = places[(places > 2.0 * rate / count) & (places < 0.5 * rate - 2.0 * rate / count)]
+    offsets_hz = offsets_hz[
+        np.abs(offsets_hz / freq - np.round(offsets_hz / freq)) * freq > 2.5 * rate / count
+    ]
+    narrow = offsets_hz[np.abs(offsets_hz - freq) < _NEAR * freq]
+    offsets_hz = narrow if len(narrow) >= 12 else offsets_hz
+    if len(offsets_hz) < 4:
+        offsets_hz = places[places > 0.0]
     time = np.arange(count) / rate
     taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
-    waves = np.exp(-2j * np.pi * np.outer(time, kept)) * taper[:, None]
-    return np.asarray(left @ waves) * 2.0 / count / np.sqrt(np.mean(taper**2))
+    waves = np.exp(-2j * np.pi * np.outer(time, offsets_hz)) * taper[:, None]
+    return np.asarray(residual @ waves) * 2.0 / count / np.sqrt(np.mean(taper**2))
 
 
-def _unsteady(left: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
+def _unsteady(residual: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
     """Return the largest change of an amplitude between the halves of a record over its noise."""
-    count = left.shape[1]
+    count = residual.shape[1]
     wave = np.exp(-2j * np.pi * freq / rate * np.arange(count))
-    mixed = left * wave
+    mixed = residual * wave
     half = count // 2
     change = 2.0 * np.abs(mixed[:, half:].mean(axis=1) - mixed[:, :half].mean(axis=1))
-    seen = change > _NOTABLE_CHANGE * np.abs(amplitude)
-    return float(np.max(np.where(seen, change / np.maximum(np.sqrt(8.0) * sd, np.finfo(float).tiny), 0.0)))
+    notable = change > _NOTABLE_CHANGE * np.abs(amplitude)
+    return float(np.max(np.where(notable, change / np.maximum(np.sqrt(8.0) * sd, np.finfo(float).tiny), 0.0)))

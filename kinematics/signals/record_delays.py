@@ -36,7 +36,6 @@ def delay_notice(
         The estimate over all records and E|dH|^2, by which channels are weighted.
     power : ndarray, (freq,)
         Of the reference.
-    sample_rate_hz : float
 
     Notes
     -----
@@ -53,10 +52,10 @@ def delay_notice(
         phase = both / np.maximum(np.abs(both), np.finfo(float).tiny)
         slope = float(np.angle(np.sum(phase[1:] * phase[:-1].conj())))
         flat = (phase * np.exp(-1j * slope * np.arange(len(phase))))[used]
-        left = np.angle(flat * np.conj(np.mean(flat)))
+        phase_error = np.angle(flat * np.conj(np.mean(flat)))
         place = np.flatnonzero(used) - np.mean(np.flatnonzero(used))
-        further = float(place @ left / (place @ place))
-        spread = float(np.var(left - further * place))
+        further = float(place @ phase_error / (place @ place))
+        spread = float(np.var(phase_error - further * place))
         delays.append(-(slope + further) / (2.0 * np.pi * step))
         doubts.append(np.sqrt(spread / (place @ place)) / (2.0 * np.pi * step))
     apart = np.abs(np.array(delays) - np.median(delays))

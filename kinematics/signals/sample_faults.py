@@ -31,14 +31,13 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
         Records of every channel.
     leads : iterable of str
         References. Pauses are not looked for in them, and spikes nowhere when they are pulses.
-    file : str
     """
     clipped, spikes, still = [], {}, {}
     apart = set(leads)
-    held = {name: list(rows) for name, rows in channels.items()}
-    pulses = any(count_spikes(row) for name in apart for row in held.get(name, []) if len(row) >= _LEAST)
-    resting = [row for name in apart for row in held.get(name, [])]
-    for name, rows in held.items():
+    records = {name: list(rows) for name, rows in channels.items()}
+    pulses = any(count_spikes(row) for name in apart for row in records.get(name, []) if len(row) >= _LEAST)
+    resting = [row for name in apart for row in records.get(name, [])]
+    for name, rows in records.items():
         good = [row for row in rows if len(row) >= _LEAST and np.all(np.isfinite(row)) and np.ptp(row) > 0.0]
         if any(is_clipped(row) for row in good):
             clipped.append(name)

@@ -27,7 +27,6 @@ class Step:
 
     Attributes
     ----------
-    freq_hz : float
     reference : ndarray, (sample,)
     responses : ndarray, (channel, sample)
         The record of this step; what settles at its start is still in it.
@@ -47,7 +46,6 @@ def stepped_frf(
     ----------
     steps : sequence of Step
         In any order; steps at one frequency are averaged by their noise.
-    sample_rate_hz : float
     how : SteppedSine, optional
     where : str
         Place for messages.

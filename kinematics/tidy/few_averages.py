@@ -127,12 +127,12 @@ def _steady(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | 
     if excess <= 0.02:
         mean, number = _around(level, weight, half, False)
         mean = mean * number / np.maximum(number - 2.0, 1.0)
-        kept = np.where(used, mean, level * freedom / np.maximum(freedom - 2.0, 1.0))
-        return kept * wider * np.exp(trend), width
+        shrunk = np.where(used, mean, level * freedom / np.maximum(freedom - 2.0, 1.0))
+        return shrunk * wider * np.exp(trend), width
     prior = np.minimum(_from_trigamma((scatter - 1.0) * float(np.mean(expected[used]))), number)
     prior = np.where(used, np.maximum(prior, 2.0), 2.0)
-    kept = ((prior - 1.0) * mean + freedom * level) / np.maximum(prior + freedom - 2.0, 1.0)
-    return kept * wider * np.exp(trend), width
+    shrunk = ((prior - 1.0) * mean + freedom * level) / np.maximum(prior + freedom - 2.0, 1.0)
+    return shrunk * wider * np.exp(trend), width
 
 
 def _trend(logs: Array, good: Mask) -> Array:
@@ -171,14 +171,14 @@ def _common(logs: Array, expected: Array, good: Mask) -> tuple[Array, Array]:
     safe = np.maximum(count, 1)
     mean = np.sum(np.where(good, logs, 0.0), axis=0) / safe
     own = np.sum(np.where(good, expected, 0.0), axis=0) / safe**2
-    held = count >= _LEAST_CHANNELS
-    near = held[4:] & held[2:-2] & held[:-4]
+    many = count >= _LEAST_CHANNELS
+    near = many[4:] & many[2:-2] & many[:-4]
     steps = (mean[2:-2] - 0.5 * (mean[4:] + mean[:-4]))[near]
-    seen = float(np.median(steps**2)) / _MEDIAN / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
-    if seen < _NOTABLE_COMMON * float(np.mean(own[held])):
+    total = float(np.median(steps**2)) / _MEDIAN / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
+    if total < _NOTABLE_COMMON * float(np.mean(own[many])):
         return none, even
-    kept = 1.0 - np.minimum(own / seen, 1.0)
-    return np.where(held, mean * kept, 0.0), np.where(held, _spread(own * kept, count), 1.0)
+    share = 1.0 - np.minimum(own / total, 1.0)
+    return np.where(many, mean * share, 0.0), np.where(many, _spread(own * share, count), 1.0)
 
 
 def _spread(unknown: Array, count: NDArray[np.intp]) -> Array:

@@ -40,7 +40,6 @@ class Grid:
         Ascending.
     line : ndarray, (rows,)
         Line of each row.
-    notices : tuple of Notice
     """
 
     freq_hz: Array
@@ -129,7 +128,6 @@ def check_filled(shape: tuple[int, int, int], readings: int, where: str = "") ->
     ----------
     shape : tuple of int
         Number of runs, of channels (or bodies) and of lines.
-    readings : int
     where : str
         File, for messages.
 
@@ -189,7 +187,6 @@ def grid_faults(
         Ascending.
     present : ndarray, (body, line), bool
         Where each body was measured.
-    names : sequence of str
     where : str
         File, for messages.
     """

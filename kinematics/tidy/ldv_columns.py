@@ -46,7 +46,6 @@ class Columns:
     ----------
     first, second : str
         Real and imaginary part, or amplitude and phase.
-    polar : bool
     unit : Unit
         Of the value.
     sd : str

@@ -25,8 +25,6 @@ def check_positions(
 
     Parameters
     ----------
-    table : Table
-    columns : Columns
     listed : Points or None
         What a points file says.
     place : ndarray, (rows,)

@@ -74,8 +74,6 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
 
     Parameters
     ----------
-    table : Table
-    columns : Columns
     listed : Points or None
         What a points file says of positions.
     others : sequence of str
@@ -216,9 +214,9 @@ def _lines(
 
 def _duplicates(whole: Index, rows: Index, table: Table, faults: list[Fault]) -> None:
     """Add the faults of duplicate rows; ``whole`` numbers the places."""
-    seen = np.zeros(int(whole.max()) + 1, dtype=bool)
-    seen[whole] = True
-    if int(np.count_nonzero(seen)) == len(whole):
+    occupied = np.zeros(int(whole.max()) + 1, dtype=bool)
+    occupied[whole] = True
+    if int(np.count_nonzero(occupied)) == len(whole):
         return
     import pandas as pd
 

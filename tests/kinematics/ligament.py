@@ -116,3 +116,15 @@ def altered(data, number, channels, change):
     bodies = list(data.bodies)
     bodies[number] = replace(body, displacement=value)
     return replace(data, bodies=tuple(bodies))
+
+
+def with_lines(data, number, channels, lines):
+    """Take what some channels of a body read from other lines (freq,); -1 where nothing was read."""
+    body, own = data.bodies[number], list(channels)
+    ratio = (data.freq_hz[lines] / data.freq_hz) ** data.order
+    value, sd = body.displacement.copy(), body.sd.copy()
+    value[:, own] = np.where(lines < 0, np.nan, value[:, own][..., lines] * ratio)
+    sd[:, own] = sd[:, own][..., lines] * ratio
+    bodies = list(data.bodies)
+    bodies[number] = replace(body, displacement=value, sd=sd)
+    return replace(data, bodies=tuple(bodies))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
+WITH_BEAMS = "body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s"
 
 
 ROWS = [
@@ -14,6 +15,9 @@ ROWS = [
     for axis in ("y", "-z")
     for freq in (100.0, 250.5, 1e4)
 ]
+
+
+THREE_ROWS = ["stapes,1,0,0,0,y,100,1,2", "stapes,1,0,0,0,y,200,3,4", "stapes,2,1,0,0,-z,100,5,6"]
 
 
 FIRST = 2
@@ -27,6 +31,10 @@ def written(folder, data, name="ldv.csv"):
 
 def plain(rows=ROWS, head=HEAD, end="\n"):
     return end.join([head, *rows]) + end
+
+
+def table(folder, head=HEAD, rows=THREE_ROWS):
+    return written(folder, plain(rows, head))
 
 
 def same(one, two):

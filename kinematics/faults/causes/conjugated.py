@@ -27,22 +27,18 @@ def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
     groups = laser_channels(suspect.body.directions, list(range(len(value))))
     if not 1 < len(groups) <= 8:
         return
-    before = float(np.nansum(fit.chi2))
-    left = {}
-    for number, own in enumerate(groups):
+    tried = []
+    for own in groups:
         turned = value.copy()
         turned[own] = sign * turned[own].conj()
-        left[number] = float(np.nansum(fit_noise(fit.beams, turned, fit.noise).chi2))
-    best = min(left, key=lambda number: (left[number], len(groups[number])))
-    if left[best] > _MOST * before:
+        tried.append((float(np.nansum(fit_noise(fit.beams, turned, fit.noise).chi2)), own, turned))
+    misfit, own, turned = min(tried, key=lambda entry: (entry[0], len(entry[1])))
+    if misfit > _MOST * float(np.nansum(fit.chi2)):
         return
-    own = groups[best]
-    turned = value.copy()
-    turned[own] = sign * turned[own].conj()
     name = suspect.body.channel_name(own[0]).split(" ", 1)[1]
     text = (
         f"all {len(own)} beams along that of channel {name} read the conjugate of what the others show "
         "(amplitudes of e^{-iwt})"
     )
     step = "Turn the sign of their im or phase_deg round"
-    yield Explanation("conjugated_laser", "sign", own, text, step, 1.0, suspect.with_value(turned))
+    yield Explanation.of("conjugated_laser", "sign", own, (text, step), 1.0, suspect.with_value(turned))

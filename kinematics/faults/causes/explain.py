@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
@@ -34,9 +33,6 @@ def explain_misfit(
 
     Parameters
     ----------
-    placed : Measurement
-    run : int
-    body : BodyChannels
     fit : LineFit
         Of the degrees of freedom that are wanted.
     known : bool
@@ -68,39 +64,22 @@ def explain_misfit(
     for cause in CAUSES if bends else (outliers,):
         for explanation in cause(suspect):
             again, stated, _notices = fit_with_noise(placed, run, explanation.remedied, fit.beams, "none")
-            left = diagnose(placed, explanation.remedied, again, stated)
-            if left.bends:
-                continue
-            if bends and len(left.findings) > _NEXT_TO_IT:
-                continue
-            if left.findings and cause is gains:
+            remaining = diagnose(placed, explanation.remedied, again, stated)
+            most = 0 if cause is gains else _NEXT_TO_IT if bends else len(remaining.findings)
+            if remaining.bends or len(remaining.findings) > most:
                 continue
             if explanation.alike:
-                return replace(diagnosis, findings=tuple(map(_or(explanation), diagnosis.findings))), fit
-            if not bends and diagnosis.findings and len(left.findings) >= len(diagnosis.findings):
+                findings = tuple(_or(explanation.finding, finding) for finding in diagnosis.findings)
+                return replace(diagnosis, findings=findings), fit
+            if not bends and diagnosis.findings and len(remaining.findings) >= len(diagnosis.findings):
                 continue
-            finding = _finding(
-                explanation, p_value, None if cause is gains else explanation.remedied.displacement[run]
-            )
-            return replace(left, findings=(*left.findings, finding), kept=1.0), again
+            readings = None if cause is gains else explanation.remedied.displacement[run]
+            finding = replace(explanation.finding, p_value=p_value, remedied=readings)
+            return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
     return None
 
 
-def _or(explanation: Explanation) -> Callable[[Finding], Finding]:
-    """Return what says of a body that bends that a cause would look alike."""
-    step = f"So few channels do not tell this from another cause: {explanation.text}. {explanation.step}"
-    return lambda finding: replace(finding, step=step) if finding.kind == "flexible" else finding
-
-
-def _finding(explanation: Explanation, p_value: float, remedied: NDArray[np.complex128] | None) -> Finding:
-    return Finding(
-        explanation.verdict,
-        explanation.channels,
-        p_value,
-        None,
-        explanation.size,
-        text=explanation.text,
-        code=explanation.code,
-        step=explanation.step,
-        remedied=remedied,
-    )
+def _or(cause: Finding, finding: Finding) -> Finding:
+    """Return a finding that says of a body that bends that a cause would look alike."""
+    step = f"So few channels do not tell this from another cause: {cause.text}. {cause.step}"
+    return replace(finding, step=step) if finding.kind == "flexible" else finding

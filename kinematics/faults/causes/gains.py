@@ -55,11 +55,11 @@ def gains(suspect: MisfittingBody) -> Iterator[Explanation]:
     fits = [(owners, _scatter(data, nuisance, owners, turned)) for owners, turned in tried]
     for owners, scatter in sorted(fits, key=lambda entry: -entry[1].gain):
         if len(owners) >= _LEAST_OWNERS and scatter.gain > _GAIN and scatter.sd > _WORTH:
-            yield replace(_explanation(suspect, data, owners, scatter), alike=alike)
+            yield _explanation(suspect, data, owners, scatter, alike)
 
 
 def _explanation(
-    suspect: MisfittingBody, data: Packed, owners: list[list[int]], scatter: Scatter
+    suspect: MisfittingBody, data: Packed, owners: list[list[int]], scatter: Scatter, alike: bool
 ) -> Explanation:
     value = suspect.value.copy()
     for own, error in zip(owners, scatter.error, strict=True):
@@ -93,7 +93,7 @@ def _explanation(
             f"{named('gain_sd')} {sd:.2g}"
         )
         code, verdict = "gains_scattered", "gain"
-    return Explanation(code, verdict, channels, text, step, scatter.sd, suspect.with_value(value))
+    return Explanation.of(code, verdict, channels, (text, step), scatter.sd, suspect.with_value(value), alike)
 
 
 def _scatter(data: Packed, nuisance: Nuisance, owners: list[list[int]], turned: bool) -> Scatter:
@@ -114,8 +114,8 @@ def _scatter(data: Packed, nuisance: Nuisance, owners: list[list[int]], turned: 
         level = channel_noise(state).level
         score, information = score / level, information / level
         if len(nuisance.sd):
-            taken, lost = _positions(Marginal(state, nuisance), owners, which, level)
-            score, information = score - taken, information - lost
+            explained, lost = _positions(Marginal(state, nuisance), owners, which, level)
+            score, information = score - explained, information - lost
         if turn == 0:
             sizes = np.geomspace(_SMALLEST, _LARGEST, 80)
             sd, gain = likeliest_size(score, information, sizes)
@@ -135,9 +135,11 @@ def _positions(
         group = np.array([own], dtype=np.intp)
         t = near.state.tangents(group[0], which)[:, :, None]
         shared.append(near.common(group, t, near.state.sums(group, t).taken)[0])
-    held = np.concatenate(shared) / level
-    solved = np.linalg.solve(near.information / level + np.diag(0.5 / near.nuisance.sd**2), held.T).T
-    return solved @ near.score / level, solved @ held.T
+    shared_information = np.concatenate(shared) / level
+    solved = np.linalg.solve(
+        near.information / level + np.diag(0.5 / near.nuisance.sd**2), shared_information.T
+    ).T
+    return solved @ near.score / level, solved @ shared_information.T
 
 
 def _constant(channels: list[int], error: complex) -> tuple[list[int], Factor]:

@@ -63,4 +63,4 @@ def mains(suspect: MisfittingBody) -> Iterator[Explanation]:
     value = np.where(near[None], np.nan, suspect.value)
     channels = list(range(len(suspect.body.points)))
     size = float(np.mean(near & loud))
-    yield Explanation("mains_lines", "noise", channels, text, step, size, suspect.with_value(value))
+    yield Explanation.of("mains_lines", "noise", channels, (text, step), size, suspect.with_value(value))

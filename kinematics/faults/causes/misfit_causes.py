@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
+from kinematics.faults.findings import Finding
 from kinematics.faults.packed_readings import Packed, Source, initial
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import BeamSet
@@ -26,9 +27,6 @@ class MisfittingBody:
 
     Attributes
     ----------
-    placed : Measurement
-    run : int
-    body : BodyChannels
     beams : BeamSet
         For the fitted degrees of freedom.
     known : bool
@@ -140,28 +138,29 @@ class Explanation:
 
     Attributes
     ----------
-    code : str
-        Code of the warning.
-    verdict : str
-        Of the channels, as in ``dof.channels.csv``.
-    channels : list of int
-    text : str
-        What was found, with its size.
-    step : str
-        What to do.
-    size : float
-        Relative size.
+    finding : Finding
+        With the code of the warning and what to do; its probability is set when it is believed.
     remedied : BodyChannels
         The body without this cause.
     alike : bool
         A body that bends would look alike: the channels are too few.
     """
 
-    code: str
-    verdict: str
-    channels: list[int]
-    text: str
-    step: str
-    size: float
+    finding: Finding
     remedied: BodyChannels
     alike: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        code: str,
+        verdict: str,
+        channels: list[int],
+        words: tuple[str, str],
+        size: float,
+        remedied: BodyChannels,
+        alike: bool = False,
+    ) -> Explanation:
+        """Return a cause by its code, the verdict of its channels, what was found and what to do."""
+        finding = Finding(verdict, channels, 1.0, None, size, text=words[0], code=code, step=words[1])
+        return cls(finding, remedied, alike)

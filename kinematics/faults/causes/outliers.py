@@ -71,7 +71,7 @@ def outliers(suspect: MisfittingBody) -> Iterator[Explanation]:
     )
     step = f"Fit with {named('robust')} huber, or leave the cells of these values empty"
     remedied = suspect.with_value(np.where(far, np.nan, suspect.value))
-    yield Explanation("sparse_outliers", "noise", channels, text, step, number / most, remedied)
+    yield Explanation.of("sparse_outliers", "noise", channels, (text, step), number / most, remedied)
 
 
 def _evidence(size: Array, count: int) -> float:
@@ -143,17 +143,17 @@ def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None, unsure: 
     """
     residual, sd, _weights = fit.at(lines)
     if course is not None:
-        held = np.isfinite(sd)
-        sd = np.where(held, LineNoise(fit.noise.stated, course).at(lines), sd)
+        measured = np.isfinite(sd)
+        sd = np.where(measured, LineNoise(fit.noise.stated, course).at(lines), sd)
     if unsure is not None:
         sd = np.sqrt(sd**2 + 0.5 * unsure)
     # A line with too few channels has no motion, and no residual of one.
     size = np.where(np.isfinite(sd) & fit.solution.good[lines], 0.5 * np.abs(residual / sd) ** 2, np.nan)
     if not np.all(np.isfinite(sd)):
         leverage, spread = _by_line(fit, sd)
-        one, _ = _over_usual(size / np.maximum(1.0 - leverage, _LEAST_LEFT))
+        usual, _ = _over_usual(size / np.maximum(1.0 - leverage, _LEAST_LEFT))
         # With gaps the residuals of loud channels spread over different ones from line to line.
-        size = size / np.maximum(spread(one) / one[:, None], _LEAST_LEFT)
+        size = size / np.maximum(spread(usual) / usual[:, None], _LEAST_LEFT)
     return _over_usual(size)[1]
 
 
@@ -183,8 +183,8 @@ def _by_line(fit: LineFit, sd: Array) -> tuple[Array, Callable[[Array], Array]]:
 
     def spread(variance: Array) -> Array:
         middle = rows.swapaxes(1, 2) @ (variance[:, None] * rows)
-        taken = np.sum((solved @ middle) * solved, axis=2).T
-        return np.asarray(variance[:, None] * (1.0 - 2.0 * leverage) + taken)
+        explained = np.sum((solved @ middle) * solved, axis=2).T
+        return np.asarray(variance[:, None] * (1.0 - 2.0 * leverage) + explained)
 
     return leverage, spread
 

@@ -11,9 +11,9 @@ from kinematics.faults.packed_readings import Assumed, Packed, Source, packed
 from kinematics.faults.score_information import State
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.measurement import BodyChannels
+from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.spatial import dof_indices
 
 Lines = NDArray[np.intp]
 # Up to so many lines are all looked at; of more, about as many in groups of neighbours, for shifts by REACH.
@@ -35,12 +35,14 @@ class CleanMotion:
 
     Attributes
     ----------
-    run : int
     number : int
         Of the body.
-    body : BodyChannels
     lines : ndarray, (n,), int
         The lines that were looked at.
+    freq_hz, rate : ndarray, (n,)
+        Of these lines, and its power that brings displacements to the size of what was read.
+    step_hz : float
+        Between lines, median.
     value, variance : ndarray, (channel, n)
         Readings, m, and variance of a complex reading, m^2; zero and infinite where missing.
     q : ndarray, (n, 6), complex
@@ -57,16 +59,15 @@ class CleanMotion:
     number: int
     body: BodyChannels
     lines: Lines
+    freq_hz: Array
+    rate: Array
+    step_hz: float
     value: ComplexArray
     variance: Array
     q: ComplexArray
     covariance: Array
     suspects: tuple[tuple[int, ...], ...]
     level: float
-
-    def rows(self, arms_m: Array, directions: Array) -> Array:
-        """Return observation rows (k, 6) of beams at a place (3,) on this body."""
-        return point_rows(np.broadcast_to(arms_m, directions.shape), directions)
 
 
 def chosen_lines(good: NDArray[np.bool_]) -> Lines:
@@ -79,7 +80,7 @@ def chosen_lines(good: NDArray[np.bool_]) -> Lines:
 
 
 def fit_clean_motion(
-    key: tuple[int, int], fit: LineFit, body: BodyChannels, beams: BeamSet, sd: Array, lines: Lines
+    key: tuple[int, int], fit: LineFit, placed: Measurement, beams: BeamSet, sd: Array, lines: Lines
 ) -> CleanMotion:
     """Leave out one point after the other as long as that explains much of what is left.
 
@@ -89,13 +90,13 @@ def fit_clean_motion(
         Run and body.
     fit : LineFit
         Holds the readings.
-    body : BodyChannels
     beams : BeamSet
         For all degrees of freedom that are observed.
     sd : ndarray, (channel, n)
         Standard deviations of the lines, m.
     lines : ndarray, (n,), int
     """
+    body, freq_hz = placed.bodies[key[1]], placed.freq_hz
     value = fit.value[:, lines]
     sd = np.where(np.isfinite(value) & np.isfinite(sd), sd, np.inf)
     count, even = len(value), np.ones(len(lines))
@@ -122,7 +123,22 @@ def fit_clean_motion(
     covariance[np.ix_(range(len(lines)), places, places)] = beams.to_dof @ inverse @ beams.to_dof.T
     level = state.energy / max(float(np.sum(state.free())), 1.0)
     value = np.where(np.isfinite(sd), value, 0.0)
-    return CleanMotion(*key, body, lines, value, 2.0 * sd**2, q, covariance, tuple(suspects), level)
+    step_hz = float(np.median(np.diff(freq_hz)))
+    freq_hz = freq_hz[lines]
+    return CleanMotion(
+        *key,
+        body,
+        lines,
+        freq_hz,
+        freq_hz**placed.order,
+        step_hz,
+        value,
+        2.0 * sd**2,
+        q,
+        covariance,
+        tuple(suspects),
+        level,
+    )
 
 
 def _next_suspect(data: Packed, groups: dict[str, list[int]], strongest: Array) -> list[int] | None:
@@ -160,4 +176,4 @@ def _gram(data: Packed) -> Array:
     return np.asarray(rows.swapaxes(1, 2) @ rows)
 
 
-__all__ = ["REACH", "CleanMotion", "chosen_lines", "fit_clean_motion"]
+__all__ = ["REACH", "CleanMotion", "Lines", "chosen_lines", "fit_clean_motion"]

@@ -1,21 +1,14 @@
-"""Lines whose rows were exchanged, and frequency columns that were shifted or scaled."""
+"""Two lines whose readings were exchanged, and lines at which a body agrees much worse than at others."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinematics.faults.mislabelled.exchanged_bodies import ligament_misfit
 from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.records.motion import RigidMotion
-from stapeskit.records.motion_files import standard_deviation
-from stapeskit.warnings import Notice
 
 # How many of the roughest lines are exchanged with each other in trial.
 _MOST = 8
@@ -42,106 +35,42 @@ def loud_lines(fit: LineFit) -> list[tuple[int, int]]:
     return [(int(min(pair)), int(max(pair))) for pair in combinations(worst, 2)]
 
 
-def exchanged_lines(motion: RigidMotion, structure: str = "stapes", base: str = "base") -> list[Notice]:
-    """Warn of two lines of a body that fit into the course of its motion only when they are exchanged.
+def exchanged_pair(readings: ComplexArray, sd: Array) -> tuple[int, int] | None:
+    """Return the two lines of readings (freq, m) whose exchange makes them smooth; None without such.
 
     Notes
     -----
     Each line is compared with the cubic through its four neighbours, in units of its noise and of what this
-    comparison gives at the lines around it. Where lines are far apart chance may make an exchange smooth: it
-    is not believed when one ligament explains both bodies better as they are.
+    comparison gives at the lines around it.
     """
-    right = motion.q.copy()
-    bodies_of: dict[tuple[int, int], list[str]] = {}
-    for run, name in enumerate(motion.runs):
-        for number, body in enumerate(motion.bodies):
-            sd = standard_deviation(motion)[run, number]
-            pair = exchanged_pair(motion.q[run, number], sd)
-            if pair is not None:
-                right[run, number, list(pair)] = motion.q[run, number, list(pair[::-1])]
-                where = f" in run {name}" if len(motion.runs) > 1 else ""
-                bodies_of.setdefault(pair, []).append(f"{body}{where}")
-    if not bodies_of:
-        return []
-    given = ligament_misfit(motion, structure, base)
-    exchanged = ligament_misfit(replace(motion, q=right), structure, base)
-    if given is not None and exchanged is not None and exchanged > given:
-        return []
-    return [
-        Notice(
-            "label_swap",
-            f"the motion of {' and of '.join(bodies)} jumps at {motion.freq_hz[k]:.6g} and "
-            f"{motion.freq_hz[m]:.6g} Hz and is smooth when the rows of the two lines are exchanged: check "
-            "their freq_hz.",
-        )
-        for (k, m), bodies in bodies_of.items()
-    ]
-
-
-def exchanged_pair(q: ComplexArray, sd: Array) -> tuple[int, int] | None:
-    """Return the two lines of a motion (freq, m) whose exchange makes it smooth; None without such."""
-    if len(q) < 16 or not np.all(np.isfinite(q)) or not np.all(np.isfinite(sd)):
+    count = len(readings)
+    if count < 16 or not np.all(np.isfinite(readings)) or not np.all(np.isfinite(sd)):
         return None
-    rough = _roughness(q)
-    scale = _scale(rough, sd)
+    rough = _roughness(readings)
+    noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
+    scale = np.maximum(noise + 2.0 * running_medians(rough, 7), 1e-300)
     size = np.mean(rough / scale, axis=1)
-    top = np.argsort(-size, kind="stable")[:_MOST]
-    top = top[size[top] > _ROUGH]
-    if not top.size:
+    roughest = np.argsort(-size, kind="stable")[:_MOST]
+    roughest = roughest[size[roughest] > _ROUGH]
+    if not roughest.size:
         return None
-    ends = [0, 1, len(q) - 2, len(q) - 1]
-    top = np.unique([*top.tolist(), *ends])
-    best, pair = _SETTLES, None
-    for k, m in combinations(top, 2):
-        if size[k] < _ROUGH and size[m] < _ROUGH:
-            continue
-        other = q.copy()
-        other[[k, m]] = q[[m, k]]
-        near = np.unique(np.clip(np.concatenate([k + np.arange(-2, 3), m + np.arange(-2, 3)]), 0, len(q) - 1))
-        after = np.mean(_roughness(other)[near] / scale[near])
+    least, pair = _SETTLES, None
+    for k, m in combinations(np.unique([*roughest.tolist(), 0, 1, count - 2, count - 1]), 2):
+        near = np.unique(np.clip([n + j for n in (k, m) for j in range(-2, 3)], 0, count - 1))
         before = np.mean(size[near])
-        if before > _ROUGH and after < best * before and after < _ROUGH:
-            best, pair = after / before, (int(k), int(m))
+        if max(size[k], size[m]) < _ROUGH or before < _ROUGH:
+            continue
+        exchanged = readings.copy()
+        exchanged[[k, m]] = readings[[m, k]]
+        after = np.mean(_roughness(exchanged)[near] / scale[near])
+        if after < min(least * before, _ROUGH):
+            least, pair = after / before, (int(k), int(m))
     return pair
 
 
-def _roughness(q: ComplexArray) -> Array:
+def _roughness(readings: ComplexArray) -> Array:
     """Return |line - cubic of its neighbours|^2, (freq, m); zero at the ends."""
-    roughness = np.zeros(q.shape)
-    between = sum(_BESIDE[j] * q[j : len(q) - 4 + j] for j in range(5))
-    roughness[2:-2] = np.abs(q[2:-2] - between) ** 2
+    roughness = np.zeros(readings.shape)
+    between = sum(_BESIDE[j] * readings[j : len(readings) - 4 + j] for j in range(5))
+    roughness[2:-2] = np.abs(readings[2:-2] - between) ** 2
     return roughness
-
-
-def _scale(rough: Array, sd: Array) -> Array:
-    """Return what the comparison is expected to give at each line, (freq, m)."""
-    noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
-    around = running_medians(rough, 7)
-    return np.asarray(np.maximum(noise + 2.0 * around, 1e-300))
-
-
-def column_offset(freq_hz: Array, measured: Sequence[NDArray[np.bool_]], names: Sequence[str]) -> str:
-    """Describe an offset or a factor between the frequencies of two bodies; empty without one.
-
-    Parameters
-    ----------
-    freq_hz : ndarray, (freq,)
-    measured : sequence of ndarray (freq,), bool
-        Where each body was measured.
-    names : sequence of str
-        Of the bodies.
-    """
-    for one, two in combinations(range(len(names)), 2):
-        first, second = freq_hz[measured[one]], freq_hz[measured[two]]
-        if len(first) != len(second) or len(first) < 3 or np.array_equal(first, second):
-            continue
-        shift, ratio = second - first, second / first
-        close = 1e-5 * float(np.median(np.diff(first)))
-        if np.ptp(shift) < close:
-            how = f"plus {np.mean(shift):.6g} Hz"
-        elif np.ptp(ratio) < 1e-6 * float(np.mean(ratio)):
-            how = f"times {np.mean(ratio):.6g}"
-        else:
-            continue
-        return f" The frequencies of {names[two]} are those of {names[one]} {how} throughout: check freq_hz."
-    return ""

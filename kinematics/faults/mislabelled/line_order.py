@@ -1,8 +1,8 @@
-"""Lines of a body that were sorted as text: "1000, 10000, 200"."""
+"""Lines of a body in a wrong order: sorted as text, "1000, 10000, 200", or two of them exchanged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import CORRECTED, Correction
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.exchanged_bodies import joins_better, ligament_misfit
+from kinematics.faults.mislabelled.exchanged_lines import exchanged_pair
+from kinematics.faults.mislabelled.two_bodies import Pair, joins_better, ligament_misfit
 from kinematics.measurement import Measurement
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
@@ -23,6 +24,8 @@ Order = NDArray[np.intp]
 _CHANCE = 1e-4
 # Fewest lines, and power in units of the noise of a component that counts half.
 _LEAST, _NOISY = 8, 40.0
+_SMOOTH = "the motion jumps from line to line and is smooth in the other order"
+_JOINED = "no ligament joins the two bodies with the lines as they stand, and one does in the other order"
 
 
 def text_orders(freq_hz: Array) -> Iterator[tuple[Order, str]]:
@@ -47,124 +50,108 @@ def rate_ratio(order: Order, freq_hz: Array, derivatives: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Sorted:
-    """A body whose lines are sorted as text.
+class Reordered:
+    """A body whose lines are in a wrong order.
 
     Attributes
     ----------
-    run, body : int
     lines : ndarray, (freq,), int
         From which line the readings of each line are to be taken.
-    what, because : str
-        What was sorted, and what shows it.
+    estimate : str
+        What is wrong, in words.
+    sentence : str
+        Of the warning, with {bodies}.
     """
 
     run: int
     body: int
     lines: Order
-    what: str
-    because: str = "the motion jumps from line to line and is smooth in the other order"
-
-    def notice(self, motion: RigidMotion) -> Notice:
-        """Return the warning, by the names of the files."""
-        where = f" in run {motion.runs[self.run]}" if len(motion.runs) > 1 else ""
-        words = ", ".join(sorted(f"{value:.12g}" for value in motion.freq_hz)[:3])
-        return Notice(
-            "label_swap",
-            f"{self.what} of {motion.bodies[self.body]}{where} look sorted as text ({words}, ...) and not as "
-            f"numbers: {self.because}. Sort both columns together.",
-        )
+    estimate: str
+    sentence: str
 
     def correction(self, placed: Measurement) -> Correction:
         """Return what puts the readings at their frequencies; an order has no uncertainty."""
         channels = list(range(len(placed.bodies[self.body].points)))
-        text = f"{self.what} sorted as text; lines put in the order of their numbers"
-        finding = Finding("label_swap", channels, 0.0, text=text)
         ratio = rate_ratio(self.lines, placed.freq_hz, placed.order)
-        factor: ComplexArray = np.asarray(1.0 / ratio[None], dtype=complex)
         return Correction(
             self.run,
             self.body,
             channels,
             CORRECTED,
             "label_swap",
-            text,
-            finding,
-            factor=factor,
+            self.estimate,
+            Finding("label_swap", channels, 0.0, text=self.estimate),
+            factor=np.asarray(1.0 / ratio[None], dtype=complex),
             lines=self.lines,
         )
 
-    def undone(self, motion: RigidMotion, derivatives: int) -> RigidMotion:
-        """Return a motion with the lines of this body in their order."""
-        q, covariance = motion.q.copy(), motion.covariance.copy()
-        ratio, own = rate_ratio(self.lines, motion.freq_hz, derivatives), (self.run, self.body)
-        q[own] = q[own][self.lines] * ratio[:, None]
-        covariance[own] = covariance[own][self.lines] * (ratio**2)[:, None, None]
-        return replace(motion, q=q, covariance=covariance)
+
+def put_in_order(motion: RigidMotion, reordered: Sequence[Reordered], derivatives: int) -> RigidMotion:
+    """Return a motion with the lines of some bodies in their order."""
+    if not reordered:
+        return motion
+    q, covariance = motion.q.copy(), motion.covariance.copy()
+    for body in reordered:
+        ratio, own = rate_ratio(body.lines, motion.freq_hz, derivatives), (body.run, body.body)
+        q[own] = q[own][body.lines] * ratio[:, None]
+        covariance[own] = covariance[own][body.lines] * (ratio**2)[:, None, None]
+    return replace(motion, q=q, covariance=covariance)
 
 
-def sorted_bodies(
+def order_notices(motion: RigidMotion, reordered: Sequence[Reordered]) -> list[Notice]:
+    """Return one warning for all bodies and runs with the same lines in a wrong order."""
+    bodies_of: dict[str, list[str]] = {}
+    for body in reordered:
+        where = f" in run {motion.runs[body.run]}" if len(motion.runs) > 1 else ""
+        bodies_of.setdefault(body.sentence, []).append(f"{motion.bodies[body.body]}{where}")
+    return [
+        Notice("label_swap", sentence.format(bodies=" and of ".join(bodies)))
+        for sentence, bodies in bodies_of.items()
+    ]
+
+
+def reordered_bodies(
     motion: RigidMotion, derivatives: int, structure: str = "stapes", base: str = "base"
-) -> list[Sorted]:
-    """Return the bodies whose lines stand in the order of text.
+) -> list[Reordered]:
+    """Return the bodies whose lines stand in a wrong order, first those in the order of text.
 
     Parameters
     ----------
-    motion : RigidMotion
     derivatives : int
-        Time derivatives in what was measured.
+        Time derivatives in what was measured: the readings are what has another order.
     structure, base : str
         Bodies that one ligament joins.
+
+    Notes
+    -----
+    Lines far apart, where chance may make an exchange of two smooth, are not believed to be exchanged when
+    one ligament explains both bodies better as they are.
     """
-    found = []
-    sd, orders = standard_deviation(motion), list(text_orders(motion.freq_hz))
-    for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
-        told = _text_order(motion, sd, orders, (run, body), derivatives)
-        if told is not None:
-            found.append(Sorted(run, body, *told))
-    if not found and orders and {structure, base} <= set(motion.bodies):
-        return _by_ligament(motion, orders, derivatives, (structure, base))
-    return found
+    rate = motion.freq_hz[:, None] ** derivatives
+    orders = list(text_orders(motion.freq_hz))
+    reordered = _by_course(motion, rate, orders)
+    right = put_in_order(motion, reordered, derivatives)
+    exchanged = _exchanged(right, rate)
+    if exchanged:
+        as_given = ligament_misfit(right, structure, base)
+        misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base)
+        if as_given is None or misfit is None or misfit <= as_given:
+            reordered += exchanged
+    return reordered or _by_ligament(motion, rate, orders, (structure, base))
 
 
-def _by_ligament(
-    motion: RigidMotion, orders: list[tuple[Order, str]], derivatives: int, pair: tuple[str, str]
-) -> list[Sorted]:
-    """Return the bodies, all runs alike, that one ligament joins in the order of text and not as given.
-
-    That takes no smooth course: lines may be few or far apart.
-    """
-    given = ligament_misfit(motion, *pair)
-    if given is None:
-        return []
-    one, two = (motion.bodies.index(name) for name in pair)
-    best, found = given, list[Sorted]()
-    because = "no ligament joins the two bodies with the lines as they stand, and one does in the other order"
-    for (lines, what), bodies in product(orders, ((one,), (two,), (one, two))):
-        tried = [
-            Sorted(run, body, lines, what, because) for run, body in product(range(len(motion.runs)), bodies)
-        ]
-        right = motion
-        for one_sorted in tried:
-            right = one_sorted.undone(right, derivatives)
-        misfit = ligament_misfit(right, *pair)
-        if misfit is not None and misfit < best and joins_better(given, misfit):
-            best, found = misfit, tried
-    return found
+def _as_text(run: int, body: int, lines: Order, what: str, freq_hz: Array, because: str) -> Reordered:
+    words = ", ".join(sorted(f"{value:.12g}" for value in freq_hz)[:3])
+    sentence = (
+        f"{what} of {{bodies}} look sorted as text ({words}, ...) and not as numbers: {because}. Sort both "
+        "columns together."
+    )
+    estimate = f"{what} sorted as text; lines put in the order of their numbers"
+    return Reordered(run, body, lines, estimate, sentence)
 
 
-def measured_order(order: Order, good: NDArray[np.bool_]) -> Order:
-    """Return an order of the lines that were measured as one of all lines, the others where they are."""
-    whole = np.arange(len(good))
-    places = np.flatnonzero(good)
-    whole[places] = places[order]
-    return whole
-
-
-def _text_order(
-    motion: RigidMotion, sd: Array, orders: list[tuple[Order, str]], own: tuple[int, int], derivatives: int
-) -> tuple[Order, str] | None:
-    """Return the order in which the motion of a body runs smoothly, when it is that of text; None otherwise.
+def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]) -> list[Reordered]:
+    """Return the bodies whose motion runs smoothly in the order of text, and not as given.
 
     Notes
     -----
@@ -175,19 +162,72 @@ def _text_order(
     """
     from scipy.special import fdtrc
 
-    q, sd = motion.q[own], sd[own]
-    good = np.all(np.isfinite(q) & np.isfinite(sd) & (sd > 0.0), axis=1)
-    if int(np.sum(good)) < _LEAST:
-        return None
-    freq = motion.freq_hz[good]
-    rate = freq[:, None] ** derivatives
-    best, found = _CHANCE, None
-    for order, what in orders if np.all(good) else text_orders(freq):
-        ratio, number = steps_ratio(q[good] * rate, sd[good] * rate, order)
-        chance = float(fdtrc(number, number, ratio))
-        if chance < best:
-            best, found = chance, (measured_order(order, good), what)
-    return found
+    reordered = []
+    sd = standard_deviation(motion) if orders else np.zeros(0)
+    for run, body in product(range(len(motion.runs)), range(len(motion.bodies))) if orders else ():
+        readings, noise = motion.q[run, body] * rate, sd[run, body] * rate
+        good = np.all(np.isfinite(readings) & np.isfinite(noise) & (noise > 0.0), axis=1)
+        if int(np.sum(good)) < _LEAST:
+            continue
+        least, likeliest = _CHANCE, None
+        for order, what in orders if np.all(good) else text_orders(motion.freq_hz[good]):
+            ratio, number = steps_ratio(readings[good], noise[good], order)
+            chance = float(fdtrc(number, number, ratio))
+            if chance < least:
+                lines, places = np.arange(len(good)), np.flatnonzero(good)
+                lines[places] = places[order]
+                least, likeliest = chance, _as_text(run, body, lines, what, motion.freq_hz, _SMOOTH)
+        reordered += [] if likeliest is None else [likeliest]
+    return reordered
+
+
+def _by_ligament(
+    motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]], names: tuple[str, str]
+) -> list[Reordered]:
+    """Return the bodies, all runs alike, that one ligament joins in the order of text and not as given.
+
+    That takes no smooth course: lines may be few or far apart. Readings are compared, which have the same
+    size in any order.
+    """
+    pair = Pair.of(motion, *names) if orders else None
+    if pair is None:
+        return []
+    pair = replace(pair, structure=pair.structure * rate, base=pair.base * rate, sd=pair.sd * rate)
+    as_given = pair.misfit()
+    if as_given is None:
+        return []
+    least, reordered = as_given, list[Reordered]()
+    for (lines, what), bodies in product(orders, ((0,), (1,), (0, 1))):
+        of_body = [lines if body in bodies else slice(None) for body in (0, 1)]
+        sd = np.stack([pair.sd[:, body, of_body[body]] for body in (0, 1)], axis=1)
+        structure, base = pair.structure[:, of_body[0]], pair.base[:, of_body[1]]
+        misfit = replace(pair, structure=structure, base=base, sd=sd).misfit()
+        if misfit is not None and misfit < least and joins_better(as_given, misfit):
+            least = misfit
+            reordered = [
+                _as_text(run, motion.bodies.index(names[body]), lines, what, motion.freq_hz, _JOINED)
+                for run, body in product(range(len(motion.runs)), bodies)
+            ]
+    return reordered
+
+
+def _exchanged(motion: RigidMotion, rate: Array) -> list[Reordered]:
+    """Return the bodies whose motion is smooth only when two lines are exchanged."""
+    reordered, sd = [], standard_deviation(motion)
+    for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
+        pair = exchanged_pair(motion.q[run, body] * rate, sd[run, body] * rate)
+        if pair is None:
+            continue
+        lines = np.arange(len(motion.freq_hz))
+        lines[list(pair)] = pair[::-1]
+        first, second = motion.freq_hz[list(pair)]
+        sentence = (
+            f"the motion of {{bodies}} jumps at {first:.6g} and {second:.6g} Hz and is smooth when the rows "
+            "of the two lines are exchanged: check their freq_hz."
+        )
+        estimate = f"rows of the lines at {first:.6g} and {second:.6g} Hz exchanged"
+        reordered.append(Reordered(run, body, lines, estimate, sentence))
+    return reordered
 
 
 def steps_ratio(readings: ComplexArray, sd: Array, order: Order) -> tuple[float, int]:
@@ -206,8 +246,8 @@ def _neighbours(order: Order) -> Order:
 
 def _step(white: ComplexArray, pairs: Order) -> float:
     """Return the mean of |step|^2 over the squares of its ends, where these are well above noise."""
-    one, two = white[pairs // len(white)], white[pairs % len(white)]
-    size = np.sum(np.abs(one) ** 2 + np.abs(two) ** 2, axis=1)
+    lower, upper = white[pairs // len(white)], white[pairs % len(white)]
+    size = np.sum(np.abs(lower) ** 2 + np.abs(upper) ** 2, axis=1)
     weight = size / (size + _NOISY * white.shape[1])
-    step = np.sum(np.abs(one - two) ** 2, axis=1) / np.maximum(size, 1e-300)
+    step = np.sum(np.abs(lower - upper) ** 2, axis=1) / np.maximum(size, 1e-300)
     return float(np.sum(weight * step) / np.maximum(np.sum(weight), 1e-300))

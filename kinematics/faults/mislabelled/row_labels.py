@@ -5,7 +5,7 @@ A point whose rows do not fit its own body is compared with every place that the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.clean_motion import REACH, CleanMotion
+from kinematics.faults.mislabelled.clean_motion import REACH, CleanMotion, Lines
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.spatial import point_rows
 
 Key = tuple[int, int]
 # Rows belong where they leave twice their noise at most, or a hundredth of what they leave at home.
@@ -27,15 +28,26 @@ _MARGIN = 10.0
 class _Place:
     """Where rows could belong: another motion, another point's position, or another reading of the same.
 
-    ``sign`` is that of conjugates: of velocities, i w times displacements, these are the opposite.
+    Attributes
+    ----------
+    text : str
+        What the rows are then, in words.
+    arms_m : ndarray, (3,)
+    source : ndarray, (n,), int
+        From which line of that motion the rows at each line of their own are.
+    partner : tuple of int
+        Channels of the point that holds the place.
+    conjugate : complex number or zero
+        Sign of the conjugates that the rows are; zero when they are none. Those of velocities, i w times
+        displacements, have the opposite sign.
     """
 
-    kind: str
+    text: str
     at: CleanMotion
     arms_m: Array
+    source: Lines
     partner: tuple[int, ...] = ()
-    shift: int = 0
-    sign: int = 1
+    conjugate: int = 0
 
 
 @dataclass(frozen=True)
@@ -47,24 +59,16 @@ class _Suspect:
     bar: float
     own: float
 
-    @property
-    def point(self) -> str:
-        return self.home.body.points[self.channels[0]]
-
 
 _Entry = tuple[_Suspect, _Place, float]
 
 
-def label_findings(
-    motions: Mapping[Key, CleanMotion], runs: Sequence[str], freq_hz: Array
-) -> dict[Key, list[Finding]]:
+def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> dict[Key, list[Finding]]:
     """Name the rows of one point or channel that carry the label of another body, point, run or frequency.
 
     Parameters
     ----------
     motions : mapping of (run, body) to CleanMotion
-    runs : sequence of str
-    freq_hz : ndarray, (freq,)
 
     Notes
     -----
@@ -80,29 +84,28 @@ def label_findings(
         suspect
         for home in motions.values()
         for channels in home.suspects
-        if (suspect := _suspect(home, channels, motions)) is not None
+        if (suspect := _suspect(home, channels, motions, runs)) is not None
     ]
     findings: dict[Key, list[Finding]] = {}
     for suspect, place, score in _paired(suspects):
         home = suspect.home
-        text = _told(suspect, place, runs, freq_hz)
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
-        kind = "sign" if place.kind == "conjugate" else "label_swap"
-        finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=text)
+        kind = "sign" if place.conjugate else "label_swap"
+        finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=place.text)
         findings.setdefault((home.run, home.number), []).append(finding)
     return findings
 
 
 def _suspect(
-    home: CleanMotion, channels: tuple[int, ...], motions: Mapping[Key, CleanMotion]
+    home: CleanMotion, channels: tuple[int, ...], motions: Mapping[Key, CleanMotion], runs: Sequence[str]
 ) -> _Suspect | None:
     """Score every place that rows could belong to; None when a fault of their own explains them as well."""
     arms = home.body.positions_mm[channels[0]] * 1e-3
-    own, count = _misfit(home, channels, _Place("own", home, arms))
+    own, count = _misfit(home, channels, _own(home, arms))
     if count == 0:
         return None
     bar = own if len(home.lines) == 2 else _fault_of_its_own(home, channels, arms)
-    places = _places(home, arms, motions)
+    places = list(_places(home, home.body.points[channels[0]], arms, motions, runs))
     scores = {}
     for number, place in enumerate(places):
         score, used = _misfit(home, channels, place)
@@ -116,43 +119,65 @@ def _suspect(
     return _Suspect(home, channels, scores, places, bar, own) if scores else None
 
 
-def _places(home: CleanMotion, arms: Array, motions: Mapping[Key, CleanMotion]) -> list[_Place]:
-    if len(home.lines) == 2:
-        return [_Place("lines", home, arms)]
-    places = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
-    places += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
+def _own(home: CleanMotion, arms: Array) -> _Place:
+    """Return the place that rows are listed at."""
+    return _Place("", home, arms, home.lines)
+
+
+def _places(
+    home: CleanMotion, point: str, arms: Array, motions: Mapping[Key, CleanMotion], runs: Sequence[str]
+) -> Iterator[_Place]:
+    """Yield every place that the rows of a point could belong to."""
+    lines, mine = home.lines, f"point {point} of body {home.body.body}"
+    if len(lines) == 2:
+        first, second = home.freq_hz
+        text = f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"
+        yield _Place(text, home, arms, lines[::-1])
+        return
+    for sign in (1, -1):
+        text = "conjugate of what it should read (amplitudes of e^{-iwt})"
+        yield _Place(text, home, arms, lines, conjugate=sign)
+    for shift in range(-REACH, REACH + 1):
+        if shift:
+            count, way = abs(shift), "higher" if shift > 0 else "lower"
+            text = (
+                f"rows of {mine} belong {count} line{'s' if count > 1 else ''} {way}: their frequencies are "
+                f"off by {-shift * home.step_hz:.4g} Hz"
+            )
+            yield _Place(text, home, arms, lines + shift)
     for (run, number), other in motions.items():
         if number == home.number and run != home.run:
-            places.append(_Place("run", other, arms))
+            text = f"rows of {mine} under run {runs[home.run]} are those of run {runs[run]}"
+            yield _Place(text, other, arms, lines)
         if number != home.number and run == home.run:
-            places.append(_Place("body", other, arms))
-            names = other.body.points
-            for point in dict.fromkeys(names):
-                partner = tuple(c for c, name in enumerate(names) if name == point)
-                places.append(_Place("point", other, other.body.positions_mm[partner[0]] * 1e-3, partner))
-    return places
+            theirs, names = other.body.body, other.body.points
+            text = f"{mine} moves with body {theirs}, at its own position: it belongs to {theirs}"
+            yield _Place(text, other, arms, lines)
+            for name in dict.fromkeys(names):
+                partner = tuple(c for c, held in enumerate(names) if held == name)
+                text = f"{mine} and point {name} of body {theirs} exchanged"
+                yield _Place(text, other, other.body.positions_mm[partner[0]] * 1e-3, lines, partner)
 
 
 def _expected(
     home: CleanMotion, channels: tuple[int, ...], place: _Place
-) -> tuple[NDArray[np.intp], ComplexArray, Array]:
+) -> tuple[Lines, ComplexArray, Array]:
     """Return which lines compare, what rows would read at a place, and its variance."""
-    lines, at = home.lines, place.at
-    if place.kind == "lines":
-        here, same = np.arange(len(lines))[::-1], np.ones(len(lines), dtype=bool)
-    else:
-        here = np.minimum(np.searchsorted(at.lines, lines + place.shift), len(at.lines) - 1)
-        same = at.lines[here] == lines + place.shift
-        here = here[same]
+    at = place.at
+    here = np.minimum(np.searchsorted(at.lines, place.source), len(at.lines) - 1)
+    same = np.flatnonzero(at.lines[here] == place.source)
+    here = here[same]
+    # What was read belongs to another line, not the displacement that was made of it.
+    ratio = at.rate[here] / home.rate[same]
     directions = home.body.directions[list(channels)]
-    rows = at.rows(place.arms_m, directions)
-    q = place.sign * at.q[here].conj() if place.kind == "conjugate" else at.q[here]
-    variance = np.einsum("ka,fab,kb->kf", rows, at.covariance[here], rows, optimize=True)
+    rows = point_rows(np.broadcast_to(place.arms_m, directions.shape), directions)
+    q = (place.conjugate * at.q[here].conj() if place.conjugate else at.q[here]) * ratio[:, None]
+    variance = np.einsum("ka,fab,kb->kf", rows, at.covariance[here], rows, optimize=True) * ratio**2
     prior = home.body.position_sd_mm[channels[0]] * 1e-3
     if np.isfinite(prior) and prior > 0.0:
         across = np.cross(directions[:, None], q[None, :, 3:])
         variance = variance + prior**2 * np.sum(np.abs(across) ** 2, axis=-1)
-    return np.flatnonzero(same), rows @ q.T, variance
+    return same, rows @ q.T, variance
 
 
 def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
@@ -167,7 +192,7 @@ def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tupl
 
 def _fault_of_its_own(home: CleanMotion, channels: tuple[int, ...], arms: Array) -> float:
     """Return the least misfit, with the price of its parameters, that a fault of the rows could leave."""
-    place = _Place("own", home, arms)
+    place = _own(home, arms)
     lines, expected, variance = _expected(home, channels, place)
     course = np.linspace(-1.0, 1.0, len(lines))[:, None] ** np.arange(3)
     observed = np.any(np.abs(home.q) > 0.0, axis=0)
@@ -201,7 +226,7 @@ def _paired(suspects: list[_Suspect]) -> list[_Entry]:
     for number, suspect in enumerate(suspects):
         for k, score in suspect.scores.items():
             place = suspect.places[k]
-            if place.kind != "point":
+            if not place.partner:
                 candidates.append((score - suspect.bar, [(number, place, score)]))
                 continue
             for other, partner in enumerate(suspects[number + 1 :], start=number + 1):
@@ -227,27 +252,6 @@ def _back(suspect: _Suspect, place: _Place, partner: _Suspect) -> int | None:
         return None
     for k in partner.scores:
         back = partner.places[k]
-        if back.kind == "point" and back.at is suspect.home and set(suspect.channels) <= set(back.partner):
+        if back.at is suspect.home and set(suspect.channels) <= set(back.partner):
             return k
     return None
-
-
-def _told(suspect: _Suspect, place: _Place, runs: Sequence[str], freq_hz: Array) -> str:
-    home, other = suspect.home, place.at
-    mine, theirs = f"point {suspect.point} of body {home.body.body}", other.body.body
-    if place.kind == "conjugate":
-        return "conjugate of what it should read (amplitudes of e^{-iwt})"
-    if place.kind == "lines":
-        first, second = freq_hz[home.lines]
-        return f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"
-    if place.kind == "run":
-        return f"rows of {mine} under run {runs[home.run]} are those of run {runs[other.run]}"
-    if place.kind == "body":
-        return f"{mine} moves with body {theirs}, at its own position: it belongs to {theirs}"
-    if place.kind == "point":
-        partner = other.body.points[place.partner[0]]
-        return f"{mine} and point {partner} of body {theirs} exchanged"
-    step = float(np.median(np.diff(freq_hz))) * place.shift
-    lines = f"{abs(place.shift)} line{'s' if abs(place.shift) > 1 else ''}"
-    way = "higher" if place.shift > 0 else "lower"
-    return f"rows of {mine} belong {lines} {way}: their frequencies are off by {-step:.4g} Hz"

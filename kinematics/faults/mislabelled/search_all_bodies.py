@@ -44,18 +44,18 @@ def find_mislabelled(
         if not known[key]:
             noise = LineNoise(noise.stated, noise_course(fit, placed.freq_hz))
         lines = chosen_lines(fit.solution.good)
-        motions[key] = fit_clean_motion(key, fit, body, beams, noise.at(lines), lines)
+        motions[key] = fit_clean_motion(key, fit, placed, beams, noise.at(lines), lines)
         for pair in loud_lines(fit):
             both = np.array(pair)
-            single = {key: fit_clean_motion(key, fit, body, beams, noise.at(both), both)}
-            findings_of |= label_findings(single, placed.runs, placed.freq_hz)
+            single = {key: fit_clean_motion(key, fit, placed, beams, noise.at(both), both)}
+            findings_of |= label_findings(single, placed.runs)
             if key in findings_of:
                 break
-    findings_of = {**findings_of, **label_findings(motions, placed.runs, placed.freq_hz)}
+    findings_of = {**findings_of, **label_findings(motions, placed.runs)}
     diagnoses_with_labels = {}
     for key, findings in findings_of.items():
         out = [c for finding in findings for c in finding.channels]
         rest = diagnose(placed, placed.bodies[key[1]], fits[key], known[key], out)
-        kept = 0.0 if not rest.findings else rest.kept
-        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
+        unexplained = 0.0 if not rest.findings else rest.kept
+        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=unexplained)
     return diagnoses_with_labels

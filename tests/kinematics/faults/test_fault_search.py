@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.fault_scenes import bound, measured, two_faults
+from benchmarks.fault_bounds import bound
+from benchmarks.fault_scenes import measured, two_faults
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
 from kinematics.points2dof import points2dof

@@ -7,11 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.mislabelled.line_order import Sorted, rate_ratio, sorted_bodies, text_orders
+from kinematics.faults.mislabelled.line_order import (
+    Reordered,
+    put_in_order,
+    rate_ratio,
+    reordered_bodies,
+    text_orders,
+)
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from tests.kinematics.faults.test_phase_convention import moved
-from tests.kinematics.ligament import study
+from tests.kinematics.ligament import study, with_lines
 
 FREQ = np.linspace(200.0, 6000.0, 117)
 
@@ -47,6 +53,23 @@ def test_frequencies_of_one_body_sorted_as_text_are_named_and_put_in_order(numbe
         assert np.max(np.abs(result.motion.q / right.motion.q - 1.0)) > 0.1
 
 
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("number", [0, 1])
+def test_two_exchanged_lines_of_a_body_are_named_and_put_in_order(number, order):
+    """What was read is exchanged: displacements made of velocities then are not, but for a factor."""
+    data = replace(study(12), order=order)
+    body, freq = data.bodies[number], data.freq_hz
+    lines = np.arange(len(freq))
+    lines[[30, 80]] = [80, 30]
+    wrong = with_lines(data, number, range(len(body.points)), lines)
+    _, (notice,) = told(wrong)
+    assert notice.code == "label_swap"
+    assert notice.text.startswith(f"the motion of {body.body} jumps at {freq[30]:.6g} and {freq[80]:.6g} Hz")
+    right, (corrected,) = told(wrong, correct=True)
+    assert corrected.code == "corrected"
+    np.testing.assert_allclose(right.motion.q, points2dof(data).motion.q, rtol=1e-6)
+
+
 def test_orders_of_text_undo_each_other():
     (one, first), (two, second) = text_orders(FREQ)
     assert (first, second) == ("the column freq_hz", "the values")
@@ -64,8 +87,8 @@ def test_lines_of_either_body_sorted_as_text_are_mostly_named_and_no_other_order
         order, what = list(text_orders(freq))[seed % 2]
         back, q, number = np.argsort(order), motion.q.copy(), seed % 2
         q[0, number] = q[0, number][back] * rate_ratio(back, freq, 1)[:, None]
-        found = sorted_bodies(replace(motion, q=q), 1)
-        assert [(one.body, one.what) for one in found] in ([], [(number, what)])
+        found = reordered_bodies(replace(motion, q=q), 1)
+        assert [(one.body, one.estimate.split(" sorted")[0]) for one in found] in ([], [(number, what)])
         named += bool(found)
     assert named >= 45
 
@@ -77,7 +100,18 @@ def test_500_clean_motions_are_not_called_sorted():
         freq = (np.linspace, np.geomspace)[seed % 3 == 0](low, high, int(rng.integers(8, 80)))
         noise, scale = np.exp(rng.uniform(np.log([0.002, 0.02]), np.log([0.05, 30.0])))
         motion = moved(2000 + seed, ("y",), float(rng.choice([0.0, 0.1, 0.3])), scale, noise, freq)
-        assert not sorted_bodies(motion, 1)
+        assert not reordered_bodies(motion, 1)
+
+
+def test_no_other_fault_of_accelerations_is_called_sorted():
+    """An order of the readings keeps their size; that of displacements it would change by the frequency^2."""
+    for seed in range(30):
+        freq = np.round(np.geomspace(200.0 + 20.0 * seed, 4000.0 + 100.0 * seed, 12 + seed), 1)
+        motion = moved(7000 + seed, ("y", "x"), noise=0.003, freq=freq)
+        q = motion.q.copy()
+        q[:, seed % 2] = q[:, seed % 2].conj()
+        assert not reordered_bodies(motion, 2)
+        assert not reordered_bodies(replace(motion, q=q), 2)
 
 
 @pytest.mark.parametrize("bodies", [(0,), (1,), (0, 1)])
@@ -88,10 +122,11 @@ def test_one_ligament_shows_few_lines_in_the_order_of_text(bodies):
     back = np.argsort(order)
     for seed in range(6):
         motion = moved(3100 + seed, ("y", "x"), freq=freq)
-        assert sorted_bodies(motion, 1) == []
+        assert reordered_bodies(motion, 1) == []
         wrong = motion
         for body in bodies:
             for run in range(2):
-                wrong = Sorted(run, body, back, what).undone(wrong, 1)
-        found = sorted_bodies(wrong, 1)
-        assert {(one.body, one.what) for one in found} == {(body, what) for body in bodies}
+                wrong = put_in_order(wrong, [Reordered(run, body, back, what, "")], 1)
+        found = reordered_bodies(wrong, 1)
+        named = {(one.body, one.estimate.split(" sorted")[0]) for one in found}
+        assert named == {(body, what) for body in bodies}

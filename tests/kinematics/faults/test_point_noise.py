@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.fault_scenes import bound
+from benchmarks.fault_bounds import bound
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
 from kinematics.faults.packed_readings import Source, initial, whitening
