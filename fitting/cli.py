@@ -27,7 +27,7 @@ Every key has a default; plan.toml, e.g.:
 def parser() -> Parser:
     """Return the parser of the command."""
     from fitting.options import KDFiles, KDOptions
-    from fitting.plan.plan_example import PLAN_EXAMPLE
+    from fitting.plan.plan_options import PLAN_EXAMPLE
     from stapeskit.option_parser import Parser
 
     return Parser(

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.plan.plan_example import PLAN_EXAMPLE
+from fitting.plan.plan_options import PLAN_EXAMPLE
 from pipeline.sample_study import FILES, copy_sample
 from pipeline.stapeskit_command import COMMANDS
 from sample_volumes.make_sample import make_study

@@ -130,12 +130,12 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
             return Estimate(free.parameters, value, 1, True, certificate=0.0)
     problem = reduce(lines, options)
     if options.constraint == "psd":
-        return _psd(lines, problem)
-    relaxed, active = _bounded(lines, problem)
+        return _psd(free.parameters, problem)
+    relaxed, active = _bounded(free.parameters, problem)
     if largest_real(relaxed, problem) < 0.0:
         return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
-    convex = _psd(lines, problem)
-    inner = _stable_starts(lines, problem, convex.parameters)
+    convex = _psd(free.parameters, problem)
+    inner = _stable_starts(problem, convex.parameters)
     begin = inner[0] if start is None else _interior_start(problem, nearest_inside(start, lines.n))
     parameters, steps, converged = best_stable(problem, stable_start(problem, begin), inner)
     value = problem.value(parameters)
@@ -145,12 +145,12 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     return Estimate(parameters, value, steps, converged, names)
 
 
-def _stable_starts(lines: Lines, problem: Quadratic, convex: Array) -> list[Array]:
+def _stable_starts(problem: Quadratic, convex: Array) -> list[Array]:
     """Return stable starts: the convex solution with K, D >= 0, and others around it, moved inside."""
     generator = np.random.default_rng(0)
     spread = [convex * generator.uniform(0.5, 1.5, len(convex)) for _ in range(_EXTRA_STARTS)]
     starts = [
-        _interior_start(problem, nearest_inside(matrices, lines.n, 0.1)) for matrices in (convex, *spread)
+        _interior_start(problem, nearest_inside(matrices, problem.n, 0.1)) for matrices in (convex, *spread)
     ]
     return [start for start in starts if np.isfinite(wall_height(start, problem))] or [
         stable_start(problem, starts[0])
@@ -164,9 +164,8 @@ def _is_stable(parameters: Array, mass: Array) -> bool:
     return bool(np.linalg.eigvals(state_matrix(mass, *split(parameters, len(mass)))).real.max() < 0.0)
 
 
-def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
+def _bounded(free: Array, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
     """Solve the convex problem of signs and bounds alone."""
-    free = pinv.weighted(lines, np.ones(lines.n)).parameters
     if problem.within(free):
         return free, ()
     from scipy.optimize import lsq_linear
@@ -177,17 +176,14 @@ def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
     return bounded, _at_bounds(bounded, problem)
 
 
-def _psd(lines: Lines, problem: Quadratic) -> Estimate:
-    """Solve the convex problem with K >= 0 and D >= 0."""
-    free = pinv.weighted(lines, np.ones(lines.n)).parameters
-    if problem.within(free) and is_positive_definite(free, lines.n):
-        return Estimate(free, problem.value(free), 1, True, certificate=0.0)
-    begin = _interior_start(problem, nearest_inside(free, lines.n))
+def _psd(free: Array, problem: Quadratic) -> Estimate:
+    """Solve the convex problem with K >= 0 and D >= 0, which the free solution does not fulfil."""
+    begin = _interior_start(problem, nearest_inside(free, problem.n))
     zero = np.where(problem.lower == 0.0, -np.inf, problem.lower)
     hessian, linear = 2.0 * problem.triangle.T @ problem.triangle, 2.0 * problem.triangle.T @ problem.right
-    parameters, gap, steps = nearest(hessian, linear, begin, lines.n, _GAP, zero, problem.upper)
+    parameters, gap, steps = nearest(hessian, linear, begin, problem.n, _GAP, zero, problem.upper)
     level = problem.value(parameters)
-    active = (*_at_bounds(parameters, problem), *active_names(parameters, lines.n))
+    active = (*_at_bounds(parameters, problem), *active_names(parameters, problem.n))
     return Estimate(parameters, level, steps, True, active, certificate=gap / max(level, _GAP))
 
 

@@ -8,38 +8,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.errors import FittingError
 from fitting.examples.experiment import Layout
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
+from stapeskit.option_declaration import option
+from stapeskit.option_kinds import number
+from stapeskit.options import OptionTable
 from stapeskit.records.motion import SharedErrors
 from stapeskit.spatial import dof_indices
 
 _AXES = "xyz"
 
 
+_SD = number("a number, zero or positive", lambda value: value >= 0.0)
+
+
 @dataclass(frozen=True)
-class PlannedErrors:
-    """Standard deviations of what stays the same over the lines; 0 means exact.
+class PlannedErrors(OptionTable):
+    """Standard deviations of what stays the same over the lines, keys of plan.toml; 0 means exact."""
 
-    Attributes
-    ----------
-    position_sd_mm : float
-        Of each coordinate of a point.
-    registration_sd_mm, registration_sd_deg : float
-        Of the place and the axes of the footplate in the vibrometer, each coordinate.
-    gain_sd_percent, phase_sd_deg, delay_sd_us : float
-        Of each laser; the defaults are those of points2dof.
-    mass_sd_percent : float
-        Of a mass matrix without an uncertainty of its own: its density.
-    """
+    title = "plan"
+    error = FittingError
 
-    position_sd_mm: float = 0.03
-    registration_sd_mm: float = 0.02
-    registration_sd_deg: float = 0.1
-    gain_sd_percent: float = 1.0
-    phase_sd_deg: float = 0.5
-    delay_sd_us: float = 1.0
-    mass_sd_percent: float = 3.0
+    position_sd_mm: float = option(_SD, "of each coordinate of a point", 0.03)
+    registration_sd_mm: float = option(_SD, "of the footplate centre in the vibrometer", 0.02)
+    registration_sd_deg: float = option(_SD, "of the footplate axes in it", 0.1)
+    gain_sd_percent: float = option(_SD, "of each laser, with the next two", 1.0)
+    phase_sd_deg: float = option(_SD, "", 0.5)
+    delay_sd_us: float = option(_SD, "", 1.0)
+    mass_sd_percent: float = option(_SD, "density; leave it out beside a mass.json", 3.0)
 
 
 def shared_errors(

@@ -36,9 +36,7 @@ def kabsch(
     Kabsch 1976 (doi:10.1107/S0567739476001873) with the sign of Umeyama 1991 (doi:10.1109/34.88573).
     """
     share = (weights / np.sum(weights, axis=-1, keepdims=True))[..., None]
-    source_centre, target_centre = (
-        np.sum(share * points, axis=-2, keepdims=True) for points in (source_mm, target_mm)
-    )
+    source_centre, target_centre = (share.swapaxes(-1, -2) @ points for points in (source_mm, target_mm))
     cross = ((source_mm - source_centre) * share).swapaxes(-1, -2) @ (target_mm - target_centre)
     u, _, vt = np.linalg.svd(cross)
     mirrored = np.linalg.det(u) * np.linalg.det(vt) < 0.0

@@ -43,7 +43,7 @@ def sound() -> dict[str, bytes]:
     """Make one sound record of every kind."""
     from ct_inertia.cli import work
     from ct_inertia.surface.surface import write_surface
-    from fitting.plan.plan_example import PLAN_EXAMPLE
+    from fitting.plan.plan_options import PLAN_EXAMPLE
     from pipeline.template import TEMPLATE
     from sample_volumes.bodies import stapes_in_footplate
     from stapeskit.records.motion_files import write_motion

@@ -18,8 +18,8 @@ from fitting.model.damping import VISCOUS
 from fitting.model.observation import observe
 from fitting.model.scaled_lines import Scale, assemble
 from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
-from fitting.plan.plan_example import PLAN_EXAMPLE
 from fitting.plan.plan_file import read_plan
+from fitting.plan.plan_options import PLAN_EXAMPLE
 from fitting.plan.planned_errors import PlannedErrors
 from stapeskit.faults import StapeskitError
 from stapeskit.spatial import DOF_NAMES
@@ -194,7 +194,7 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ("lnes = 3", "Did you mean lines"),
         ("lines = 1", "lines must be a whole number"),
         ("lines = 2.5", "lines must be a whole number"),
-        ("band_hz = [5000, 400]", "low before high"),
+        ("band_hz = [5000, 400]", "the lower first"),
         ("noise_m_s = 0", "noise_m_s must be a positive number"),
         ("noise_m_s = 1e-6\nnoise_relative = 0.1", "got both"),
         ("rocking = -1", "zero or positive"),
@@ -212,7 +212,7 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ('dof = ["y"]\nmass = [[-3e-6]]', "positive"),
         ("stiffness = [[1, 2], [3, 4]]", "a 3 x 3 matrix"),
         ("stiffness = [[1, 9, 0], [9, 1, 0], [0, 0, 1]]", "positive"),
-        ('damping_law = "odd"', "viscous or hysteretic"),
+        ('damping_law = "odd"', "one of viscous, hysteretic"),
         ("structure_points_mm = [[1, 2]]", "a list of points"),
         ("base_points_mm = [[0, 0, 0]]", "enough points"),
     ],
@@ -227,7 +227,7 @@ def test_all_faults_of_a_plan_stand_in_one_message(tmp_path: Path) -> None:
     with pytest.raises(FittingError) as fault:
         read_plan(write(tmp_path, text))
     told = str(fault.value)
-    for words in ("Did you mean directions", "low before high", "lines must be", "noise_m_s must be", "foo"):
+    for words in ("Did you mean directions", "the lower first", "lines must be", "noise_m_s must be", "foo"):
         assert words in told
     assert len(told.splitlines()) == 5
 
