@@ -12,12 +12,10 @@ How a diagnosis flows, from a measurement to the verdicts:
       search              one round: all tests, fits of the suspects, and the best of them
         catalogue         the kinds of fault, one entry each (sentences: what is reported of them)
         score_information the rigid fit, score and information of any change of its rows
-        uncertain_positions  errors of positions with a stated size, next to the motion
+        uncertain_positions  errors of many places with a prior, next to the motion
         score_tests       every kind at every place at once
         refit             the fit of one fault, weighed by its evidence
         flexible_body     patterns that many points share
-      masking             two faults that hide each other
-      variance_components errors of one common size at all places
     causes/               what many channels share, tried before a body is called flexible (explain):
                           outliers, mains, scattered gains, drift between points, a conjugated laser
     mislabelled/          all bodies and runs together (search_all_bodies): rows under another label

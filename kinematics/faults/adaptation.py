@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -179,10 +180,8 @@ def corrections_of(
 
 def _general(finding: Finding) -> Finding | None:
     """Return, of kinds of fault at one place that contain each other, the one that contains all."""
-    suspects = [suspect for suspect in (finding, *finding.rivals) if suspect.kind in KINDS and suspect.fit]
-    if not finding.rivals or len(suspects) <= len(finding.rivals):
-        return None
-    if any(suspect.channels != finding.channels for suspect in suspects):
+    suspects = (finding, *finding.rivals)
+    if not finding.rivals or any(s.kind not in KINDS or s.channels != finding.channels for s in suspects):
         return None
     every = {tangent for suspect in suspects for tangent in KINDS[suspect.kind].tangents}
     return next(
@@ -200,24 +199,20 @@ def _overlap(first: Correction, second: Correction) -> bool:
 
 
 def _same_geometry(first: Correction, second: Correction) -> bool:
-    first_fault, second_fault = first.fault, second.fault
-    same = (
-        first_fault is not None
-        and second_fault is not None
-        and (first.body, first_fault.kind) == (second.body, second_fault.kind)
-    )
-    return same and first.channels == second.channels and not len(first.factor) and first.estimate != ""
+    one, two = first.fault, second.fault
+    if one is None or two is None or len(first.factor):
+        return False
+    return (first.body, one.kind, first.channels) == (second.body, two.kind, second.channels)
 
 
 def _pooled(first: Correction, second: Correction) -> Correction:
     """Return the mean of two estimates of one error, weighted by their information."""
     if not len(first.parameters):
         return first
-    first_information, second_information = (
-        np.linalg.pinv(c.covariance, rcond=1e-12, hermitian=True) for c in (first, second)
-    )
-    covariance = np.linalg.pinv(first_information + second_information, rcond=1e-12, hermitian=True)
-    mean = covariance @ (first_information @ first.parameters + second_information @ second.parameters)
+    inverse = partial(np.linalg.pinv, rcond=1e-12, hermitian=True)
+    one, two = inverse(first.covariance), inverse(second.covariance)
+    covariance = inverse(one + two)
+    mean = covariance @ (one @ first.parameters + two @ second.parameters)
     return replace(first, parameters=mean, covariance=covariance)
 
 

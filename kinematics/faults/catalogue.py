@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -157,6 +158,13 @@ KINDS: dict[str, Kind] = {
 }
 
 
+# What is exchanged has no size, and no score tests.
+_EXCHANGED = {
+    kind: Kind((), (), (), sentences.exchange(verdict))
+    for kind, verdict in {"label_swap": "label_swap", "coordinates": "position"}.items()
+}
+
+
 @dataclass(frozen=True)
 class Fault:
     """A fault at one place.
@@ -168,7 +176,7 @@ class Fault:
     owner : str
         ``channel``, ``point``, ``laser``, ``body``; of exchanges also ``points``, ``beams``, ``lasers``.
     channels : list of int
-    shift_m, turn : ndarray, (n, 3), optional
+    shift_m, turn : ndarray, (n, 3), or 0
         Of an exchange: by what positions and directions of the channels change.
     places : int
         At how many places this kind of fault could be.
@@ -179,43 +187,41 @@ class Fault:
     kind: str
     owner: str
     channels: list[int]
-    shift_m: Array | None = None
-    turn: Array | None = None
+    shift_m: Array | float = 0.0
+    turn: Array | float = 0.0
     places: int = 1
     text: str = ""
 
     @property
-    def size(self) -> int:
-        """Number of real parameters."""
-        return len(KINDS[self.kind].tangents) if self.kind in KINDS else 0
+    def entry(self) -> Kind:
+        """Its kind in the catalogue."""
+        return KINDS[self.kind] if self.kind in KINDS else _EXCHANGED[self.kind]
 
     @property
-    def varies(self) -> bool:
-        """Whether the change of the readings differs from line to line."""
-        return self.kind in KINDS and KINDS[self.kind].varies
+    def size(self) -> int:
+        """Number of real parameters."""
+        return len(self.entry.tangents)
 
     def scale(self, lever_m: float) -> Array:
         """Return how large each parameter commonly is."""
-        return KINDS[self.kind].scale(lever_m) if self.kind in KINDS else np.zeros(0)
+        return self.entry.scale(lever_m)
 
     def geometry(self, arms_m: Array, directions: Array, p: Array) -> Moved:
         """Return positions and directions with the fault."""
+        if self.entry.moved is not None:
+            return self.entry.moved(arms_m, directions, self.channels, p)
         if self.kind in KINDS:
-            moved = KINDS[self.kind].moved
-            return (arms_m, directions) if moved is None else moved(arms_m, directions, self.channels, p)
-        if self.shift_m is not None:
-            arms_m = arms_m.copy()
-            arms_m[self.channels] += self.shift_m
-        if self.turn is not None:
-            directions = directions.copy()
-            directions[self.channels] += self.turn
+            return arms_m, directions
+        arms_m, directions = arms_m.copy(), directions.copy()
+        arms_m[self.channels] += self.shift_m
+        directions[self.channels] += self.turn
         return arms_m, directions
 
     def applied(self, model: Model, p: Array, data: Packed) -> Model:
         """Return a model with the fault."""
         arms, directions = self.geometry(model.arms_m, model.directions, p)
         model = model._replace(arms_m=arms, directions=directions)
-        factor = KINDS[self.kind].factor if self.kind in KINDS else None
+        factor = self.entry.factor
         if factor is None:
             return model
         return model.times(self.channels, factor(p, data.tau, data.ratio), len(data.tau))
@@ -223,13 +229,9 @@ class Fault:
     def undone(self, assumed: Assumed, p: Array) -> Assumed:
         """Return assumptions that hold this fault."""
         arms, directions = self.geometry(assumed.arms_m, assumed.directions, p)
-        assumed = replace(assumed, arms_m=arms, directions=directions)
-        factor = KINDS[self.kind].factor if self.kind in KINDS else None
-        if factor is None:
-            return assumed
-        one = factor
-        held = (self.channels, lambda tau, ratio: np.asarray(one(p, tau, ratio)))
-        return replace(assumed, factors=(*assumed.factors, held))
+        factor = self.entry.factor
+        held = () if factor is None else ((self.channels, partial(factor, p)),)
+        return replace(assumed, arms_m=arms, directions=directions, factors=(*assumed.factors, *held))
 
 
 @dataclass(frozen=True)
@@ -242,56 +244,56 @@ class Layout:
     reported_mm: Array
     file_from_here: Array
 
+    def swap(
+        self,
+        owner: str,
+        first: list[int],
+        second: list[int],
+        places: int,
+        text: str,
+        shift: Array | float = 0.0,
+    ) -> Fault:
+        """Exchange the directions of two lists of channels, one by one."""
+        beams = self.data.assumed.directions
+        apart = beams[second] - beams[first]
+        turn = np.vstack([apart, -apart])
+        return Fault("label_swap", owner, [*first, *second], shift, turn, places, text)
+
 
 def _points(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
     """Exchange the positions of two points, and their beams where these differ."""
-    arms, count = layout.data.assumed.arms_m, len(layout.points)
-    beams = layout.data.assumed.directions
+    arms, beams = layout.data.assumed.arms_m, layout.data.assumed.directions
+    places = len(layout.points) * (len(layout.points) - 1) // 2
     for one, two in combinations(names, 2):
         first, second = layout.points[one], layout.points[two]
-        apart = arms[second[0]] - arms[first[0]]
-        shift = np.vstack([np.tile(apart, (len(first), 1)), np.tile(-apart, (len(second), 1))])
-        text = f"points {one} and {two} exchanged"
-        places = count * (count - 1) // 2
+        apart, text = arms[second[0]] - arms[first[0]], f"points {one} and {two} exchanged"
+        shift = np.repeat([apart, -apart], [len(first), len(second)], axis=0)
         yield Fault("label_swap", "points", [*first, *second], shift, places=places, text=text)
         alike = [int(np.argmax(beams[second] @ beams[c])) for c in first]
         if sorted(alike) == list(range(len(second))):
             second = [second[k] for k in alike]
-            turn = beams[second] - beams[first]
-            if np.max(np.abs(turn)) > _SAME_BEAM:
-                shift, turn = np.vstack([shift[: len(first)], -shift[: len(first)]]), np.vstack([turn, -turn])
-                text = f"{text} with their beams"
-                yield Fault("label_swap", "points", [*first, *second], shift, turn, places, text)
+            swap = layout.swap("points", first, second, places, f"{text} with their beams", shift)
+            if np.max(np.abs(swap.turn)) > _SAME_BEAM:
+                yield swap
 
 
 def _beams(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
     """Exchange the directions of two beams of one point."""
-    beams, live = layout.data.assumed.directions, len(layout.data.live)
     for name in names[:4]:
         for one, two in combinations(layout.points[name], 2):
-            apart = beams[two] - beams[one]
-            turn, text = np.stack([apart, -apart]), f"two beams of point {name} exchanged"
-            yield Fault("label_swap", "beams", [one, two], turn=turn, places=live, text=text)
+            text = f"two beams of point {name} exchanged"
+            yield layout.swap("beams", [one], [two], len(layout.data.live), text)
 
 
 def _lasers(layout: Layout, _names: Sequence[str]) -> Iterator[Fault]:
     """Exchange the directions of two lasers at all points that both see."""
-    beams, points = layout.data.assumed.directions, layout.data.points
+    points = layout.data.points
     for one, two in combinations(layout.lasers, 2):
         same = {points[c]: c for c in two}
-        both = [(c, same[points[c]]) for c in one if points[c] in same]
-        if len(both) > 2:
-            first, second = [c for c, _ in both], [d for _, d in both]
-            apart = beams[second] - beams[first]
-            text = "two lasers exchanged at all points"
-            yield Fault(
-                "label_swap",
-                "lasers",
-                [*first, *second],
-                turn=np.vstack([apart, -apart]),
-                places=3,
-                text=text,
-            )
+        first = [c for c in one if points[c] in same]
+        if len(first) > 2:
+            second = [same[points[c]] for c in first]
+            yield layout.swap("lasers", first, second, 3, "two lasers exchanged at all points")
 
 
 def _coordinates(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
@@ -300,22 +302,19 @@ def _coordinates(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
     for name, own in [*((name, layout.points[name]) for name in names[:4]), ("", every)]:
         reported = layout.reported_mm[own]
         for one, two in combinations(range(3), 2):
-            order = [0, 1, 2]
-            order[one], order[two] = two, one
-            right = reported[:, order]
+            right = reported.copy()
+            right[:, [one, two]] = reported[:, [two, one]]
             shift = (right - reported) @ layout.file_from_here * 1e-3
             axes = f"{'xyz'[one]}_mm and {'xyz'[two]}_mm"
-            if not name:
-                text, owner, places = f"{axes} of all points look exchanged", "body", 3
-            else:
+            if name:
                 value = ", ".join(f"{axis}_mm {v:.4g}" for axis, v in zip("xyz", right[0], strict=True))
-                text, owner = f"{axes} of point {name} look exchanged: {value} would be right", "point"
-                places = 3 * len(layout.points)
+                owner, places = "point", 3 * len(layout.points)
+                text = f"{axes} of point {name} look exchanged: {value} would be right"
+            else:
+                owner, places, text = "body", 3, f"{axes} of all points look exchanged"
             yield Fault("coordinates", owner, list(own), shift, places=places, text=text)
 
 
-# Verdicts of exchanges, in the words of ``dof.channels.csv``.
-VERDICTS = {"coordinates": "position"}
 # Proposals of exchanges: layout and names of the suspected points, the most suspected first, to faults.
 EXCHANGES: tuple[Callable[[Layout, Sequence[str]], Iterator[Fault]], ...] = (
     _points,

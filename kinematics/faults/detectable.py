@@ -11,8 +11,7 @@ from kinematics.faults.catalogue import KINDS
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.score_information import SHIFTS, State
 from kinematics.faults.score_tests import of_one_size, scores_at
-from kinematics.faults.uncertain_positions import Marginal, Nuisance
-from kinematics.faults.variance_components import information_of
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array, ComplexArray
@@ -77,9 +76,7 @@ def detectable(fit: LineFit, body: BodyChannels, freq_hz: Array, alarm: float) -
     state = State.of(data)
     nuisance = Nuisance.of(data, np.nan_to_num(body.position_sd_mm) * 1e-3)
     near = Marginal(state, nuisance) if len(nuisance.sd) else None
-    points: dict[str, list[int]] = {}
-    for channel in data.live:
-        points.setdefault(body.points[channel], []).append(channel)
+    points = data.by_point
 
     def smallest(kind: str, places: list[list[int]]) -> Array:
         found = np.full(len(body.points), np.nan)

@@ -10,6 +10,7 @@ others gone.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,11 @@ from numpy.typing import NDArray
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
-from kinematics.faults.masking import masking_pairs
 from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.score_information import SHIFTS
 from kinematics.faults.search import FALSE_ALARM, Search
-from kinematics.faults.uncertain_positions import Nuisance
-from kinematics.faults.variance_components import information_of, likeliest_size
+from kinematics.faults.uncertain_positions import Nuisance, information_of, likeliest_size
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refit
@@ -41,6 +40,9 @@ _MANY = 30
 _LEAST_POINTS, _SMALLEST_M, _OF_LEVER, _MORE = 4, 1e-7, 0.2, 1.5
 # Up to so many points their errors are compared jointly: the memory goes with the square.
 _MOST_POINTS = 1000
+# Channels up to which all pairs are compared: with more, none hides another. Pairs that are tried, and the
+# share of the misfit that a pair must explain.
+_MOST_PAIRED, _TRIED, _EXPLAINED = 150, 3, 0.9
 # What each parameter of a single fault, and the choice of its place, costs of log likelihood next to these.
 _PER_PARAMETER = 5.0
 
@@ -58,8 +60,6 @@ class Diagnosis:
         culprits left out for the other channels.
     level : float
         Median of the energies that remain: 1 when the stated noise is right.
-    level_p : float
-        Probability of so large a total residual of the remaining channels under the stated noise.
     structure : Structure
         Of the residuals that remain.
     lines : ndarray, (channel,)
@@ -76,7 +76,6 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     energy: Array
     level: float
-    level_p: float
     structure: Structure
     lines: NDArray[np.int64]
     offsets_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -144,7 +143,7 @@ def _nothing(fit: LineFit) -> Diagnosis:
     """Return the diagnosis of data that are too few to search."""
     count = len(fit.beams.rows)
     used = np.sum(np.isfinite(fit.sd), axis=1)
-    return Diagnosis((), np.ones(count), 1.0, 1.0, no_structure(count), used, np.zeros((count, 3)))
+    return Diagnosis((), np.ones(count), 1.0, no_structure(count), used, np.zeros((count, 3)))
 
 
 class _Diagnose:
@@ -187,42 +186,33 @@ class _Diagnose:
 
     def run(self, data: Packed) -> Diagnosis:
         """Search round after round, the culprit left out each time, until nothing is found."""
-        first = self.prepared(data)
-        data = first.data
+        first = search = self.prepared(data)
         findings: list[Finding] = []
-        current = data
-        search = first
         kept = 1.0
-        while True:
-            culprit = search.best()
-            if culprit is None:
-                break
+        while (culprit := search.best()) is not None:
             if culprit.kind == "flexible" or len(findings) >= self.most:
-                body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
-                return self._many(first, search, data, findings, body)
-            findings = [*findings, culprit]
-            search = self.after(current, culprit, findings)
-            current = search.data
-            if len(findings) == 1 and findings[0].owner != "body":
+                alone = not findings and culprit.kind == "flexible"
+                return self._many(first, search, findings, culprit if alone else first.flexible())
+            findings.append(culprit)
+            search = self.after(search.data, culprit, findings)
+            if len(findings) == 1 and culprit.owner != "body":
                 kept = search.excess() / max(first.excess(), 1e-300)
-        if findings and first.structure.significant and not self._explain(first, data, findings):
-            return self._many(first, search, data, findings, first.flexible())
+        if findings and first.structure.significant and not self._explain(first, findings):
+            return self._many(first, search, findings, first.flexible())
         if len(findings) > 1:
             spread = self._scattered(first, findings)
             if spread is not None:
-                return _diagnosis((spread,), first, first)
-            findings = self._again(_as_quiet(data, current, findings), findings)
-        return _diagnosis(tuple(findings), first, search, kept)
+                return _diagnosis([spread], first, first)
+            findings = self._again(_as_quiet(first.data, search.data, findings), findings)
+        return _diagnosis(findings, first, search, kept)
 
-    def _many(
-        self, first: Search, last: Search, data: Packed, findings: list[Finding], otherwise: Finding
-    ) -> Diagnosis:
+    def _many(self, first: Search, last: Search, findings: list[Finding], otherwise: Finding) -> Diagnosis:
         """Return what explains a misfit at many places."""
         spread = self._scattered(first, findings)
-        pair = None if spread is not None else self._masked(first, data)
+        pair = None if spread is not None else self._masked(first)
         if pair is not None:
-            return _diagnosis(tuple(pair[0]), first, pair[1], 0.0)
-        return _diagnosis((spread or otherwise,), first, last)
+            return _diagnosis(pair[0], first, pair[1], 0.0)
+        return _diagnosis([spread or otherwise], first, last)
 
     def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
         """Test every finding again without the others."""
@@ -232,13 +222,12 @@ class _Diagnose:
             for other in [*confirmed, *findings[number + 1 :]]:
                 others = apply_finding(others, other)
             again = self.searched(others).best()
-            if again is not None and set(again.channels) & set(finding.channels):
-                confirmed.append(again if again.kind != "flexible" else finding)
-            elif again is not None:
-                confirmed.append(finding)
+            if again is not None:
+                same = again.kind != "flexible" and set(again.channels) & set(finding.channels)
+                confirmed.append(again if same else finding)
         return confirmed
 
-    def _explain(self, first: Search, data: Packed, findings: list[Finding]) -> bool:
+    def _explain(self, first: Search, findings: list[Finding]) -> bool:
         """Return whether findings, undone by their estimates, leave nothing to be found.
 
         Notes
@@ -249,7 +238,7 @@ class _Diagnose:
         """
         if len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY:
             return True
-        undone = correct_findings(data, findings)
+        undone = correct_findings(first.data, findings)
         return self.prepared(undone.under(self._as_stated(undone.assumed, findings))).clean()
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
@@ -271,30 +260,32 @@ class _Diagnose:
         p = min((finding.p_value for finding in [*findings, first.flexible()]), default=1.0)
         return Finding("position", list(first.live), p, None, size, text=text)
 
-    def _masked(self, first: Search, data: Packed) -> tuple[list[Finding], Search] | None:
+    def _masked(self, first: Search) -> tuple[list[Finding], Search] | None:
         """Return the faults of two channels that hide each other, and the search without them.
 
         Notes
         -----
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
-        for first_channel, second_channel in masking_pairs(first):
-            if not is_redundant(data, [first_channel, second_channel]):
+        if len(first.live) > _MOST_PAIRED or len(first.x):
+            return None
+        points = first.data.points
+        pairs = [pair for pair in combinations(first.live, 2) if points[pair[0]] != points[pair[1]]]
+        falls = first.given.left_out(np.array(pairs, dtype=np.intp).reshape(-1, 2))
+        for k in np.argsort(-falls)[:_TRIED]:
+            pair = list(pairs[k])
+            if falls[k] <= _EXPLAINED * first.excess() or not is_redundant(first.data, pair):
                 continue
-            last = self.searched(data.under(data.assumed.without([first_channel, second_channel])))
+            last, *alone = (
+                self.searched(first.data.under(first.data.assumed.without(out)))
+                for out in (pair, pair[1:], pair[:1])
+            )
             if not last.clean():
                 continue
-            alone = [
-                self.searched(data.under(data.assumed.without([c]))).best()
-                for c in (second_channel, first_channel)
-            ]
-            pair = [other for other in alone if other is not None and other.fit is not None]
-            if any(other.kind == "drift" for other in pair):
-                continue
-            if [other.channels for other in pair] != [[first_channel], [second_channel]]:
-                continue
-            if self._explain(first, data, pair):
-                return pair, last
+            faults = [fault for search in alone if (fault := search.best()) is not None]
+            named = [fault.channels for fault in faults if fault.fit is not None and fault.kind != "drift"]
+            if named == [pair[:1], pair[1:]] and self._explain(first, faults):
+                return faults, last
         return None
 
 
@@ -308,19 +299,18 @@ def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
     return data.under(assumed)
 
 
-def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:
+def _diagnosis(findings: list[Finding], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:
     whole = any(finding.kind == "flexible" for finding in findings)
+    shown = first if whole else last
     energy = first.energy.copy()
-    if not whole:
-        energy[last.live] = last.energy[last.live]
+    energy[shown.live] = shown.energy[shown.live]
     return Diagnosis(
-        findings,
+        tuple(findings),
         energy,
         last.level,
-        last.level_p(),
-        (first if whole else last).structure,
+        shown.structure,
         np.round(first.columns).astype(np.int64),
-        (first if whole else last).offsets_m,
+        shown.offsets_m,
         1.0 if whole else kept,
         first.data.source.course,
     )

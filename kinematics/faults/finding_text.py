@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinematics.faults.catalogue import KINDS, VERDICTS
 from kinematics.faults.findings import Finding
 from kinematics.measurement import BodyChannels
 
@@ -47,11 +46,11 @@ def _parallel(body: BodyChannels) -> bool:
 def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     """Return verdict and estimate of a finding without its rivals."""
     if finding.text:
-        return VERDICTS.get(finding.kind, finding.kind), finding.text
+        return finding.kind, finding.text
     if finding.kind == "noise":
         return "noise", f"noise {finding.size:.3g} times that of its sd"
     if finding.kind == "flexible" or finding.fit is None:
         if not finding.size > 0.0:
             return "flexible", "non-rigid motion of a size that these data do not determine"
         return "flexible", f"non-rigid motion {100.0 * finding.size:.2g} % of the motion"
-    return KINDS[finding.kind].sentence(finding.fit, body)
+    return finding.fit.fault.entry.sentence(finding.fit, body)

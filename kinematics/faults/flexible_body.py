@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.faults.score_information import State
@@ -26,10 +25,8 @@ class Structure:
 
     Attributes
     ----------
-    ratio : float
-        Largest eigenvalue of the residual covariance relative to the edge expected for noise.
     p_value : float
-        Upper bound on the probability of that under noise.
+        Upper bound on the probability of so large an eigenvalue of the residual covariance under noise.
     concentrated : bool
         One or two points carry nearly all of the pattern.
     gain : float
@@ -40,7 +37,6 @@ class Structure:
         From where on the residuals exceed the noise; NaN when from the first lines, or nowhere.
     """
 
-    ratio: float
     p_value: float
     concentrated: bool
     gain: float
@@ -55,7 +51,7 @@ class Structure:
 
 def no_structure(channels: int) -> Structure:
     """Return the structure of residuals that show none."""
-    return Structure(0.0, 1.0, True, 0.0, np.zeros(channels))
+    return Structure(1.0, True, 0.0, np.zeros(channels))
 
 
 def structure_of(state: State, scale: float = 1.0) -> Structure:
@@ -76,7 +72,7 @@ def structure_of(state: State, scale: float = 1.0) -> Structure:
     data = state.data
     count = len(data.points)
     live = np.array(data.live)
-    both = np.concatenate([state.e, state.rest], axis=2)
+    both = state.both
     residual = both.transpose(1, 0, 2).reshape(count, -1)[live]
     free, lines = float(np.mean(state.free())), residual.shape[1]
     if free < 2.0 or lines < 8:
@@ -94,12 +90,13 @@ def structure_of(state: State, scale: float = 1.0) -> Structure:
     width = (np.sqrt(lines) + np.sqrt(free)) * (lines**-0.5 + free**-0.5) ** (1.0 / 3.0) / lines
     s = (values[0] / level - edge) / width
     p = float(np.exp(-4.0 / 3.0 * s**1.5)) if s > 0.0 else 1.0
-    pattern = np.zeros(count)
-    pattern[live] = np.abs(shape) * np.sqrt(max(float(values[0]), 0.0))
+    pattern = np.zeros(count, dtype=complex)
+    pattern[live] = shape
     above = values[values > level * (edge + 3.0 * width)]
     gain = float(lines * np.sum(above - edge * level))
     begins = _begins(state, both, level) if p < _LIKELY else float("nan")
-    return Structure(values[0] / level / edge, p, _concentrated(state, live, shape), gain, pattern, begins)
+    size = np.abs(pattern) * np.sqrt(max(float(values[0]), 0.0))
+    return Structure(p, _concentrated(state, pattern), gain, size, begins)
 
 
 def _begins(state: State, both: ComplexArray, level: float) -> float:
@@ -139,23 +136,16 @@ def _median_factor(free: float, lines: int) -> float:
     return float(grid[np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
-def _concentrated(state: State, live: NDArray[np.intp], pattern: ComplexArray) -> bool:
-    """Return whether faults at one point, or at two, could make the pattern alone."""
-    groups: dict[str, list[int]] = {}
-    for place, channel in enumerate(live):
-        groups.setdefault(state.data.points[channel], []).append(place)
-    span = state.span[0][live]
-    shares = {name: _share(span, own, pattern) for name, own in groups.items()}
+def _concentrated(state: State, pattern: ComplexArray) -> bool:
+    """Return whether faults at one point, or at two, could make a unit pattern (channel,) alone."""
+    alone = replace(state, span=state.span[:1], e=pattern[None, :, None])
+    points = state.data.by_point
+
+    def share(*names: str) -> float:
+        return float(alone.left_out(np.array([[c for name in names for c in points[name]]]))[0])
+
+    shares = {name: share(name) for name in points}
     if max(shares.values()) > _ONE_POINT:
         return True
     best = sorted(shares, key=lambda name: -shares[name])[:4]
-    pairs = [_share(span, groups[a] + groups[b], pattern) for a, b in combinations(best, 2)]
-    return len(groups) > 4 and max(pairs, default=0.0) > _TWO_POINTS
-
-
-def _share(span: NDArray[np.complex128], channels: list[int], pattern: ComplexArray) -> float:
-    """Return the part of a unit pattern in the residual directions of a set of channels."""
-    rows = span[channels]
-    values, vectors = np.linalg.eigh(np.eye(len(channels)) - rows @ rows.conj().T)
-    along = np.abs(vectors.conj().T @ pattern[channels]) ** 2
-    return float(np.sum(along[values > 1e-9] / values[values > 1e-9]))
+    return len(points) > 4 and max(share(*pair) for pair in combinations(best, 2)) > _TWO_POINTS

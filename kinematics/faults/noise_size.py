@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.packed_readings import Packed
+from kinematics.faults.packed_readings import LEAST_SEGMENTS, Packed
 from kinematics.faults.score_information import State
 from kinematics.faults.uncertain_positions import Marginal, Nuisance
 from stapeskit.arrays import Array, ComplexArray
 
 # Fewer values than this show no noise of their own.
 LEAST_SAMPLES = 8
-# Fewer groups than this show no drift.
-_SEGMENTS = 4
 # Leverage at which a channel has no residual left.
 _WHOLE = 0.999
 # The mean over the channels is taken for their median unless they differ by so many standard deviations.
@@ -68,32 +66,21 @@ def channel_noise(state: State) -> ChannelNoise:
     the motion times a line over the measurement: both are projected off.
     """
     data, live = state.data, state.data.live
-    count = len(data.points)
-    e, rest = _flat(state.plain(state.e)), _flat(state.plain(state.rest))
-    kept = np.maximum(1.0 - state.leverage, 0.0) * (data.weight > 0.0)
-    mean_kept = np.sum(kept, axis=0) / np.maximum(np.sum(data.weight > 0.0, axis=0), 1)
-    even = len(data.weight) == 1 or float(np.ptp(data.weight, axis=0).max()) <= 1e-9 * float(
-        data.weight.max()
-    )
-    columns = np.sum(data.weight > 0.0, axis=0) * float(state.z.shape[2])
-    z = _moving(state)
-    held = np.zeros((count, 0), dtype=complex)
-    if even:
-        taken = len(z)
-        number = np.where(columns > 0.0, columns - taken + rest.shape[1], 0.0)
-        white = _flat(state.e)
-        if np.max(number, initial=0.0) < LEAST_SAMPLES or taken >= white.shape[1]:
-            number, held = columns + (columns > 0.0) * rest.shape[1], np.hstack([white, _flat(state.rest)])
-        else:
-            off = white
-            if taken:
-                base = np.linalg.qr(z.conj().T)[0]
-                off = white - (white @ base) @ base.conj().T
-            held = np.hstack([off, _flat(state.rest)])
-        plain = held if data.whiten is None else state.back @ held
-        energy = np.sum(np.abs(plain) ** 2, axis=1)
+    used = data.weight > 0.0
+    kept = np.maximum(1.0 - state.leverage, 0.0) * used
+    mean_kept = np.sum(kept, axis=0) / np.maximum(np.sum(used, axis=0), 1)
+    columns = np.sum(used, axis=0) * float(state.z.shape[2])
+    z, e, rest = _moving(state), _flat(state.e), _flat(state.rest)
+    number = columns + (columns > 0.0) * rest.shape[1]
+    if len(data.weight) == 1 or np.ptp(data.weight, axis=0).max() <= 1e-9 * data.weight.max():
+        if np.max(number) - len(z) >= LEAST_SAMPLES and len(z) < e.shape[1]:
+            base = np.linalg.qr(z.conj().T)[0]
+            e, number = e - (e @ base) @ base.conj().T, number - (columns > 0.0) * len(z)
+        held = np.hstack([e, rest])
+        energy = np.sum(np.abs(state.plain(held)) ** 2, axis=1)
     else:
-        number, energy = columns.copy(), np.sum(np.abs(e) ** 2, axis=1) + np.sum(np.abs(rest) ** 2, axis=1)
+        held, e = e[:, :0], state.plain(e)
+        energy = np.sum(np.abs(e) ** 2, axis=1) + np.sum(np.abs(state.plain(rest)) ** 2, axis=1)
         enough = np.array([c for c in live if columns[c] - len(z) >= LEAST_SAMPLES], dtype=np.intp)
         if len(z) and len(enough):
             energy[enough] = _off_each(e[enough], z, _column_weight(state, enough))
@@ -150,9 +137,9 @@ def _column_weight(state: State, channels: NDArray[np.intp]) -> Array:
 
 
 def _rows(state: State, z: ComplexArray) -> ComplexArray:
-    """Return the motion (m or 2 m, columns), and where there are enough groups its multiples by place."""
+    """Return the motion (m or 2 m, columns), and where there are enough lines its multiples by place."""
     flat = _flat(z)
-    if len(state.data.tau) >= _SEGMENTS:
+    if len(z) >= LEAST_SEGMENTS and not state.data.few:
         flat = np.vstack([flat, flat * np.repeat(state.data.tau, z.shape[2])])
     return np.asarray(flat)
 
@@ -160,11 +147,12 @@ def _rows(state: State, z: ComplexArray) -> ComplexArray:
 def _moving(state: State) -> ComplexArray:
     """Return the motion well above the noise of any one channel: along others it is noise itself."""
     weight = np.sqrt(np.mean(state.data.weight**2, axis=1))
-    flat = _flat(state.z.transpose(0, 1, 2) * weight[:, None, None])
+    flat = _flat(state.z * weight[:, None, None])
     vectors, s, _ = np.linalg.svd(flat @ flat.conj().T)
     free = max(float(np.mean(state.free())), 1.0)
-    lines = flat.shape[1]
-    noise = min(state.energy / free, float(lines)) if state.energy > 0.0 else float(lines)
+    # Gathered, the motion of few lines would lie in half as many columns.
+    lines = flat.shape[1] / (2.0 if state.data.few else 1.0)
+    noise = min(state.energy / free, lines) if state.energy > 0.0 else lines
     # In units of the noise of a reading the basis of the beams is orthonormal.
     z = vectors[:, s > _MOVING * noise].conj().T[None] @ state.z
     return _rows(state, z)
@@ -200,8 +188,8 @@ def common_level(data: Packed, nuisance: Nuisance) -> tuple[float, float]:
     units of their sd, the real residuals have the variance v / 2 + lambda_i, along all others v / 2.
     """
     state = State.of(data)
-    energy = state.energy + float(np.sum(np.abs(state.rest) ** 2))
-    number = 2.0 * float(np.sum(state.free()) * (state.z.shape[2] + state.rest.shape[2]))
+    energy = float(np.sum(np.abs(state.both) ** 2))
+    number = 2.0 * float(np.sum(state.free()) * state.both.shape[2])
     if not number > 0.0 or not energy > 0.0:
         return 0.0, 1.0
     plain = 2.0 * energy / number

@@ -9,9 +9,8 @@ weight zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,8 @@ from stapeskit.spatial import cross, point_rows
 
 # A factor of readings by place in the measurement (-1 to 1) and frequency over its mean.
 Factor = Callable[[Array, Array], ComplexArray]
+# Segments that show a change over the lines; fewer lines than give so many are kept as they are.
+LEAST_SEGMENTS = 4
 # Segments of lines that are packed each by itself: a drift is seen so finely.
 _SEGMENTS = 12
 # Values up to which all lines are kept for faults that change from line to line, and segments of more.
@@ -192,6 +193,19 @@ class Packed:
         return self.source.points
 
     @property
+    def few(self) -> bool:
+        """Whether complete lines are too few to be gathered into segments that show a drift."""
+        return self.source.sd is None and len(self.source.lines) < 2 * LEAST_SEGMENTS * self.size
+
+    @property
+    def by_point(self) -> dict[str, list[int]]:
+        """Channels in use of each point."""
+        channels: dict[str, list[int]] = {}
+        for channel in self.live:
+            channels.setdefault(self.points[channel], []).append(channel)
+        return channels
+
+    @property
     def size(self) -> int:
         """Number of degrees of freedom."""
         return len(self.source.beams.dof)
@@ -220,6 +234,12 @@ class Packed:
             rest=self.rest / factor,
             weight=self.weight / factor,
         )
+
+    def blanked(self, channels: Sequence[int]) -> Packed:
+        """Return the columns without the readings of some channels."""
+        y, weight = self.y.copy(), self.weight.copy()
+        y[:, channels] = weight[:, channels] = 0.0
+        return replace(self, y=y, weight=weight)
 
     def merged(self, z: ComplexArray) -> Packed:
         """Return all groups merged into one, for faults that are the same at all lines.
@@ -252,21 +272,24 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
     place = np.linspace(0.0, 1.0, 2 * len(assumed.level) + 1)[1::2]
     course = np.interp(np.linspace(0.0, 1.0, len(source.lines)), place, assumed.level)
     live = np.isfinite(assumed.loud)
+    loud = np.sqrt(2.0 * source.spread) * np.where(live, assumed.loud, 1.0)
     whiten = None if assumed.correlation is None else whitening(assumed.correlation, live)
-    loud = np.where(live, assumed.loud, 1.0)
-    single = fine and source.value.shape[0] * len(source.lines) < _FINE_VALUES
-    if source.sd is not None or single:
-        value = source.value[:, source.lines]
-        stated = source.share[:, None] * source.line if source.sd is None else source.sd
-        sd = stated * loud[:, None] * course
-        weight = np.where(live[:, None] & np.isfinite(sd), np.sqrt(0.5) / sd, 0.0)
-        value = np.where(weight > 0.0, value, 0.0)
-        divide(value, weight, assumed, source.tau, source.ratio)
-        weight = (weight / np.sqrt(source.spread)).T
-        y = whitened((weight * value.T)[:, :, None], whiten)
-        return Packed(source, assumed, y, y[:, :, :0], weight, source.tau, source.ratio, whiten)
-    gathered = _gathered(source, assumed, loud, live, course, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
-    return replace(gathered, whiten=whiten)
+    # Noise that neighbouring lines have in common shows only where lines are gathered.
+    few = source.spread == 1.0 and len(source.lines) < 2 * LEAST_SEGMENTS * len(source.beams.dof)
+    if source.sd is None and not few and not (fine and len(source.value) * len(source.lines) < _FINE_VALUES):
+        return _gathered(source, assumed, live / (source.share * loud), course, whiten, fine)
+    value = source.value[:, source.lines]
+    if source.sd is None:
+        # The course of the noise over the lines is in the motion.
+        value = value / (source.line * course)
+        weight = np.repeat((live / (source.share * loud))[:, None], value.shape[1], axis=1)
+    else:
+        sd = source.sd * loud[:, None] * course
+        weight = np.where(live[:, None] & np.isfinite(sd), 1.0 / sd, 0.0)
+    value = np.where(weight > 0.0, value, 0.0)
+    divide(value, weight, assumed, source.tau, source.ratio)
+    y = whitened((weight * value).T[:, :, None], whiten)
+    return Packed(source, assumed, y, y[:, :, :0], weight.T, source.tau, source.ratio, whiten)
 
 
 def divide(value: ComplexArray, weight: Array, assumed: Assumed, tau: Array, ratio: Array) -> None:
@@ -283,58 +306,40 @@ def whitened(y: NDArray[Any], whiten: Array | None) -> NDArray[Any]:
 
 
 def _gathered(
-    source: Source,
-    assumed: Assumed,
-    loud: Array,
-    live: NDArray[np.bool_],
-    course: Array,
-    whiten: Array | None,
-    most: int,
+    source: Source, assumed: Assumed, scale: Array, course: Array, whiten: Array | None, fine: bool
 ) -> Packed:
-    size = len(source.beams.dof)
-    number = len(source.lines)
-    parts = int(np.clip(number // (2 * size), 1, most))
-    edges = np.linspace(0, number, parts + 1).round().astype(int)
-    shortest = int(np.min(np.diff(edges)))
-    columns = min(size, shortest)
-    samples = max(min(_REST // parts, _HELD // len(live) // parts, shortest - columns), 0)
-    beams = source.beams
-    basis = point_rows(assumed.arms_m, assumed.directions) @ beams.to_six
-    made_y, made_rest, weights, tau, ratio = [], [], [], [], []
+    """Gather the motion of each segment of lines; ``scale`` (channel,) is one over the noise."""
+    size, number = len(source.beams.dof), len(source.lines)
+    parts = min(number // (2 * size), _FINE_SEGMENTS if fine else _SEGMENTS)
+    edges = np.linspace(0, number, max(parts, min(LEAST_SEGMENTS, number)) + 1).round().astype(int)
+    parts, shortest = len(edges) - 1, int(np.min(np.diff(edges)))
+    size = min(size, shortest)
+    samples = min(_REST // parts, _HELD // len(scale) // parts, shortest - size)
+    basis = point_rows(assumed.arms_m, assumed.directions) @ source.beams.to_six
     whole = number == source.value.shape[1]
-    for start, stop in pairwise(edges):
-        part = slice(start, stop)
-        value = source.value[:, part if whole else source.lines[part]]
-        mean = live / (np.sqrt(2.0) * source.share * loud)
+    made: list[tuple[ComplexArray, ComplexArray, Array, float, float]] = []
+    for part in map(slice, edges[:-1].tolist(), edges[1:].tolist()):
+        value, mean = source.value[:, part if whole else source.lines[part]], scale
         if assumed.factors:
-            value, weight = np.array(value), np.repeat(mean[:, None], stop - start, axis=1)
+            value, weight = np.array(value), np.repeat(mean[:, None], part.stop - part.start, axis=1)
             divide(value, weight, assumed, source.tau[part], source.ratio[part])
             mean = np.sqrt(np.mean(weight**2, axis=1))
         line = 1.0 / (source.line[part] * course[part])
         solve = solver(whitened((mean[:, None] * basis)[None], whiten))[0]
-        solve = (solve if whiten is None else solve @ whiten) * mean
-        z = _product(solve, value) * line
-        turn = np.linalg.qr(z.conj().T)[0][:, :columns]
+        z = _product((solve if whiten is None else solve @ whiten) * mean, value) * line
+        turn = np.linalg.qr(z.conj().T)[0][:, :size]
         # The beams may see no motion: its directions are noise then, and as good as any others.
         y = value @ (line[:, None] * turn)
-        rest = mean[:, None] * _sampled(value, line, turn, y, samples)
-        made_y.append(whitened((mean[:, None] * y)[None], whiten)[0] / np.sqrt(source.spread))
-        made_rest.append(whitened(rest[None], whiten)[0])
+        rest = _sampled(value, line, turn, y, samples)
         # The course of the noise over the lines is in the motion of the columns.
-        weights.append(mean / np.sqrt(source.spread))
         power = np.mean(np.abs(z) ** 2, axis=0)
         share = power / max(float(np.sum(power)), 1e-300)
-        tau.append(float(share @ source.tau[part]))
-        ratio.append(float(share @ source.ratio[part]))
-    return Packed(
-        source,
-        assumed,
-        np.stack(made_y),
-        np.stack(made_rest),
-        np.stack(weights),
-        np.array(tau),
-        np.array(ratio),
-    )
+        at = float(share @ source.tau[part]), float(share @ source.ratio[part])
+        # Noise that neighbouring lines have in common widens what is gathered, not single lines.
+        rest = np.sqrt(source.spread) * mean[:, None] * rest
+        made.append((mean[:, None] * y, rest, mean, *at))
+    y, rest, weight, tau, ratio = (np.array(parts) for parts in zip(*made, strict=True))
+    return Packed(source, assumed, whitened(y, whiten), whitened(rest, whiten), weight, tau, ratio, whiten)
 
 
 def _product(real: Array, value: ComplexArray) -> ComplexArray:

@@ -22,26 +22,22 @@ _CORRECTIONS, _MOST_CORRECTED = 15, 150
 _UNSEEN = 1e-6
 # Probability by which independent noise shows such correlations.
 _LIKELY = 1e-3
-# Samples of a prior without correlation.
+# Samples of a prior without correlation, so that the inverse of an estimate is not too large.
 _SHRINK = 5.0
 
 
 def with_point_noise(state: State, noise: ChannelNoise) -> Packed:
     """Return the data of a fit whose noise within points is whitened, where it is correlated."""
-    data = state.data
-    if (
-        len(data.points) > _MOST_CHANNELS
-        or not noise.held.shape[1]
-        or noise.least < _LEAST_SAMPLES
-        or len(_points(data)) < 2
-    ):
+    data, samples = state.data, noise.least
+    if len(data.points) > _MOST_CHANNELS or not noise.held.shape[1] or len(_points(data)) < 2:
         return data
-    if by_chance(state, noise.held, noise.least):
+    if samples < _LEAST_SAMPLES or by_chance(state, noise.held, samples):
         return data
-    covariance = point_covariance(state, noise.held[None], noise.least)
+    covariance = point_covariance(state, noise.held, samples)
     if covariance is None:
         return data
-    correlation = scaled(covariance, noise.least)[0]
+    correlation = scaled(covariance) / (1.0 + _SHRINK / samples)
+    np.fill_diagonal(correlation, 1.0)
     return data.under(replace(data.assumed, correlation=correlation))
 
 
@@ -51,7 +47,7 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     Parameters
     ----------
     state : State
-    residual : ndarray, (group, channel, n), complex
+    residual : ndarray, (channel, n), complex
         Whitened residuals.
     samples : float
         Independent values of a channel in them.
@@ -67,10 +63,9 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     by repeated correction of those measured.
     """
     data = state.data
-    held = state.plain(residual)
-    flat = held.transpose(1, 0, 2).reshape(held.shape[1], -1)
+    flat = state.plain(residual)
     own = _points(data)
-    if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
+    if samples < _LEAST_SAMPLES or max(map(len, own)) > _MOST_AT_POINT:
         return None
     wanted = np.zeros((len(flat),) * 2, dtype=bool)
     for channels in own:
@@ -88,16 +83,11 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     return covariance if np.all(np.diag(covariance)[data.live] > 0.0) else None
 
 
-def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
-    """Return the correlation (channel, channel) and the standard deviations (channel,); 1 where none.
-
-    With few samples it is shrunk towards none, so that its inverse is not too large.
-    """
+def scaled(covariance: Array) -> Array:
+    """Return the correlation (channel, channel) of a covariance."""
     size = np.diag(covariance)
     sd = np.sqrt(np.where(size > 0.0, size, 1.0))
-    correlation = covariance / np.outer(sd, sd) / (1.0 + _SHRINK / samples)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation, sd
+    return covariance / np.outer(sd, sd)
 
 
 def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
@@ -151,7 +141,4 @@ def _products(values: ComplexArray) -> Array:
 
 def _points(data: Packed) -> list[NDArray[np.intp]]:
     """Return the channels in use of the points that have several."""
-    groups: dict[str, list[int]] = {}
-    for channel in data.live:
-        groups.setdefault(data.points[channel], []).append(channel)
-    return [np.array(channels) for channels in groups.values() if len(channels) > 1]
+    return [np.array(own) for own in data.by_point.values() if len(own) > 1]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.catalogue import KINDS, OF_MANY, Fault
+from kinematics.faults.catalogue import OF_MANY, Fault
 from kinematics.faults.packed_readings import Packed, Source, packed
-from kinematics.faults.score_information import Model, State, model_of
+from kinematics.faults.score_information import Model, State, model_of, weighted_rows
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from stapeskit.arrays import Array, ComplexArray
 
@@ -22,8 +22,6 @@ from stapeskit.arrays import Array, ComplexArray
 # next to errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of
 # the scenes changes with a limit of 6 or 24.
 _ROUNDS = 12
-# Segments or lines that a change over the lines needs, to be distinguished from level, slope and bend.
-_COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5
 # Share of a change of the readings, squared, below which what the motion leaves of it is not seen.
@@ -61,7 +59,7 @@ class FaultFit:
 
         Without rows for faults of the geometry.
         """
-        factor = KINDS[self.fault.kind].factor if self.fault.kind in KINDS else None
+        factor = self.fault.entry.factor
         if factor is None or self.source is None:
             return np.zeros((0, len(freq_hz)), dtype=complex)
         place = np.interp(np.arange(len(freq_hz)), self.source.lines, self.source.tau)
@@ -84,26 +82,20 @@ class _Trial:
 
 
 class Refit:
-    """Fits of faults to data with nuisance parameters; ``before`` is the objective without fault."""
+    """Fits of faults to data with nuisance parameters; ``before`` is the objective without fault.
+
+    ``flat`` are the data for faults that are the same at all lines, ``start`` the nuisance parameters.
+    """
 
     def __init__(self, data: Packed, nuisance: Nuisance, start: Array, before: float, flat: Packed) -> None:
-        self.data, self.nuisance, self.before = data, nuisance, before
-        self.start = start
-        self.flat = flat
+        self.data, self.nuisance, self.start, self.before, self.flat = data, nuisance, start, before, flat
         self.lever = data.source.beams.lever_m
-        self._unmoved: dict[int, Marginal] = {}
-
-    @property
-    def coarse(self) -> bool:
-        """Whether segments are too few to show a change from line to line that the lines show."""
-        return len(self.data.y) < _COARSE <= len(self.data.source.lines)
 
     @cached_property
     def fine(self) -> tuple[Packed, float]:
         """The data that judge faults of many channels, and their objective without fault.
 
-        A large fault of many channels hides motion from the fit, so that it is not gathered with it, and a
-        change from line to line shows more finely than segments do.
+        A large fault of many channels hides motion from the fit, so that it is not gathered with it.
         """
         data = packed(self.data.source, self.data.assumed, fine=True)
         null = State.of(data, self.nuisance.applied(model_of(data), self.start))
@@ -116,52 +108,41 @@ class Refit:
 
     def sight(self, fault: Fault) -> float:
         """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
-        zero = np.zeros(0)
         starts = [self.start, np.zeros_like(self.start)] if len(self.start) else [self.start]
-        return min(self._try(self.flat, fault, zero, x).value for x in starts)
+        return min(self._try(self.flat, fault, np.zeros(0), x).value for x in starts)
 
     def most(self, channels: Sequence[int]) -> float:
         """Return by how much the objective falls without some channels: no fault of theirs takes more."""
         if self.data.whiten is not None:
             return np.inf
-        weight, y = self.data.weight.copy(), self.data.y.copy()
-        weight[:, channels], y[:, channels] = 0.0, 0.0
-        state, x = estimate_nuisance(replace(self.data, weight=weight, y=y), self.nuisance)
+        state, x = estimate_nuisance(self.data.blanked(channels), self.nuisance)
         return self.before - state.energy - self.nuisance.penalty(x)
 
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
-        judge, before = self.data, self.before
-        fine = self.coarse or (fault.owner in OF_MANY and self.data.source.sd is None)
-        if fine:
-            judge, before = self.fine
-        data = judge if fault.varies else self.flat
-        now = min(
-            (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault)),
-            key=lambda trial: trial.value,
-        )
-        now, inverse = self._improved(data, fault, now)
+        many = fault.owner in OF_MANY
+        judge, before = self.fine if many and self.data.source.sd is None else (self.data, self.before)
+        data = judge if fault.entry.varies else self.flat
+        trials = (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault))
+        now, inverse = self._improved(data, fault, min(trials, key=lambda trial: trial.value))
         if data is not judge:
             now = self._try(judge, fault, now.theta, now.x)
-            if fine or fault.owner in OF_MANY:
-                # What is packed without it holds a large fault only in part.
+            if many or not judge.rest.size:
+                # What is gathered without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
-        value = now.value
-        covariance = 0.5 * inverse[: fault.size, : fault.size]
-        return FaultFit(fault, now.theta, covariance, before - value, self.data.source)
+        return FaultFit(fault, now.theta, 0.5 * inverse, before - now.value, self.data.source)
 
     def refined(self, fit: FaultFit) -> FaultFit:
         """Return a fit of a fault that changes from line to line, by single lines instead of segments."""
-        if not fit.fault.varies or self.data.source.sd is not None:
+        if not fit.fault.entry.varies or self.data.source.sd is not None:
             return fit
-        data, _ = self.fine
+        data = self.fine[0]
         start = self._try(data, fit.fault, fit.parameters, self.start)
         now, inverse = self._improved(data, fit.fault, start)
-        size = fit.fault.size
-        return replace(fit, parameters=now.theta, covariance=0.5 * inverse[:size, :size])
+        return replace(fit, parameters=now.theta, covariance=0.5 * inverse)
 
     def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
-        """Take steps until they help no more; return the inverse of the information too."""
+        """Take steps until they help no more; return the inverse of the information on the fault too."""
         inverse = np.zeros((0, 0))
         for _ in range(_ROUNDS if fault.size + len(self.start) else 0):
             step, inverse = self._step(data, fault, now)
@@ -181,94 +162,57 @@ class Refit:
         """Return first parameters: no fault, the opposite sign, what the other channels show."""
         size = fault.size
         thetas = [np.zeros(size)]
-        if size and KINDS[fault.kind].flips:
-            thetas.append(np.concatenate([[-2.0], np.zeros(size - 1)]))
+        if fault.entry.flips:
+            thetas.append(-2.0 * np.eye(size)[0])
         if size and 2 * len(fault.channels) < len(data.live):
-            alone = self._alone(data, fault)
-            if alone is not None:
-                thetas.append(alone)
+            others = State.of(data.blanked(fault.channels))
+            if others.determined:
+                # What the fault's channels lack of the motion of the others, to first order.
+                t = self._tangents(data, fault, thetas[0], model_of(data), others.z).reshape(size, -1)
+                own = weighted_rows(data, model_of(data), fault.channels)
+                error = data.y[:, fault.channels] - own @ others.z
+                normal = np.linalg.pinv(np.real(t.conj() @ t.T), rcond=1e-8, hermitian=True)
+                thetas.append(normal @ np.real(t.conj() @ error.ravel()))
         # Next to a large fault the nuisance parameters of the fit without it are far off.
         starts = [(theta, np.zeros_like(self.start)) for theta in thetas]
-        return [*starts, (np.zeros(size), self.start)] if len(self.start) else starts
-
-    def _alone(self, data: Packed, fault: Fault) -> Array | None:
-        """Return the parameters of a fault against the motion of all other channels, to first order."""
-        left = data.weight.copy()
-        left[:, fault.channels] = 0.0
-        base = model_of(data)
-        own: NDArray[np.float64] = left[:, :, None] * data.rows(base.arms_m, base.directions)
-        gram = own.swapaxes(1, 2) @ own
-        if np.min(np.linalg.eigvalsh(gram)[:, 0]) < 1e-6 * np.max(np.trace(gram, axis1=1, axis2=2)):
-            return None
-        kept = left > 0.0
-        z = np.linalg.solve(gram, own.swapaxes(1, 2) @ np.where(kept[:, :, None], data.y, 0.0))
-        channels = np.array(fault.channels)
-        rows = data.weight[:, channels, None] * data.rows(base.arms_m[channels], base.directions[channels])
-        error = data.y[:, channels] - rows @ z
-        t = self._tangents(data, fault, np.zeros(fault.size), base, z)
-        flat = t.reshape(len(t), -1)
-        normal = np.real(flat.conj() @ flat.T)
-        score = np.real(flat.conj() @ error.ravel())
-        return np.asarray(np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ score)
+        return [*starts, (thetas[0], self.start)] if len(self.start) else starts
 
     def _tangents(
         self, data: Packed, fault: Fault, theta: Array, base: Model, z: NDArray[Any]
     ) -> ComplexArray:
         """Return derivatives (p, group, n, column) of the readings of the fault's channels."""
         channels = np.array(fault.channels)
-        scale = fault.scale(self.lever)
 
         def rows(p: Array) -> NDArray[Any]:
-            model = fault.applied(base, p, data)
-            weighted = data.weight[:, channels, None] * data.rows(
-                model.arms_m[channels], model.directions[channels]
-            )
-            return weighted if model.factor is None else model.factor[:, channels, None] * weighted
+            return weighted_rows(data, fault.applied(base, p, data), channels)
 
         here = rows(theta)
-        tangents = []
-        for k in range(len(theta)):
-            step = np.zeros(len(theta))
-            step[k] = _STEP * scale[k]
-            tangents.append(((rows(theta + step) - here) / step[k]) @ z)
-        return np.stack(tangents) if tangents else np.zeros((0, *z[:, :1].shape), dtype=complex)
+        steps = _STEP * fault.scale(self.lever)
+        moved = [(rows(theta + step) - here) / np.sum(step) for step in np.diag(steps)]
+        return np.reshape(moved, (len(steps), *here.shape)) @ z
 
     def _step(self, data: Packed, fault: Fault, now: _Trial) -> tuple[Array, Array]:
         """Return the step of all parameters, and the inverse of the information on those of the fault.
 
-        The nuisance parameters are eliminated first (Schur complement), so that their information is
-        factorised once for all faults that start from the same fit.
+        The nuisance parameters are eliminated (Schur complement).
         """
-        size, near = fault.size, self._near(data, fault, now)
-        pull = near.score - 0.5 * now.x / self.nuisance.sd**2 if near else now.x
-        free = near.solved(pull) if near else now.x
-        if not size:
+        near = Marginal(now.state, self.nuisance)
+        pull = near.score - 0.5 * now.x / self.nuisance.sd**2
+        free = near.solved(pull)
+        if not fault.size:
             return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
         base = self.nuisance.applied(model_of(data), now.x)
         t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
         sums = now.state.sums(groups, t)
-        score, information = sums.score[0], sums.information[0]
-        whole = np.diag(information) + np.sum(sums.taken[0] ** 2, axis=1)
-        unit = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
-        if near is None:
-            inverse = _inverse(information, unit)
-            return inverse @ score, inverse
         shared = near.common(groups, t, sums.taken)[0]
         held = near.solved(shared.T)
-        inverse = _inverse(information - shared @ held, unit)
-        step = inverse @ (score - pull @ held)
+        whole = np.diag(sums.information[0]) + np.sum(sums.taken[0] ** 2, axis=1)
+        # A parameter that does not show at its usual size is none that rounding should show.
+        unit = 1.0 / np.sqrt(np.maximum(whole, fault.scale(self.lever) ** -2.0))
+        inverse = _inverse(sums.information[0] - shared @ held, unit)
+        step = inverse @ (sums.score[0] - pull @ held)
         return np.concatenate([step, free - held @ step]), inverse
-
-    def _near(self, data: Packed, fault: Fault, now: _Trial) -> Marginal | None:
-        """Return the information on the nuisance parameters; that of the fit without any error is kept."""
-        if not len(self.start):
-            return None
-        if not fault.size or np.any(now.theta) or np.any(now.x):
-            return Marginal(now.state, self.nuisance)
-        if id(data) not in self._unmoved:
-            self._unmoved[id(data)] = Marginal(State.of(data), self.nuisance)
-        return self._unmoved[id(data)]
 
 
 def _inverse(information: Array, unit: Array) -> Array:
@@ -314,7 +258,7 @@ def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
     width = 0.5 * size * log(2.0 * pi) - 0.5 * float(np.sum(np.log(np.maximum(values, 0.0) + unseen)))
     p = fit.parameters / scale
     distance = float(p @ p)
-    if KINDS[fault.kind].flips:
+    if fault.entry.flips:
         turned = p.copy()
         turned[0] += 2.0 / scale[0]
         distance = min(distance, float(turned @ turned))

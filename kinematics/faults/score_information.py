@@ -45,6 +45,13 @@ def model_of(data: Packed) -> Model:
     return Model(data.assumed.arms_m, data.assumed.directions)
 
 
+def weighted_rows(data: Packed, model: Model, channels: Any = slice(None)) -> NDArray[Any]:
+    """Return the rows (group, channel, m) of channels over their noise, before any whitening."""
+    rows: NDArray[Any] = data.rows(model.arms_m[channels], model.directions[channels])
+    rows = data.weight[:, channels, None] * rows
+    return rows if model.factor is None else model.factor[:, channels, None] * rows
+
+
 def perpendicular_axes(directions: Array) -> Array:
     """Return two unit vectors (..., 2, 3) square to beams (..., 3) and to each other."""
     least = np.eye(3)[np.argmin(np.abs(directions), axis=-1)]
@@ -93,22 +100,28 @@ class State:
     def of(cls, data: Packed, model: Model | None = None) -> State:
         """Fit the motion under a model."""
         model = model or model_of(data)
-        own: NDArray[Any] = data.weight[:, :, None] * data.rows(model.arms_m, model.directions)
-        if model.factor is not None:
-            own = model.factor[:, :, None] * own
+        own = weighted_rows(data, model)
         rows = whitened(own, data.whiten)
-        turned = rows.conj().swapaxes(1, 2)
-        gram = turned @ rows
-        half = _root(gram)
-        upper = np.linalg.inv(half).conj().swapaxes(1, 2)
+        upper = np.linalg.inv(_root(rows.conj().swapaxes(1, 2) @ rows)).conj().swapaxes(1, 2)
         span = rows @ upper
         seen = span.conj().swapaxes(1, 2) @ data.y
         return cls(data, model, own, span, upper, upper @ seen, data.y - span @ seen)
 
+    @cached_property
+    def both(self) -> ComplexArray:
+        """Whitened residual of all columns, (group, channel, n)."""
+        return np.concatenate([self.e, self.rest], axis=2)
+
     @property
     def energy(self) -> float:
         """Sum of |e|^2 over the columns with motion."""
-        return float(np.sum(e.real**2 + e.imag**2)) if (e := self.e).size else 0.0
+        return float(np.sum(self.e.real**2 + self.e.imag**2))
+
+    @property
+    def determined(self) -> bool:
+        """Whether the channels determine the motion by no less than a thousandth of what they see most."""
+        strongest = np.sum(np.abs(self.own) ** 2, axis=(1, 2))
+        return bool(np.max(np.linalg.norm(self.upper, 2, axis=(1, 2)) ** 2) * np.max(strongest) < 1e6)
 
     @cached_property
     def rest(self) -> ComplexArray:
@@ -185,22 +198,13 @@ class State:
             tangents[place] = moved[changed.index(k)] if k in changed else read * simple[k]
         return tangents
 
-    def products(self, channels: NDArray[np.intp], tangents: ComplexArray) -> ComplexArray:
-        """Apply ``norm`` to tangents (p, group, n, column) of single channels or of whole points."""
-        if self.norm is None:
-            return tangents
-        inner = self.norm[np.ix_(channels, channels)]
-        return np.asarray(inner @ tangents)
-
-    def sums(self, groups: NDArray[np.intp], tangents: ComplexArray, shared: bool = True) -> Sums:
+    def sums(self, groups: NDArray[np.intp], tangents: ComplexArray) -> Sums:
         """Return scores, information and projections of tangents.
 
         Parameters
         ----------
         groups : ndarray, (B, n), int
         tangents : ndarray, (p, group, B, n, column), complex
-        shared : bool
-            The projections are needed; without them single channels take less time.
 
         Notes
         -----
@@ -208,19 +212,11 @@ class State:
         Re t^H P t' with P the projector on the residuals (Rao 1948, doi:10.1017/S0305004100023987).
         """
         count, sets = tangents.shape[0], tangents.shape[2]
-        if self.norm is None and groups.shape[1] == 1 and not shared:
-            t = tangents[:, :, :, 0].transpose(2, 0, 1, 3).reshape(sets, count, -1)
-            kept = 1.0 - self.leverage[:, groups[:, 0]]
-            kept = np.repeat(kept.T, tangents.shape[4], axis=1)
-            one = self.own_e[:, groups[:, 0]].transpose(1, 0, 2).reshape(sets, -1, 1)
-            whole = np.real((t.conj() * kept[:, None]) @ t.swapaxes(1, 2))
-            return Sums(np.real(t.conj() @ one)[:, :, 0], whole, np.zeros((sets, count, 0)))
         flat = tangents.transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
         e = self.own_e[:, groups].transpose(1, 0, 2, 3).reshape(sets, -1, 1)
         score = np.real(flat.conj() @ e)[:, :, 0]
-        if self.norm is None:
-            other = flat
-        else:
+        other = flat
+        if self.norm is not None:
             inner = self.norm[groups[:, :, None], groups[:, None, :]]
             other = (inner[None, None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
         whole = np.real(flat.conj() @ other.swapaxes(1, 2))
@@ -240,38 +236,31 @@ class State:
         return [groups[start : start + step] for start in range(0, len(groups), step)]
 
     def left_out(self, groups: NDArray[np.intp]) -> Array:
-        """Return by how much the energy falls (B,) when sets of channels (B, n) are left out."""
-        parts = []
+        """Return by how much the energy falls (B,) when sets of channels (B, n) are left out.
+
+        Notes
+        -----
+        That is e^H (N - S S^H)^-1 e, with e, span S and norm N of the channels; for many channels by matrices
+        of the size of the motion (Woodbury's identity).
+        """
+        falls = [np.zeros(0)]
         for part in self.chunks(groups, groups.shape[1]):
-            span = self.own_span[:, part]
-            if self.norm is None and part.shape[1] > span.shape[3]:
-                parts.append(_left_out_of_many(span, self.own_e[:, part]))
-                continue
-            norm = (
-                np.eye(part.shape[1]) if self.norm is None else self.norm[part[:, :, None], part[:, None, :]]
-            )
-            kept = norm - span @ span.conj().swapaxes(2, 3)
-            e = self.own_e[:, part]
-            if part.shape[1] > 1:
-                values, vectors = np.linalg.eigh(kept)
-                e = vectors.conj().swapaxes(2, 3) @ e
+            span, e, whole = self.own_span[:, part], self.own_e[:, part], 0.0
+            turned = span.conj().swapaxes(2, 3)
+            if self.norm is not None:
+                kept = self.norm[part[:, :, None], part[:, None, :]] - span @ turned
+            elif part.shape[1] > span.shape[3]:
+                kept = np.eye(span.shape[3]) - turned @ span
+                e, whole = turned @ e, np.sum(np.abs(e) ** 2, axis=(0, 2, 3))
             else:
-                values = np.real(kept[..., 0])
-            along = np.sum(np.abs(e) ** 2, axis=3)
+                kept = np.eye(part.shape[1]) - span @ turned
+            values, vectors = np.linalg.eigh(kept)
+            along = np.sum(np.abs(vectors.conj().swapaxes(2, 3) @ e) ** 2, axis=3)
             seen = values > 1e-6
-            parts.append(np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=(0, 2)))
-        return np.concatenate(parts) if parts else np.zeros(0)
-
-
-def _left_out_of_many(span: NDArray[Any], e: ComplexArray) -> Array:
-    """Return what ``State.left_out`` does, by matrices of the size of the motion (Woodbury's identity)."""
-    turned = span.conj().swapaxes(2, 3)
-    values, vectors = np.linalg.eigh(turned @ span)
-    along = np.sum(np.abs(vectors.conj().swapaxes(2, 3) @ (turned @ e)) ** 2, axis=3)
-    left = 1.0 - values
-    seen = left > 1e-6
-    held = np.sum(np.where(seen, along / np.where(seen, left, 1.0), 0.0), axis=(0, 2))
-    return np.asarray(held + np.sum(np.abs(e) ** 2, axis=(0, 2, 3)))
+            falls.append(
+                whole + np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=(0, 2))
+            )
+        return np.concatenate(falls)
 
 
 def _root(gram: NDArray[Any]) -> NDArray[Any]:

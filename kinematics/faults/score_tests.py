@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
+from kinematics.faults.packed_readings import LEAST_SEGMENTS
 from kinematics.faults.score_information import AXES, State
 from kinematics.faults.uncertain_positions import Marginal
 from stapeskit.arrays import Array
 
-# Fewer groups of lines than this show no change from line to line.
-_SEGMENTS = 4
 # Share of the largest information below which parameters are not seen.
 _UNSEEN = 1e-9
 
@@ -51,7 +50,7 @@ def score_tests(
         The places: ``channel``, ``point``, ``laser``, ``body``.
     """
     tests = []
-    varying = len(state.data.tau) >= _SEGMENTS
+    varying = len(state.data.tau) >= LEAST_SEGMENTS
     for owner, places in owners.items():
         for same in of_one_size(places) if owner != "laser" else _each(places):
             size = same.shape[1]
@@ -105,7 +104,7 @@ def scores_at(
     for part in state.chunks(groups, len(which), shared):
         t = state.tangents(part.ravel(), which, beam)
         t = t.reshape(*t.shape[:2], len(part), members, t.shape[-1])
-        sums = state.sums(part, t, marginal is not None)
+        sums = state.sums(part, t)
         scores.append(sums.score)
         informations.append(sums.information if marginal is None else marginal.remaining(part, t, sums))
     return np.concatenate(scores), np.concatenate(informations)

@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit.beams import observability
+from kinematics.fit.beams import beam_set, observability
 from kinematics.fit.line_kernels import all_finite, all_whole
 from kinematics.fit.line_noise import blocks
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.faults import Fault
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
-# Smallest diagonal entry of R, of unit columns, for a fit of few channels to count as determined.
+# Weakest observability of a motion, relative to the strongest, by which channels that read zero are judged.
 _DETERMINED = 1e-3
 
 
@@ -42,28 +43,14 @@ def is_whole(body: BodyChannels) -> bool:
     Such a body has nothing to be screened for.
     """
     for run, value in enumerate(body.displacement):
-        sd = None if body.sd is None else body.sd[run]
-        if sd is not None and 0 in sd.strides:
-            if not np.all(np.isfinite(sd[tuple(slice(0, 1) if k == 0 else slice(None) for k in sd.strides)])):
-                return False
-            sd = None
-        whole, sure = all_whole(value), True if sd is None else all_finite(sd)
-        if whole is not None and sure is not None:
-            if not (whole and sure):
-                return False
-            continue
-        for part in blocks(*value.shape):
-            block = value[:, part]
-            if sd is not None and not np.isfinite(np.sum(sd[:, part])):
-                return False
-            if block.strides[-1] == block.itemsize:
-                flat = block.view(float)
-                if not np.isfinite(np.sum(flat)) or (
-                    np.any(flat == 0.0) and np.any((block.real == 0.0) & (block.imag == 0.0))
-                ):
-                    return False
-            elif not np.isfinite(np.sum(block)) or np.any(block == 0.0):
-                return False
+        sd = np.ones((1, 1)) if body.sd is None else body.sd[run]
+        sd = sd[tuple(slice(0, 1) if stride == 0 else slice(None) for stride in sd.strides)]
+        whole, sure = all_whole(value), all_finite(sd)
+        if whole is None:
+            parts = (value[:, part] for part in blocks(*value.shape))
+            whole = all(np.all(np.isfinite(part) & (part != 0.0)) for part in parts)
+        if not whole or not (np.all(np.isfinite(sd)) if sure is None else sure):
+            return False
     return True
 
 
@@ -154,24 +141,20 @@ def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) 
     """Return whether the other channels predict motion along the beams that read zero."""
     live = [c for c in range(len(body.points)) if c not in dead]
     names = tuple(name for name in DOF_NAMES if name in dof)
-    arms, directions = body.positions_mm * 1e-3, body.directions
-    if len(live) < len(names) or observability(arms[live], directions[live], names)[-1] < 1e-3:
+    places, beams = body.positions_mm[live], body.directions[live]
+    if len(live) < len(names) or observability(places * 1e-3, beams, names)[-1] < _DETERMINED:
         return False
-    rows = point_rows(arms, directions)[:, dof_indices(names)]
     value = body.displacement[run, live]
-    used = np.isfinite(value)
-    scale = np.linalg.norm(rows[live], axis=0)
-    span, upper = np.linalg.qr(used.T[:, :, None] * (rows[live] / scale))
-    sure = np.abs(np.diagonal(upper, axis1=1, axis2=2)).min(axis=1) > _DETERMINED
+    fit = fit_lines(beam_set(body.body, places, beams, names), value, np.ones((1, 1)))
+    weakest = np.trace(fit.inverse, axis1=1, axis2=2)  # twice the inverse square of singular values
+    sure = fit.solution.good & (weakest < 2.0 / _DETERMINED**2)
     if not np.any(sure):
         return False
-    used, value, span = used[:, sure], np.where(used, value, 0.0)[:, sure], span[sure]
-    seen = np.einsum("fcm,cf->fm", span, value)
-    q = np.linalg.solve(upper[sure], seen[:, :, None])[:, :, 0] / scale
-    error = np.where(used, value - rows[live] @ q.T, 0.0)
-    left = np.sqrt(np.sum(np.abs(error) ** 2) / np.sum(used))
-    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q.T) ** 2, axis=1))
-    size = np.sqrt(np.sum(np.abs(value) ** 2) / np.sum(used))
+    used = np.sum(np.isfinite(value[:, sure]))
+    left = np.sqrt(np.sum(np.abs(fit.residual[:, sure]) ** 2) / used)
+    rows = point_rows(body.positions_mm[dead] * 1e-3, body.directions[dead])[:, dof_indices(names)]
+    expected = np.sqrt(np.mean(np.abs(rows @ fit.q[sure].T) ** 2, axis=1))
+    size = np.sqrt(np.nansum(np.abs(value[:, sure]) ** 2) / used)
     return bool(np.all(expected > max(3.0 * left, 1e-6 * size)))
 
 

@@ -18,7 +18,7 @@ from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_n
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
 from kinematics.faults.score_information import State, model_of
-from kinematics.faults.score_tests import Tested, score_tests
+from kinematics.faults.score_tests import Tested, of_one_size, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
@@ -80,19 +80,18 @@ class Search:
         noise = self.noise = channel_noise(self.state)
         self.least = noise.least
         self.of_all = not known and noise.least < LEAST_SAMPLES
-        self.ratios, self.level, self.sure = noise.ratios, noise.level, noise.sure
+        self.level, self.sure = noise.level, noise.sure
         if self.of_all:
             self.level, self.sure = common_level(data, self.nuisance)
         self.scale = self.level
         if known and self.level < 1.0 + _SURELY_LOUDER * np.sqrt(2.0 / self.sure):
             self.scale = 1.0
+        used = np.sum(data.weight > 0.0, axis=0)
         kept = np.sum(np.where(data.weight > 0.0, 1.0 - self.state.leverage, 0.0), axis=0)
-        self.kept = kept / np.maximum(np.sum(data.weight > 0.0, axis=0), 1)
-        self.columns = np.sum(data.weight > 0.0, axis=0) * float(self.state.z.shape[2] + data.rest.shape[2])
+        self.kept = kept / np.maximum(used, 1)
+        self.columns = used * float(self.state.both.shape[2])
         self.freedom = float(np.sum(self.state.free()))
-        self.points: dict[str, list[int]] = {}
-        for channel in self.live:
-            self.points.setdefault(data.points[channel], []).append(channel)
+        self.points = data.by_point
         if data.whiten is not None and data.rest.shape[2] >= LEAST_SAMPLES and self.freedom > 0.5:
             rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
             self.scale = max(self.scale, rest)
@@ -106,21 +105,17 @@ class Search:
     @property
     def energy(self) -> Array:
         """Leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
-        both = np.concatenate([self.state.plain(self.state.e), self.state.plain(self.state.rest)], axis=2)
         left = np.where(self.kept > 1e-3, self.kept, np.inf) * np.maximum(self.columns, 1.0)
-        return np.asarray(np.sum(np.abs(both) ** 2, axis=(0, 2)) / left)
+        return np.asarray(np.sum(np.abs(self.state.plain(self.state.both)) ** 2, axis=(0, 2)) / left)
+
+    @property
+    def noise_energy(self) -> float:
+        """Residual energy that noise has in the columns with motion."""
+        return self.scale * self.freedom * float(self.state.z.shape[2])
 
     def excess(self) -> float:
         """Return the residual energy of the columns with motion beyond that of noise, at least none."""
-        return max(self.given.energy - self.scale * self.freedom * self.state.z.shape[2], 0.0)
-
-    def level_p(self) -> float:
-        """Return the probability of so large a total residual by chance."""
-        from scipy.special import chdtrc
-
-        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
-        number = 2.0 * self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
-        return float(chdtrc(number, 2.0 * energy)) if number > 0.0 else 1.0
+        return max(self.given.energy - self.noise_energy, 0.0)
 
     def chance(self, statistic: Array, size: NDArray[np.intp]) -> Array:
         """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
@@ -188,6 +183,11 @@ class Search:
         return self.structure.p_value <= _NOISE_SHARE * self.alarm
 
     @property
+    def bending(self) -> float:
+        """Log evidence that the body bends; zero where it does not, or faults at two points could do that."""
+        return self.structure.gain / self.scale if self.bends and not self.structure.concentrated else 0.0
+
+    @property
     def empty(self) -> bool:
         """Whether nothing can be tested: no redundancy, or no noise."""
         return self.freedom < 0.5 or not self.scale > 0.0
@@ -200,10 +200,10 @@ class Search:
         """Return the suspect that explains most, or None when nothing is significant."""
         if self.empty:
             return None
-        lowest, loud, bends = self._lowest(), self.loud_channels(), self.bends
-        if lowest > self.alarm and not bends and not loud:
+        lowest, loud = self._lowest(), self.loud_channels()
+        if lowest > self.alarm and not self.bends and not loud:
             return None
-        fits = self._suspects(bends and not self.structure.concentrated)
+        fits = self._suspects()
         scale, strange = self._scale_without([fit.drop for fit in fits]), False
         scored = self.loud_channels(scale) if scale < self.scale else list(loud)
         for fit in fits:
@@ -211,8 +211,8 @@ class Search:
             if finding.p_value < self.alarm and not self._credible(fit):
                 strange = True
             elif finding.p_value < self.alarm:
-                scored.append((log_evidence(fit, scale, self.data.source.beams.lever_m), finding))
-        if bends and not self.structure.concentrated:
+                scored.append((self._evidence(fit, scale), finding))
+        if self.bending:
             scored.append((self.structure.gain / scale, self.flexible()))
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
@@ -235,33 +235,26 @@ class Search:
         A large fault is in the level of few lines, and of lines with gaps: what the best explanation leaves
         is nearer to the noise.
         """
-        before, number = self.before, self.freedom * self.state.z.shape[2]
-        if self.refit.coarse:
-            before = self.refit.fine[1]
-            number = self.freedom / len(self.data.y) * len(self.data.source.lines)
+        number = self.freedom * self.state.z.shape[2]
         if not drops or number < LEAST_SAMPLES:
             return self.scale
-        left = max((before - max(drops)) / number, 1.0 if self.known else 0.0)
+        left = max((self.before - max(drops)) / number, 1.0 if self.known else 0.0)
         return left if 0.0 < left < _INFLATED * self.scale else self.scale
 
-    def _evidence(self, fit: FaultFit) -> float:
-        return log_evidence(fit, self.scale, self.data.source.beams.lever_m)
+    def _evidence(self, fit: FaultFit, scale: float) -> float:
+        return log_evidence(fit, scale, self.data.source.beams.lever_m)
 
     def _credible(self, fit: FaultFit) -> bool:
         """Return whether a fault is of a size that happens, or else leaves nothing but noise."""
-        kind = KINDS.get(fit.fault.kind)
-        if kind is None or not np.isfinite(kind.largest):
-            return True
+        kind = fit.fault.entry
         unit = self.data.source.beams.lever_m if kind.lengths else 1.0
-        left = self.freedom * self.state.z.shape[2]
         small = float(np.linalg.norm(fit.parameters)) < kind.largest * unit
-        return small or self.before - fit.drop < 2.0 * self.scale * left
+        return small or self.before - fit.drop < 2.0 * self.noise_energy
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
-        excess = self.state.energy - self.scale * self.freedom * self.state.z.shape[2]
         # Where the noise is not stated its level may hold the misfit: the patterns stand out from it.
-        excess = max(excess, self.structure.gain)
+        excess = max(self.state.energy - self.noise_energy, self.structure.gain)
         moved = float(np.sum(np.abs(self.data.y - self.state.e) ** 2))
         share = float(np.sqrt(excess / max(moved, 1e-300)))
         return Finding("flexible", list(self.live), self.structure.p_value, None, share)
@@ -299,51 +292,43 @@ class Search:
             "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
         }
 
-    def _suspects(self, bends: bool) -> list[FaultFit]:
+    def _suspects(self) -> list[FaultFit]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
         for owner in _TESTED:
             tested = [test for test in self.tested if test.owner == owner]
-            sets = list(dict.fromkeys(own for test in tested for own in test.sets))
-            chosen = dict.fromkeys(sorted(sets, key=self._blame(sets).__getitem__)[: _BLAMED[owner]])
+            blame = self._blame(own for test in tested for own in test.sets)
+            chosen = dict.fromkeys(sorted(blame, key=blame.__getitem__)[: _BLAMED[owner]])
+            strongest = dict[str, tuple[float, tuple[int, ...]]]()
             for test in tested:
                 best = np.argsort(-test.statistic, kind="stable")[: _TESTED[owner]]
                 chosen |= dict.fromkeys(test.sets[k] for k in best)
+                first = (float(test.statistic[best[0]]), test.sets[best[0]])
+                strongest[test.kind] = max(strongest.get(test.kind, first), first)
             places = {"channel": len(self.live), "point": len(self.points), "laser": 3}.get(owner, 1)
-            untested = [
-                name
-                for name, kind in KINDS.items()
-                if kind.varies and owner in kind.owners and self.refit.coarse
-            ]
             for number, own in enumerate(chosen):
-                names = [test.kind for test in tested if own in set(test.sets)]
-                for name in dict.fromkeys([*names, *untested]):
-                    if number < _VARIED[owner] or not KINDS[name].varies:
+                for name in (test.kind for test in tested if own in set(test.sets)):
+                    if number < _VARIED[owner] or not KINDS[name].varies or own == strongest[name][1]:
                         faults.append(Fault(name, owner, list(own), places=places))
-        return self._likely([*faults, *self._exchanges()], bends)
+        return self._likely([*faults, *self._exchanges()])
 
     def _blame(self, sets: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
         """Return minus what leaving out each set of channels takes of the residual energy."""
-        blame, every = dict[tuple[int, ...], float](), list(sets)
         # Faults of many channels are judged by all lines.
-        whole = self.given.energy + float(np.sum(np.abs(self.given.rest) ** 2))
-        for size in {len(own) for own in every}:
-            same = [own for own in every if len(own) == size]
-            if 2 * size < len(self.live):
-                fall = self.given.left_out(np.array(same, dtype=np.intp))
-                blame |= dict(zip(same, (-fall).tolist(), strict=True))
-            else:
-                blame |= dict.fromkeys(same, -whole)
+        blame = dict.fromkeys(sets, -float(np.sum(np.abs(self.given.both) ** 2)))
+        for same in of_one_size([own for own in blame if 2 * len(own) < len(self.live)]):
+            fall = -self.given.left_out(same)
+            blame |= dict(zip(map(tuple, same.tolist()), fall.tolist(), strict=True))
         return blame
 
-    def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
+    def _likely(self, faults: list[Fault]) -> list[FaultFit]:
         """Fit faults, without those that cannot come near the best, the most promising first.
 
         No fault lowers the objective by more than leaving its channels out does: without the squares of their
         residuals the least sum of squares is no larger, whatever the fault makes of them.
         """
-        fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
-        fits, best = [], self.structure.gain / self.scale if bends else 0.0
+        fall = self._blame(tuple(fault.channels) for fault in faults)
+        fits, best = [], self.bending
         freed = dict[tuple[int, ...], float]()
         for fault in sorted(faults, key=lambda fault: fall[tuple(fault.channels)]):
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
@@ -355,7 +340,7 @@ class Search:
             fit = self.refit.fit(fault)
             fits.append(fit)
             if self._credible(fit) and self._finding(fit).p_value < self.alarm:
-                best = max(best, self._evidence(fit))
+                best = max(best, self._evidence(fit, self.scale))
         return fits
 
     def _exchanges(self) -> list[Fault]:
@@ -378,4 +363,4 @@ class Search:
         chance = float(self.chance(np.array([2.0 * fit.drop]), size)[0])
         p = min(1.0, chance * max(self._number(owner), float(fit.fault.places)))
         shown = replace(fit, covariance=fit.covariance * self.scale)
-        return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
+        return Finding(fit.fault.kind, list(fit.fault.channels), p, shown)

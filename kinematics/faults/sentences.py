@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from stapeskit.arrays import Array
 
 class Fitted(Protocol):
     """What a sentence reads of a fitted fault."""
+
+    @property
+    def fault(self) -> Any:
+        """The fault, with what was exchanged as its ``text``."""
 
     @property
     def channels(self) -> list[int]:
@@ -47,6 +51,11 @@ def with_sd(value: float, sd: float, unit: str = "", digits: int = 3) -> str:
 
 def _sd(fit: Fitted) -> Array:
     return np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+
+
+def exchange(verdict: str) -> Sentence:
+    """Return what describes an exchange."""
+    return lambda fit, _body: (verdict, fit.fault.text)
 
 
 def factor(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:

@@ -1,10 +1,10 @@
-"""Errors of the points' positions with a stated standard deviation, estimated with the motion."""
+"""Parameters with normal priors next to the motion, as the errors of positions with a stated sd."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +19,21 @@ _ALIKE = 1e-9
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Coordinates of points with normal priors.
+    """Parameters of many places at once, with normal priors: by default errors of the points' coordinates.
 
     Attributes
     ----------
-    owner : ndarray, (3, channel), int
-        The parameter that is the error of each channel's x, y, z; -1 for none.
+    owner : ndarray, (k, channel), int
+        The parameter by which each channel changes along each of ``which``; -1 for none.
     sd : ndarray, (V,)
-        Prior standard deviations, m.
+        Prior standard deviations.
+    which : tuple of int, (k,)
+        Tangents, see ``State.tangents``.
     """
 
-    owner: NDArray[np.intp] = field(default_factory=lambda: np.full((3, 0), -1))
-    sd: Array = field(default_factory=lambda: np.zeros(0))
+    owner: NDArray[np.intp]
+    sd: Array
+    which: tuple[int, ...] = SHIFTS
 
     @classmethod
     def of(cls, data: Packed, position_sd_m: Array) -> Nuisance:
@@ -42,42 +45,35 @@ class Nuisance:
         position_sd_m : ndarray, (channel,)
             Zero where not stated.
         """
-        owner = np.full((3, len(data.points)), -1)
-        sd: list[float] = []
-        place: dict[str, int] = {}
-        for channel in data.live:
-            if position_sd_m[channel] > 0.0:
-                name = data.points[channel]
-                if name not in place:
-                    place[name] = len(sd)
-                    sd += [float(position_sd_m[channel])] * 3
-                owner[:, channel] = place[name] + np.arange(3)
-        return cls(owner, np.array(sd))
+        places = [own for own in data.by_point.values() if position_sd_m[own[0]] > 0.0]
+        return cls.at(places, len(data.points), np.array([position_sd_m[own[0]] for own in places]))
 
-    @cached_property
-    def gather(self) -> Any:
-        """Sparse matrix (V, channel * 3) that sums the tangents of all channels for each parameter."""
-        from scipy.sparse import csr_array
-
-        owner = self.owner.T.ravel()
-        held = np.flatnonzero(owner >= 0)
-        return csr_array((np.ones(len(held)), (owner[held], held)), shape=(len(self.sd), len(owner)))
+    @classmethod
+    def at(
+        cls, places: Sequence[Sequence[int]], channels: int, sd: Array, which: tuple[int, ...] = SHIFTS
+    ) -> Nuisance:
+        """Make the parameters ``which`` of some places, each with its sd (place,)."""
+        owner = np.full((len(which), channels), -1)
+        for number, own in enumerate(places):
+            owner[:, list(own)] = (len(which) * number + np.arange(len(which)))[:, None]
+        return cls(owner, np.repeat(sd, len(which)), which)
 
     def penalty(self, x: Array) -> float:
         """Return half of the sum of (x / sd)^2."""
-        return 0.5 * float(np.sum((x / self.sd) ** 2)) if len(self.sd) else 0.0
+        return 0.5 * float(np.sum((x / self.sd) ** 2))
 
     def applied(self, model: Model, x: Array) -> Model:
-        """Return a model with the errors ``x`` (V,), m."""
-        if not len(self.sd):
-            return model
+        """Return a model with the errors ``x`` (V,) of coordinates, m."""
         # An owner of -1 is the last element, no error.
         return model._replace(arms_m=model.arms_m + np.append(x, 0.0)[self.owner].T)
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """The information on the nuisance parameters at a state."""
+    """The information on the nuisance parameters at a state.
+
+    Where the noise within points is correlated, all channels of a point have the same parameters.
+    """
 
     state: State
     nuisance: Nuisance
@@ -90,9 +86,7 @@ class Marginal:
         these few columns.
         """
         own = self.state.own
-        if len(own) == 1:
-            return None
-        if np.max(np.abs(own - own[0])) > _ALIKE * np.max(np.abs(own)):
+        if len(own) == 1 or np.max(np.abs(own - own[0])) > _ALIKE * np.max(np.abs(own)):
             return None
         return np.linalg.qr(_side_by_side(self.state.z)[0].conj().T)[0]
 
@@ -110,54 +104,60 @@ class Marginal:
         return replace(state, data=data, model=model, z=z, e=e, **first)
 
     @cached_property
-    def tangents(self) -> ComplexArray:
-        """Tangents (3, group, channel, column) of all channels."""
-        channels = np.arange(len(self.state.data.points))
-        return self.merged.tangents(channels, SHIFTS)
-
-    @cached_property
-    def near(self) -> tuple[NDArray[np.intp], Array]:
-        """Channels (channel, k) whose noise each has in common, itself first, and the products with them."""
-        count, norm = len(self.state.data.points), self.state.norm
-        if norm is None:
-            return np.arange(count)[:, None], np.ones((count, 1))
-        held = norm != 0.0
-        most = int(np.max(np.sum(held, axis=1)))
-        order = np.argsort(~held, axis=1, kind="stable")[:, :most]
-        return order, np.take_along_axis(norm, order, axis=1)
+    def held(self) -> NDArray[np.intp]:
+        """Channels (h,) that have parameters."""
+        return np.flatnonzero(self.nuisance.owner[0] >= 0)
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
-        """Parameters (channel, 3) of the tangents; the number of parameters for none."""
-        owner = self.nuisance.owner.T
-        return np.where(owner >= 0, owner, len(self.nuisance.sd))
+        """Parameters (h, k) of the tangents."""
+        return self.nuisance.owner[:, self.held].T
+
+    @cached_property
+    def tangents(self) -> ComplexArray:
+        """Tangents (h, k, D) of these channels."""
+        made = self.merged.tangents(self.held, self.nuisance.which).transpose(2, 0, 1, 3)
+        return made.reshape(*self.owner.shape, made.shape[2] * made.shape[3])
+
+    @cached_property
+    def products(self) -> ComplexArray:
+        """What products with changes of the channels' rows are made of, (h, k, D)."""
+        norm = self.state.norm
+        if norm is None:
+            return self.tangents
+        return np.einsum("hi,ikd->hkd", norm[np.ix_(self.held, self.held)], self.tangents, optimize=True)
+
+    def gathered(self, value: Array) -> Array:
+        """Sum values (h, k, ...) of the tangents for each parameter, (V, ...)."""
+        sums = np.zeros((len(self.nuisance.sd), *value.shape[2:]))
+        np.add.at(sums, self.owner, value)
+        return sums
 
     @cached_property
     def taken(self) -> Array:
         """Projections (V, D) of the tangents on the motion."""
-        span = self.merged.own_span.conj().transpose(1, 0, 2)[:, None, :, :, None]
-        seen = span * self.tangents.transpose(2, 0, 1, 3)[:, :, :, None]
-        flat = seen.reshape(self.owner.size, -1)
-        return np.asarray(self.nuisance.gather @ np.concatenate([flat.real, flat.imag], axis=1))
+        groups, size, columns = self.merged.z.shape
+        span = self.merged.own_span[:, self.held].conj().transpose(1, 0, 2)[:, None, :, :, None]
+        seen = span * self.tangents.reshape(*self.owner.shape, groups, 1, columns)
+        flat = seen.reshape(*self.owner.shape, groups * size * columns)
+        return self.gathered(np.concatenate([flat.real, flat.imag], axis=2))
 
     @cached_property
     def score(self) -> Array:
         """Score (V,) of the residual, without the priors."""
-        own = np.real(np.sum(self.tangents.conj() * self.merged.own_e[None], axis=(1, 3))).T
-        return np.asarray(self.nuisance.gather @ own.ravel())
+        e = (
+            self.merged.own_e[:, self.held]
+            .transpose(1, 0, 2)
+            .reshape(len(self.held), 1, self.tangents.shape[2])
+        )
+        return self.gathered(np.real(np.sum(self.tangents.conj() * e, axis=2)))
 
     @cached_property
     def information(self) -> Array:
         """Information (V, V), without the priors."""
-        count = len(self.nuisance.sd)
-        flat = self.tangents.transpose(2, 0, 1, 3).reshape(*self.owner.shape, -1)
-        information = np.asarray(self.taken @ self.taken.T)
-        np.negative(information, out=information)
-        for others, norm in zip(*(part.T for part in self.near), strict=True):
-            own = np.real(flat.conj() @ flat[others].swapaxes(1, 2)) * norm[:, None, None]
-            row, column = np.broadcast_arrays(self.owner[:, :, None], self.owner[others][:, None, :])
-            held = (row < count) & (column < count)
-            np.add.at(information, (row[held], column[held]), own[held])
+        own = np.real(self.tangents.conj() @ self.products.swapaxes(1, 2))
+        information = np.asarray(-self.taken @ self.taken.T)
+        np.add.at(information, (self.owner[:, :, None], self.owner[:, None, :]), own)
         return information
 
     @cached_property
@@ -173,17 +173,6 @@ class Marginal:
             root = np.linalg.cholesky((vectors * np.maximum(values, 0.0)) @ vectors.T + prior)
         return root / self.nuisance.sd[:, None]
 
-    @cached_property
-    def inverse(self) -> Array:
-        """Inverse (V, V) of the information with the priors."""
-        return self.solved(np.eye(len(self.root)))
-
-    def halved(self, value: Array) -> Array:
-        """Solve the root for values (V, k): their products are those of the values with the inverse."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.root, value, lower=True, check_finite=False))
-
     def solved(self, value: Array) -> Array:
         """Solve the information with the priors for values (V,) or (V, k)."""
         from scipy.linalg import cho_solve
@@ -194,19 +183,20 @@ class Marginal:
         """Return the information (B, p, V) that tangents (p, group, B, n, column) share with the nuisance."""
         sets, count = taken.shape[:2]
         number = len(self.nuisance.sd)
+        if not number:
+            return np.zeros((sets, count, 0))
         if self.turn is not None:
             tangents, taken = self._in_columns(tangents, taken, self.turn)
-        sums = np.zeros(sets * count * (number + 1))
-        at = np.arange(sets * count).reshape(sets, count, 1) * (number + 1)
-        neighbours, norms = self.near
-        for member in range(groups.shape[1]):
-            one = tangents[:, :, :, member].transpose(2, 0, 1, 3).reshape(sets, count, -1).conj()
-            for others, norm in zip(neighbours[groups[:, member]].T, norms[groups[:, member]].T, strict=True):
-                two = self.tangents[:, :, others].transpose(2, 0, 1, 3).reshape(sets, len(self.tangents), -1)
-                own = np.real(one @ two.swapaxes(1, 2)) * norm[:, None, None]
-                index = at + self.owner[others][:, None, :]
-                sums += np.bincount(index.ravel(), own.ravel(), len(sums))
-        return sums.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
+        shared = np.asarray(-taken @ self.taken.T)
+        place = np.full(self.nuisance.owner.shape[1], -1)
+        place[self.held] = np.arange(len(self.held))
+        for member, channels in zip(np.moveaxis(tangents, 3, 0), place[groups].T, strict=True):
+            some = np.flatnonzero(channels >= 0)
+            one = member.transpose(2, 0, 1, 3).reshape(sets, count, -1)[some].conj()
+            own = np.real(one @ self.products[channels[some]].swapaxes(1, 2))
+            at = some[:, None, None], np.arange(count)[:, None], self.owner[channels[some]][:, None]
+            np.add.at(shared, at, own)
+        return shared
 
     def _in_columns(
         self, tangents: ComplexArray, taken: Array, turn: ComplexArray
@@ -220,10 +210,12 @@ class Marginal:
         return own.transpose(0, 2, 1, 3, 4), np.concatenate([seen.real, seen.imag], axis=2)
 
     def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> Array:
-        """Return the information on tangents next to the nuisance."""
+        """Return the information (B, p, p) on tangents next to the nuisance."""
+        from scipy.linalg import solve_triangular
+
         shared = self.common(groups, tangents, sums.taken)
-        sets, count, number = shared.shape
-        half = self.halved(shared.reshape(-1, number).T).T.reshape(sets, count, number)
+        flat = shared.reshape(-1, shared.shape[2]).T
+        half = solve_triangular(self.root, flat, lower=True, check_finite=False).T.reshape(shared.shape)
         return np.asarray(sums.information - half @ half.swapaxes(1, 2))
 
 
@@ -253,3 +245,28 @@ def estimate_nuisance(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tupl
         if fall < 1e-3:
             break
     return state, x
+
+
+def information_of(
+    state: State, places: Sequence[Sequence[int]], which: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Return score (n k,) and information (n k, n k) of the tangents ``which`` (k) at n places."""
+    near = Marginal(state, Nuisance.at(places, len(state.data.points), np.ones(len(places)), which))
+    return near.score, near.information
+
+
+def likeliest_size(score: Array, information: Array, sizes: Array) -> tuple[float, float]:
+    """Return the likeliest standard deviation of parameters, out of sizes, and its log likelihood gain.
+
+    Notes
+    -----
+    Marginal likelihood of independent normal errors next to the motion, linear in the errors (Harville 1977,
+    doi:10.1080/01621459.1977.10480998): along the eigenvectors of the information N with score g, the gain
+    over none at a variance v is g_i^2 / (N_i + 1 / 2 v) - log(1 + 2 v N_i) / 2.
+    """
+    values, vectors = np.linalg.eigh(information)
+    along, values = vectors.T @ score, np.maximum(values, 0.0)
+    twice = 2.0 * sizes[:, None] ** 2
+    gains = np.sum(along**2 * twice / (1.0 + twice * values) - 0.5 * np.log1p(twice * values), axis=1)
+    best = int(np.argmax(gains))
+    return float(sizes[best]), float(gains[best])

@@ -11,8 +11,7 @@ from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.noise_size import channel_noise
 from kinematics.faults.packed_readings import Factor, Packed
 from kinematics.faults.score_information import IMAGINARY, REAL, State
-from kinematics.faults.uncertain_positions import Marginal, Nuisance
-from kinematics.faults.variance_components import information_of, likeliest_size
+from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of, likeliest_size
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.option_names import named
 

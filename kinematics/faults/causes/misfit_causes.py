@@ -96,7 +96,7 @@ class MisfittingBody:
         if not self.known:
             data = equalise_noise(data, nuisance)
         state = estimate_nuisance(data, nuisance)[0]
-        inverse = 0.5 * Marginal(state, nuisance).inverse
+        inverse = 0.5 * Marginal(state, nuisance).solved(np.eye(len(nuisance.sd)))
         own = nuisance.owner.T
         covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
         offsets = state.model.arms_m - data.assumed.arms_m

@@ -114,15 +114,15 @@ def test_covariance_within_points_is_found_behind_a_projection():
     noise = rng.normal(size=(27, 20_000, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
     noise = size[:, None] * (np.linalg.cholesky(whole) @ noise)
     span = plain.span[0].real
-    residual = (noise - span @ (span.T @ noise))[None]
-    made, sd = scaled(point_covariance(plain, residual, 20_000))
-    np.testing.assert_allclose(sd, size, rtol=0.15)
-    np.testing.assert_allclose(made, whole, atol=0.15)
-    assert not by_chance(plain, residual[0], 20_000)
+    residual = noise - span @ (span.T @ noise)
+    made = point_covariance(plain, residual, 20_000)
+    np.testing.assert_allclose(np.sqrt(np.diag(made)), size, rtol=0.15)
+    np.testing.assert_allclose(scaled(made), whole, atol=0.15)
+    assert not by_chance(plain, residual, 20_000)
     apart = rng.normal(size=(27, 2_000, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
     apart[4] *= 4.0
     assert by_chance(plain, apart - span @ (span.T @ apart), 2_000)
-    assert point_covariance(plain, residual[:, :, :10], 10) is None
+    assert point_covariance(plain, residual[:, :10], 10) is None
 
 
 def test_scores_under_common_noise_are_chi_squared():
