@@ -85,29 +85,41 @@ def fit_and_search(
     beams : sequence of BeamSet
         By body.
     """
+    return _explained(*_searched(placed, screens, beams, robust))
+
+
+def _searched(
+    placed: Measurement, screens: Sequence[Screened], beams: Sequence[BeamSet], robust: str
+) -> tuple[SearchedFits, dict[tuple[int, int], LineFit]]:
+    """Return the fits of every body in every run, searched by itself, and the fits that the search made."""
     fits: dict[tuple[int, int], LineFit] = {}
     searched: dict[tuple[int, int], LineFit] = {}
     known: dict[tuple[int, int], bool] = {}
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
     notices: list[Notice] = []
-    keys = list(product(range(len(placed.runs)), range(len(screens))))
-    for key in keys:
+    for key in product(range(len(placed.runs)), range(len(screens))):
         run, body = key[0], screens[key[1]].body
         fits[key], known[key], raised = fit_with_noise(placed, run, body, beams[key[1]], robust)
         notices += raised
         if too_large(body, known[key]):
             notices.append(_unsearched(body))
         diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key])
+    return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
+
+
+def _explained(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> SearchedFits:
+    """Return the fits with wrong labels and causes in place of what they look like to one body's search."""
+    placed, known, diagnoses = first.placed, first.known, dict(first.diagnoses)
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first, and
     # believed unless a body that bends remains.
     exchanged = find_mislabelled(placed, searched, diagnoses, known)
-    for key in keys:
+    for key in diagnoses:
         other = None
         if key not in exchanged or exchanged[key].bends:
-            body = screens[key[1]].body
+            body = first.screens[key[1]].body
             other = explain_misfit(placed, key[0], body, searched[key], known[key], diagnoses[key])
         diagnoses[key] = other[0] if other else exchanged.get(key, diagnoses[key])
-    return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices)
+    return replace(first, diagnoses=diagnoses)
 
 
 def _unsearched(body: BodyChannels) -> Notice:
@@ -150,7 +162,10 @@ def with_lasers(
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
-    again = fit_and_search(placed, screens, beams, robust)
+    first, fitted = _searched(placed, screens, beams, robust)
+    if not first.clean:  # whatever explains it, something is found
+        return None
+    again = _explained(first, fitted)
     return replace(again, applied=values) if again.clean else None
 
 
