@@ -190,6 +190,8 @@ class _Diagnose:
         findings: list[Finding] = []
         kept = 1.0
         while (culprit := search.best()) is not None:
+            if culprit.kind == "flexible":
+                culprit = self._single(search.data, culprit, findings)
             if culprit.kind == "flexible" or len(findings) >= self.most:
                 alone = not findings and culprit.kind == "flexible"
                 return self._many(first, search, findings, culprit if alone else first.flexible())
@@ -205,6 +207,13 @@ class _Diagnose:
                 return _diagnosis([spread], first, first)
             findings = self._again(_as_quiet(first.data, search.data, findings), findings)
         return _diagnosis(findings, first, search, kept)
+
+    def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
+        """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
+        for other in bending.rivals:
+            if self.after(data, other, findings).clean():
+                return other
+        return bending
 
     def _many(self, first: Search, last: Search, findings: list[Finding], otherwise: Finding) -> Diagnosis:
         """Return what explains a misfit at many places."""
@@ -239,7 +248,7 @@ class _Diagnose:
         if len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY:
             return True
         undone = correct_findings(first.data, findings)
-        return self.prepared(undone.under(self._as_stated(undone.assumed, findings))).clean()
+        return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), _NEXT).clean()
 
     def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""

@@ -33,6 +33,9 @@ _VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
 _SUSPECTS, _EXCHANGED = 10, 5
 # Difference of log evidence that the data hardly show.
 _NEAR = 3.0
+# Share of the evidence for a body that bends from which a fault at one place is tried in its stead: it has
+# fewer parameters, and is believed where it leaves nothing to be found.
+_HALF = 0.5
 # Shares of the alarm probability. They sum to more than 1: kinds tested at one place share residuals, and
 # Bonferroni is too strict.
 _SHARES: tuple[float, ...] = calibrated("faults.alarm_share")
@@ -220,7 +223,8 @@ class Search:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
-        near = [other for value, other in scored[1:] if value > top - _NEAR and differ(finding, other)]
+        least = _HALF * top if finding.kind == "flexible" else top - _NEAR
+        near = [other for value, other in scored[1:] if value > least and differ(finding, other)]
         finding = replace(finding, rivals=tuple(near[:2]))
         if finding.fit is None:
             return finding
@@ -328,7 +332,8 @@ class Search:
         residuals the least sum of squares is no larger, whatever the fault makes of them.
         """
         fall = self._blame(tuple(fault.channels) for fault in faults)
-        fits, best = [], self.bending
+        # What explains less than half of what bending does is no rival of it.
+        fits, best = [], _HALF * self.bending + _NEAR if self.bending else 0.0
         freed = dict[tuple[int, ...], float]()
         for fault in sorted(faults, key=lambda fault: fall[tuple(fault.channels)]):
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
