@@ -221,7 +221,7 @@ def bare_bone(
 def _without_plate(
     volume: Volume, ready: Prepared, start: tuple[float, float | None, float], bone: float
 ) -> tuple[Cut, FaceFit | None, Field | None]:
-    """Subtract the plate's blurred face from the grey values near the stapes, and from the plate's mask.
+    """Subtract the plate's blurred face from the grey values near the stapes; its mask ends there, too.
 
     The third value holds the grey values given back where bone displaces the plastic.
     """

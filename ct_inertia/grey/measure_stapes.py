@@ -223,6 +223,8 @@ def _bone(
     if np.any(around.foreign):
         clear = capped_distance(around.foreign, around.spacing_mm, reach_mm) >= 0.999 * reach_mm
         beside, own = own & ~clear & ~around.foreign, own & clear
+    if beside is not None and not np.any(own):  # nothing is free of plate and other bone
+        own, beside = beside, None
     used = own if beside is None else own | beside
     box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(used))
     start = float(np.percentile(around.grey[around.bone], 90.0)) - air.level

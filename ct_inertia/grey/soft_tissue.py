@@ -168,7 +168,7 @@ def taken_off(
     whole[box] = taken * height
     grey[box] -= np.float32(contrast) * whole[box]
     collar = (medium > least) & (distance_mm[box] <= reach_mm) & (model < _CLEAR)
-    level = float(np.median(medium[collar])) if np.any(collar) else 0.0
+    level = float(np.median((medium * height)[collar])) if np.any(collar) else 0.0
     return SoftTissue(grey, whole, level)
 
 

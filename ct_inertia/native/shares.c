@@ -44,7 +44,7 @@ INLINED void count_nine(const uint8_t *inside, int64_t nx, int64_t layer, uint8_
 }
 
 /* Shares of all voxels: 1 where the field is positive, 0 elsewhere, and that of shares_of where both are among the
- * 27 voxels around. The outermost voxels stay 1 or 0. */
+ * 27 voxels around. The outermost voxels stay 1 or 0; what is no number counts as outside. */
 API CLONES int64_t sampled_shares(const float *restrict field, const int64_t *shape, float soft,
                                   float *restrict out)
 {

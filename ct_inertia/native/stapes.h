@@ -17,7 +17,7 @@
 #endif
 
 /* A version for each kind of processor, chosen as the library is loaded. Where the compiler knows of none, one. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__ELF__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
 #define CLONES __attribute__((target_clones("default", "avx2", "avx512f")))
 #else
 #define CLONES

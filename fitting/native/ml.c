@@ -18,7 +18,7 @@
 #define HALF (MOST * (MOST + 1) / 2)
 #define EACH for (int l = 0; l < WIDE; l++)
 
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__ELF__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
 #define CLONES __attribute__((target_clones("default", "fma", "avx512f")))
 #else
 #define CLONES

@@ -82,10 +82,13 @@ def _contradictions(values: Mapping[str, Any], dof: tuple[str, ...], where: str)
         step = f"Write dof = {toml(tuple(dof))} and order the matrices so"
         faults.append(Fault("dof", f"in the order {', '.join(DOF_NAMES)}", "another order", where, step))
     directions = values.get("directions", ("y",))
-    if len(set(directions)) != len(directions) or not set(directions) <= set(dof):
+    if not directions or len(set(directions)) != len(directions) or not set(directions) <= set(dof):
         wanted = f"different names out of the plan's dof, {', '.join(dof)}"
         step = 'Write for example directions = ["y"], one for each run'
-        faults.append(Fault("directions", wanted, ", ".join(directions), where, step))
+        faults.append(Fault("directions", wanted, ", ".join(directions) or "none", where, step))
+    if min(values.get("band_hz", (1.0,))) <= 0.0:
+        wanted, got = "two frequencies above 0 Hz, the lower first", list(values["band_hz"])
+        faults.append(Fault("band_hz", wanted, got, where, "Write for example band_hz = [400, 5000]"))
     if "noise_m_s" in values and "noise_relative" in values:
         faults.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
     mass = values.get("mass")

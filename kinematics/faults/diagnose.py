@@ -211,7 +211,7 @@ class _Diagnose:
     def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
         """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
         for other in bending.rivals:
-            if self.after(data, other, findings).clean():
+            if other.fit is not None and self.after(data, other, findings).clean():
                 return other
         return bending
 

@@ -151,7 +151,7 @@ def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) 
     if not np.any(sure):
         return False
     used = np.sum(np.isfinite(value[:, sure]))
-    left = np.sqrt(np.sum(np.abs(fit.residual[:, sure]) ** 2) / used)
+    left = np.sqrt(np.nansum(np.abs(fit.residual[:, sure]) ** 2) / used)
     rows = point_rows(body.positions_mm[dead] * 1e-3, body.directions[dead])[:, dof_indices(names)]
     expected = np.sqrt(np.mean(np.abs(rows @ fit.q[sure].T) ** 2, axis=1))
     size = np.sqrt(np.nansum(np.abs(value[:, sure]) ** 2) / used)

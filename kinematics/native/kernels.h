@@ -15,7 +15,7 @@
 #define INLINE static inline __attribute__((always_inline))
 #define LANES for (int l = 0; l < WIDE; l++)
 
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__ELF__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
 #define CLONES __attribute__((target_clones("default", "fma", "avx512f")))
 #else
 #define CLONES

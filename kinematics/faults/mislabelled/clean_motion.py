@@ -123,7 +123,7 @@ def fit_clean_motion(
     covariance[np.ix_(range(len(lines)), places, places)] = beams.to_dof @ inverse @ beams.to_dof.T
     level = state.energy / max(float(np.sum(state.free())), 1.0)
     value = np.where(np.isfinite(sd), value, 0.0)
-    step_hz = float(np.median(np.diff(freq_hz)))
+    step_hz = float(np.median(np.diff(freq_hz))) if len(freq_hz) > 1 else np.nan
     freq_hz = freq_hz[lines]
     return CleanMotion(
         *key,

@@ -200,6 +200,8 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ("rocking = -1", "zero or positive"),
         ("gain_sd_percent = -1", "gain_sd_percent must be a number, zero or positive"),
         ('mass = "mass.json"\nmass_sd_percent = 1', "left out when a mass.json is given"),
+        ("directions = []", "out of the plan's dof, y, alpha, gamma; got none"),
+        ("band_hz = [0, 500]", "band_hz must be two frequencies above 0 Hz"),
         ('directions = ["x"]', "out of the plan's dof"),
         ('directions = ["q"]', "directions must be different names out of the plan's dof"),
         ('directions = ["y", "y"]', "directions must be different names"),

@@ -126,8 +126,9 @@ def test_faults_of_points_of_the_sample_are_found_and_named(sample, number):
 @pytest.mark.parametrize("channels", [[1, 16], [8, 23]])
 def test_conjugated_channels_and_exchanged_lines_of_the_sample_are_named(sample, channels):
     def two_lines(value):
-        made = value.copy()
-        made[..., [10, 40]] = value[..., [40, 10]]
+        """Exchange what was read: displacements in the file's own power of the frequency."""
+        rate, made = sample.freq_hz[[10, 40]] ** sample.order, value.copy()
+        made[..., [10, 40]] = value[..., [40, 10]] * rate[::-1] / rate
         return made
 
     for number, (body, channel) in enumerate(zip(sample.bodies, channels, strict=True)):
