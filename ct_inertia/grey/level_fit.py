@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,8 @@ from ct_inertia.native import checked, compiled, shape_of
 from ct_inertia.volume.grid_operations import gaussian
 from stapeskit.arrays import Array
 
-# Samples of a voxel along each axis, and the range of grey values (share of the contrast) over which a sample
+# The range of grey values (share of the contrast) over which a sample, of two along each axis of a voxel,
 # changes from outside to inside: about what changes across its own width.
-_FINE = 2
 # A sample spans half a voxel; with a blur of one voxel the grey value changes by about a quarter over it.
 _SOFT = 0.25
 # Rounds of the fit, with and without the contrast, and the change of the contrast below which it ends before:
@@ -188,19 +188,24 @@ def body_share(
     rows, columns = field.shape[1] * field.shape[2], field.shape[2]
     steps = np.arange(-1, 2)
     around = (steps[:, None, None] * rows + steps[:, None] * columns + steps).ravel()
-    offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-    weights = np.maximum(1.0 - np.abs(offsets[:, None] - steps), 0.0)
-    every = np.einsum("ai,bj,ck->ijkabc", weights, weights, weights).reshape(27, -1).astype(np.float32)
     flat = field.ravel()
     for start in range(0, len(index), _PIECE):
         part = index[start : start + _PIECE]
-        values = flat[part[:, None] + around] @ every
-        # Softened over the sample's own width: shares near 0 and 1 come out in between.
-        values *= np.float32(1.0 / _SOFT)
-        values += np.float32(0.5)
-        np.clip(values, 0.0, 1.0, out=values)
-        result.ravel()[part] = values.mean(axis=1)
+        near = flat[part[:, None] + around].reshape(-1, 3, 3, 3)
+        total = np.zeros(len(part), dtype=np.float32)
+        for z, y, x in product((0, 2), repeat=3):
+            at_z = _quarter(near[:, 1], near[:, z])
+            at_y = _quarter(at_z[:, 1], at_z[:, y])
+            sample = _quarter(at_y[:, 1], at_y[:, x])
+            # Softened over the sample's own width: shares near 0 and 1 come out in between.
+            total += np.clip(sample * np.float32(1.0 / _SOFT) + np.float32(0.5), 0.0, 1.0)
+        result.ravel()[part] = total * np.float32(0.125)
     return result
+
+
+def _quarter(middle: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return values a quarter of a voxel from the middle, towards the other."""
+    return np.float32(0.75) * middle + np.float32(0.25) * other
 
 
 def grow_mask(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:

@@ -93,8 +93,8 @@ class Kind:
     ----------
     labels : function
         Of a pair and the derivatives in what was measured, to the motion under each other label.
-    code : str
-        Of the warning.
+    warning : function
+        Of a text, to the warning.
     sentence : str
         What the warning says of these labels; with the names of the bodies, and of that which lags less.
     above : float
@@ -106,7 +106,7 @@ class Kind:
     """
 
     labels: Callable[[Pair, int], Iterator[Labelled]]
-    code: str
+    warning: Callable[[str], Notice]
     sentence: str
     above: float = 0.0
     factor: bool = False
@@ -114,43 +114,47 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "sign": Kind(_other_sign, "body_sign", f", but one would with the sign of one of them turned: {TURN}"),
+    "sign": Kind(
+        _other_sign,
+        lambda text: Notice("body_sign", text),
+        f", but one would with the sign of one of them turned: {TURN}",
+    ),
     "bodies": Kind(
         _other_names,
-        "label_swap",
+        lambda text: Notice("label_swap", text),
         ": the names {structure} and {base} look exchanged{conjugated}. Exchange them.",
     ),
     "amplitude": Kind(
         _other_amplitude,
-        "unit_slip",
+        lambda text: Notice("unit_slip", text),
         ", but one would with {base} {factor:.4g} times as large: {rms} looks given in rms and {peak} in "
         "peak values. Name the columns of {rms} amp_rms or give all in peak values.",
         factor=True,
     ),
     "conjugate": Kind(
         _conjugate,
-        "phase_convention",
+        lambda text: Notice("phase_convention", text),
         ": the data of {leading} alone look like amplitudes of e^{{-iwt}}. Conjugate them (im or phase_deg "
         "with the opposite sign).",
         BAD,
     ),
     "runs": Kind(
         _other_runs,
-        "label_swap",
+        lambda text: Notice("label_swap", text),
         ": runs of {base} look exchanged ({exchanged}), or those of {structure} the other way. Correct the "
         "column run.",
         BAD,
     ),
     "frequency": Kind(
         _other_lines,
-        "label_swap",
+        lambda text: Notice("label_swap", text),
         ": the frequencies of {base} look shifted against those of {structure} by about {hertz:.3g} Hz "
         "({lines} lines). Check freq_hz.",
         BAD,
     ),
     "range": Kind(
         _other_range,
-        "unit_slip",
+        lambda text: Notice("unit_slip", text),
         ", but one would with {base} {factor:.4g} times as large in run {run} alone: one of the two bodies "
         "looks measured in another range or unit there. Check the ranges of the vibrometer, and correct the "
         "values of that body in run {run}.",
@@ -217,7 +221,7 @@ class Comparison:
             conjugated=", and their phases conjugated (e^{-iwt})" if lag is not None and lag.reversed else "",
             **self.details,
         )
-        return Notice(KINDS[self.kind].code, text)
+        return KINDS[self.kind].warning(text)
 
 
 def compare_labels(pair: Pair, derivatives: int) -> Comparison | None:

@@ -59,24 +59,19 @@ def phase_notice(
         "deviations), which no passive ligament does"
     )
     if labels is not None and labels.rather("bodies", 0.5) and not labels.rather("sign", 0.5):
-        code = "label_swap"
-        said += (
+        text = (
             f"; {base} would lag {structure} as a passive ligament makes it: the two names look exchanged. "
             "Exchange them, unless the data are amplitudes of e^{-iwt} (then conjugate them)."
         )
-    elif signed and (labels is None or labels.rather("sign", 1.0)):
-        code = "body_sign"
-        said += (
+        return [Notice("label_swap", said + text)]
+    if signed and (labels is None or labels.rather("sign", 1.0)):
+        text = (
             ", and moves against it at the lowest lines, where the ligament carries it along: one of the two "
             f"bodies has the wrong sign. {TURN.capitalize()}"
         )
-    else:
-        code = "phase_convention"
-        said += (
-            ": the data look like amplitudes of e^{-iwt}. Conjugate them (im or phase_deg with the opposite "
-            "sign)."
-        )
-    return [Notice(code, said)]
+        return [Notice("body_sign", said + text)]
+    text = ": the data look like amplitudes of e^{-iwt}. Conjugate them (im or phase_deg with the opposite sign)."
+    return [Notice("phase_convention", said + text)]
 
 
 def _alone(motion: RigidMotion) -> list[Notice]:
