@@ -70,9 +70,7 @@ def phase_notice(
             f"bodies has the wrong sign. {TURN.capitalize()}"
         )
         return [Notice("body_sign", said + text)]
-    text = (
-        ": the data look like amplitudes of e^{-iwt}. Conjugate them (im or phase_deg with the opposite sign)."
-    )
+    text = ": the data look like amplitudes of e^{-iwt}. Conjugate them (im or phase_deg with the opposite sign)."
     return [Notice("phase_convention", said + text)]
 
 
