@@ -70,8 +70,8 @@ def phase_notice(
             f"bodies has the wrong sign. {TURN.capitalize()}"
         )
         return [Notice("body_sign", said + text)]
-    text = ": the data look like amplitudes of e^{-iwt}. Conjugate them (im or phase_deg with the opposite sign)."
-    return [Notice("phase_convention", said + text)]
+    said += ": the data look like amplitudes of e^{-iwt}. "
+    return [Notice("phase_convention", f"{said}Conjugate them (im or phase_deg with the opposite sign).")]
 
 
 def _alone(motion: RigidMotion) -> list[Notice]:
