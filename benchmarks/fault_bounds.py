@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.fault_scenes import FAULTS, Array, Scene, measured, possible, readings, scene
 
+# Share of clean files in which the bounds may raise an alarm, as the search does.
 ALARM = 0.01
 # Default sd of gain, phase (rad) and delay (s) of a laser: faults that large are none.
 LASER_SD = (0.01, np.radians(0.5), 1e-6)

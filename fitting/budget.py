@@ -26,6 +26,8 @@ from stapeskit.arrays import Array
 
 EXPONENT = "damping_exponent"
 MODEL_ERROR = "model_error"
+# Standard deviation, as a share of the entry, that is rounding: sums of sources lose six digits of 15.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,17 @@ def _joint_budget(problem: Problem, ligament: LigamentFit, off: Array | None) ->
         "fisher",
         np.zeros(len(covariance)),
     )
+
+
+def without_rounding(covariance: Array, stiffness: Array, damping: Array) -> Array:
+    """Return a covariance of K and D (p, p) in which variances that only rounding made negative are zero.
+
+    Exact data have no noise: what is left of sums of sources may be below zero by their last digits.
+    """
+    variance = np.diag(covariance)
+    least = -((_ROUNDING * np.concatenate([_steps(stiffness), _steps(damping)])) ** 2)
+    kept = (variance >= 0.0) | (variance < least)
+    return covariance * np.outer(kept, kept)
 
 
 def _by_source(effect: SharedEffect) -> dict[str, Array]:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from fitting.budget import budget_of
+from fitting.budget import budget_of, without_rounding
 from fitting.calibrated import calibrated
 from fitting.causes.diagnosis import model_error
 from fitting.causes.model_error import minimum_error
@@ -329,6 +329,11 @@ def _result(
     if ligament is not None:
         stiffness, damping = ligament.stiffness, ligament.damping
     budget = budget_of(problem, lines, best, off)
+    budget = replace(
+        budget,
+        covariance=without_rounding(budget.covariance, stiffness, damping),
+        noise=without_rounding(budget.noise, stiffness, damping),
+    )
     check_result(stiffness, damping, budget.covariance, budget.noise)
     mode_list = modes(problem.vibrating_mass, stiffness, damping, problem.law)
     fit = KDFit(

@@ -105,7 +105,7 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
     if len(far):
         listed = list_some((f"{freq:.6g}" for freq in far), 5)
         text = f"{len(far)} of {len(fit.observation.freq_hz)} lines lie farther off than noise brings them"
-        notices.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
+        notices.append(Notice("outliers", f"{text} (at {listed} Hz); they were given little weight."))
     return notices
 
 

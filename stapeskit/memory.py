@@ -42,7 +42,7 @@ def keep_algebra_to_one_thread() -> None:
     """Let the linear algebra library run in the thread that calls it, unless the user has chosen.
 
     All matrices here are small: threads of OpenBLAS spin for work that never comes, on processors that
-    others need. With two threads beside other programs a fit of K and D took 66 s instead of 10. OpenBLAS
+    others need. With two threads beside other programs a fit of K and D takes 2 to 6 times as long. OpenBLAS
     reads its variable when numpy is first imported; every command calls this before.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

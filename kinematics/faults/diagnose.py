@@ -40,9 +40,9 @@ _MANY = 30
 _LEAST_POINTS, _SMALLEST_M, _OF_LEVER, _MORE = 4, 1e-7, 0.2, 1.5
 # Up to so many points their errors are compared jointly: the memory goes with the square.
 _MOST_POINTS = 1000
-# Channels up to which all pairs are compared: with more, none hides another. Pairs that are tried, and the
-# share of the misfit that a pair must explain.
-_MOST_PAIRED, _TRIED, _EXPLAINED = 150, 3, 0.9
+# Channels up to which all pairs are compared (180 000 pairs, 2 s). Pairs that are tried, and the share of the
+# misfit that a pair must explain.
+_MOST_PAIRED, _TRIED, _EXPLAINED = 600, 3, 0.9
 # What each parameter of a single fault, and the choice of its place, costs of log likelihood next to these.
 _PER_PARAMETER = 5.0
 

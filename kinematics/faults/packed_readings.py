@@ -26,7 +26,8 @@ from stapeskit.spatial import cross, point_rows
 
 # A factor of readings by place in the measurement (-1 to 1) and frequency over its mean.
 Factor = Callable[[Array, Array], ComplexArray]
-# Segments that show a change over the lines; fewer lines than give so many are kept as they are.
+# Segments that show a change over the lines: a mean, a slope, and two to judge them by. Fewer lines than give
+# so many are kept as they are.
 LEAST_SEGMENTS = 4
 # Segments of lines that are packed each by itself: a drift is seen so finely.
 _SEGMENTS = 12

@@ -1,7 +1,8 @@
 """The table of vibrometer formats, and which of them a file or folder is.
 
-A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages, the help
-of ``points2dof`` and the table in docs/vibrometer_files.md follow. What a file holds decides first, its name
+A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages and the
+table in docs/vibrometer_files.md follow. The help of ``points2dof``, which imports no reader, has the same
+words in `kinematics.cli`: a test says where they differ. What a file holds decides first, its name
 second; earlier entries win.
 """
 

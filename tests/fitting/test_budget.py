@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fitting.budget import without_rounding
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
@@ -53,3 +54,12 @@ def test_modes_follow_by_the_delta_method_and_do_not_see_the_density(piston: KDF
     slopes = np.array([-0.5 * ratio / STIFFNESS, ratio / DAMPING])
     assert piston.derived.damping_ratio_sd[0] == pytest.approx(np.sqrt(slopes @ noise @ slopes), rel=1e-3)
     assert piston.derived.principal is None
+
+
+def test_a_variance_that_rounding_made_negative_is_zero_and_no_other() -> None:
+    stiffness, damping = np.diag([1500.0, 1e-3]), np.diag([0.02, 1e-8])
+    variance = np.array([4.0, 1e-24, -1e-26, 1e-6, -1e-8, 1e-20])
+    covariance = np.diag(variance) + 1e-30
+    held = without_rounding(covariance, stiffness, damping)
+    assert np.diag(held) == pytest.approx([4.0, 1e-24, 0.0, 1e-6, -1e-8, 1e-20])
+    assert not np.any(held[2])

@@ -113,7 +113,7 @@ def order_notices(motion: RigidMotion, reordered: Sequence[Reordered]) -> list[N
 def reordered_bodies(
     motion: RigidMotion, derivatives: int, structure: str = "stapes", base: str = "base"
 ) -> list[Reordered]:
-    """Return the bodies whose lines stand in a wrong order, first those in the order of text.
+    """Return the bodies whose lines are in a wrong order: those sorted as text come first.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ def test_bone_that_tapers_off_below_the_blur_is_no_soft_medium():
 
 
 def gap_beside_darker_bone(bright):
-    """What is taken for soft between two slabs, the other one with a grey value of its own; as a volume."""
+    """Return what is subtracted as soft around a slab beside one of another brightness, over its volume."""
     sigma, spacing = 0.05, np.full(3, 0.035)
     x = (np.arange(60) - 30.0) * 0.035
     share = slab(x, -0.6, -0.05, sigma) + bright * slab(x, 0.05, 0.6, sigma)

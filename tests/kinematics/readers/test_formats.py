@@ -29,7 +29,8 @@ def test_every_entry_has_a_reader_that_takes_its_options(entry):
 
 def test_the_help_of_the_command_lists_every_format():
     text = " ".join(parser().format_help().split())
-    assert all(f"{entry.words}: {entry.reads.replace('`', '')}" in text for entry in FORMATS if entry.reads)
+    said = {entry.name: f"{entry.words}: {entry.reads.replace('`', '')}" for entry in FORMATS if entry.reads}
+    assert [name for name, words in said.items() if words not in text] == []
 
 
 def test_names_are_different():
