@@ -145,7 +145,8 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
     if named is None and not diagnosis.searched:
         words = (
             "No error of the catalogue is called for: none of the directed scores is improbable, and the "
-            "residuals are those of noise and shared errors."
+            "residuals are those of noise and shared errors. The z of a step and of a resonance is the "
+            "largest of many places: it must be larger than others to count."
         )
         if diagnosis.refits:
             words += " Those under Refits are possible; their effect is in the intervals by its evidence."
