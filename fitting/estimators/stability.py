@@ -95,7 +95,7 @@ def wall_slopes(parameters: Array, problem: Objective) -> tuple[Array, Array]:
     derivatives = problem.state_slopes
     operator = _lyapunov(parameters, problem)  # transposed: of the equation of the transposed S
     p = _solved(operator, -np.eye(derivatives.shape[1]))
-    inverse = np.linalg.inv(p)
+    inverse = np.asarray(np.linalg.inv(p))
     q = _solved(operator.T, -inverse)
     p_slopes = _solved(operator, -_twice(derivatives @ p))
     q_slopes = _solved(operator.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
@@ -127,7 +127,7 @@ def _lyapunov(parameters: Array, problem: Objective) -> Array:
 def _solved(operator: Array, right: Array) -> Array:
     """Return the symmetric solutions of symmetric right sides (..., 2n, 2n)."""
     solution = np.linalg.solve(operator, right.reshape(-1, len(operator)).T).T
-    return 0.5 * _twice(solution.reshape(right.shape))
+    return 0.5 * _twice(np.asarray(solution.reshape(right.shape)))
 
 
 def stable_start(problem: Objective, begin: Array) -> Array:
