@@ -14,7 +14,8 @@ from kinematics.cli import parser, work
 from kinematics.measure_motion import motion_inputs, read_inputs
 from kinematics.options import LdvOptions
 from kinematics.points2dof import points2dof
-from kinematics.readers import InputOptions, read_measurement
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.measurement_files import read_measurement
 from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.faults import StapeskitError
 from stapeskit.option_kinds import BEAM
