@@ -53,7 +53,7 @@ def sample(second_run: bool = False) -> Measurement:
 
     The motion of the second run is that of the first, its degrees of freedom mixed: another shaker axis.
     """
-    from kinematics.readers import read_measurement
+    from kinematics.readers.measurement_files import read_measurement
 
     data = read_measurement((SAMPLE / "ldv.csv",), SAMPLE / "points.csv", "vibrometer")
     middle = np.mean(np.concatenate([body.positions_mm for body in data.bodies]), axis=0)

@@ -17,24 +17,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 Vibrometer files, recognised by their content; several are parts of one
 measurement, or different runs when they measure the same points again:
-  a tidy table (.csv): commas, semicolons or tabs, decimal commas, UTF-8 or
-      UTF-16, BOM, any line ends, quotes, # comments, sep=;; anything else is
-      refused with file, line and column, all faults in one message
-  a wide table (.csv): one row a frequency and two columns a beam (Frequency
-      [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...); other names by --mapping
-  time series (.csv, .npz, .wav): with a channel table, also .mat and .h5; time
-      responses in universal files: H1, H2, Hv, local polynomials without
-      leakage (--frf lpm), periodic excitation, stepped sine by lock-in, each
-      with its variance; clipped samples, spikes, dropouts and leakage are
-      reported
-  text exports of a scanning vibrometer (a folder, or .txt): Polytec PSV:
-      FastScan folders (one file a frequency) and per-point files
-  a universal file (.uff, .unv): functions 58 (all ASCII forms) and 58b (both
-      byte orders): responses, cross and auto spectra, time responses; 15/2411
-      nodes, 18/2420 coordinate systems, 164 units; coherence with its response
-  HDF5 (.h5): own documented layout with a writer; others by --mapping
-  a MATLAB file (.mat): v4 to v7.3, as File Access scripts save them; other
-      layouts by --mapping
+{}
 .svd files open in their own program only: export UFF or ASCII.
 Time series need --channels FILE: channel, role (response, reference, ignore),
   body, point, dir or dir_x, dir_y, dir_z, unit (mm/s ...) or sensitivity
@@ -60,20 +43,34 @@ fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
                [, frame = plate (default) | scan | footplate]
                [, sd_mm | sd_x_mm, sd_y_mm, sd_z_mm] [, sd_ref_mm]
 Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.csv.
-Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate
+Motion is displacement, peak, e^{{+iwt}}, about the footplate centre in footplate
 axes.
 """
 
 
 def parser() -> Parser:
-    """Return the parser of the command; a test holds the formats of its help to the table of readers."""
+    """Return the parser of the command."""
+    from textwrap import fill
+
     from kinematics.options import LdvOptions, PointsFiles
+    from kinematics.readers.format_table import FORMATS
     from stapeskit.option_parser import Parser
+
+    formats = [
+        fill(
+            f"{entry.words}: {entry.reads.replace('`', '')}",
+            80,
+            initial_indent="  ",
+            subsequent_indent="      ",
+        )
+        for entry in reversed(FORMATS)
+        if entry.reads
+    ]
 
     return Parser(
         "points2dof",
         "Vibrometer points to the degrees of freedom of rigid bodies.",
-        _EPILOG,
+        _EPILOG.format("\n".join(formats)),
         LdvOptions,
         PointsFiles,
     )

@@ -24,7 +24,7 @@ def files_by_role(
     files: Sequence[Path], points: Path | None, named: Mapping[str, Path | None]
 ) -> dict[str, Path | None]:
     """Return every file that is read, by its role, mapping files found next to a vibrometer file included."""
-    from kinematics.readers import inputs_of
+    from kinematics.readers.measurement_files import inputs_of
 
     sidecars = (path.parent / f"{path.name}.toml" for path in files)
     companions = {path.name: path for path in sidecars if path.is_file()}
@@ -110,7 +110,7 @@ def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
         What is wrong with the files, row by row, or a channel to be left out that they do not hold.
     """
     from kinematics.exclude_channels import without_channels
-    from kinematics.readers import read_measurement
+    from kinematics.readers.measurement_files import read_measurement
     from kinematics.registration.fiducials import read_fiducials
     from kinematics.registration.surface_points import read_surface_points
     from stapeskit.faults import Fault, collect_faults, raise_all

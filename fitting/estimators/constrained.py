@@ -15,6 +15,7 @@ is the global optimum, and the certificate is zero. For ``psd`` the certificate 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, Method, fixed_precision
 from fitting.estimators.semidefinite import nearest
 from fitting.estimators.semidefinite_roots import active_names, is_positive_definite, nearest_inside
-from fitting.estimators.stability import best_stable, stable_start, wall_height
+from fitting.estimators.stability import best_stable, stable_start, state_derivatives, wall_height
 from fitting.model.model import state_matrix
 from fitting.model.parameter_vector import entry_names, pairs, split
 from fitting.model.scaled_lines import Lines, real_rows, regressor
@@ -61,6 +62,11 @@ class Quadratic:
     def n(self) -> int:
         """Number of degrees of freedom."""
         return len(self.mass)
+
+    @cached_property
+    def state_slopes(self) -> Array:
+        """The derivative of the state matrix by every parameter, (p, 2n, 2n)."""
+        return state_derivatives(self.mass)
 
     def value(self, parameters: Array) -> float:
         """Return the objective."""

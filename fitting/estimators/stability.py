@@ -10,15 +10,13 @@ eigenvalues meet and split. Steps that would leave the set are shortened, so tha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from fitting.errors import FittingError
 from fitting.estimators.semidefinite_roots import descent
-from fitting.model.model import state_matrix
-from fitting.model.parameter_vector import basis, split
+from fitting.model.parameter_vector import basis
 from stapeskit.arrays import Array
 
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.
@@ -30,15 +28,12 @@ _MOST_STEPS = 40
 # A change of the objective over the last decades of the weight that counts as settled.
 _SETTLED = 1e-3
 _SHORTEST = 1e-12
-_CENTRED = 1e-6
+# Newton decrement at the last centre, and at those on the way to it.
+_CENTRED, _NEAR_CENTRE = 1e-6, 1e-2
 
 
 class Objective(Protocol):
-    """A quadratic objective within bounds, and the scaled mass (fitting.estimators.constrained.Quadratic)."""
-
-    @property
-    def mass(self) -> Array:
-        """Return the scaled mass, (n, n)."""
+    """A quadratic objective within bounds (fitting.estimators.constrained.Quadratic)."""
 
     @property
     def lower(self) -> Array:
@@ -48,27 +43,15 @@ class Objective(Protocol):
     def upper(self) -> Array:
         """Return the upper bounds, (p,)."""
 
+    @property
+    def state_slopes(self) -> Array:
+        """Return the derivative of the state matrix by every parameter, (p, 2n, 2n)."""
+
     def expansion(self, parameters: Array) -> tuple[float, Array, Array]:
         """Return value, gradient and Hessian."""
 
     def value(self, parameters: Array) -> float:
         """Return the value."""
-
-
-@dataclass(frozen=True)
-class Wall:
-    """log det P - sum log of the distances to finite bounds, at a stable point.
-
-    Attributes
-    ----------
-    gradient : ndarray, (p,)
-    hessian : ndarray, (p, p)
-        Not always positive definite: the stable set is not convex.
-    """
-
-    value: float
-    gradient: Array
-    hessian: Array
 
 
 def state_derivatives(mass: Array) -> Array:
@@ -82,33 +65,40 @@ def state_derivatives(mass: Array) -> Array:
 
 
 def wall_height(parameters: Array, problem: Objective) -> float:
-    """Return the value of the wall; inf where a model is not stable by the margin or a bound is reached."""
-    n = len(problem.mass)
-    state = state_matrix(problem.mass, *split(parameters, n)) + MARGIN * np.eye(2 * n)
-    if not np.linalg.eigvals(state).real.max() < 0.0:
-        return float("inf")
-    slack = _slacks(parameters, problem)
+    """Return log det P - sum log of the distances to finite bounds.
+
+    It is inf where a model is not stable by the margin, so that P is not positive definite, or a bound is
+    reached.
+    """
+    low, high = parameters - problem.lower, problem.upper - parameters
+    slack = np.concatenate([low[np.isfinite(low)], high[np.isfinite(high)]])
     if np.any(slack <= 0.0):
         return float("inf")
-    sign, value = np.linalg.slogdet(_lyapunov(state, -np.eye(2 * n)[None])[0])
-    return float(value - np.sum(np.log(slack))) if sign > 0.0 else float("inf")
+    try:
+        p = _solved(_lyapunov(parameters, problem), -np.eye(problem.state_slopes.shape[1]))
+        root = np.linalg.cholesky(p)
+    except np.linalg.LinAlgError:
+        return float("inf")
+    return float(2.0 * np.sum(np.log(root.diagonal())) - np.sum(np.log(slack)))
 
 
-def wall(parameters: Array, problem: Objective, derivatives: Array) -> Wall:
-    """Return the wall with its slopes at a point where it is finite.
+def wall_slopes(parameters: Array, problem: Objective) -> tuple[Array, Array]:
+    """Return gradient (p,) and Hessian (p, p) of the wall at a point where it is finite.
+
+    The Hessian is not always positive definite: the stable set is not convex.
 
     Notes
     -----
     With S P + P S^T = -I, S^T Q + Q S = -P^-1 and S_k = dS / dp_k: d log det P / dp_k = 2 tr(P Q S_k); the
     second derivatives follow from the same two equations with changed right sides.
     """
-    n = len(problem.mass)
-    state = state_matrix(problem.mass, *split(parameters, n)) + MARGIN * np.eye(2 * n)
-    p = _lyapunov(state, -np.eye(2 * n)[None])[0]
-    inverse = np.linalg.inv(p)
-    q = _lyapunov(state.T, -inverse[None])[0]
-    p_slopes = _lyapunov(state, -_twice(derivatives @ p))
-    q_slopes = _lyapunov(state.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
+    derivatives = problem.state_slopes
+    operator = _lyapunov(parameters, problem)  # transposed: of the equation of the transposed S
+    p = _solved(operator, -np.eye(derivatives.shape[1]))
+    inverse = np.asarray(np.linalg.inv(p))
+    q = _solved(operator.T, -inverse)
+    p_slopes = _solved(operator, -_twice(derivatives @ p))
+    q_slopes = _solved(operator.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
     gradient = 2.0 * np.einsum("ij,kji->k", p @ q, derivatives)
     products = p_slopes @ q + p @ q_slopes
     hessian = 2.0 * np.einsum("lij,kji->kl", products, derivatives)
@@ -117,27 +107,27 @@ def wall(parameters: Array, problem: Objective, derivatives: Array) -> Wall:
         slack = sense * (parameters - bound)[finite]
         gradient[finite] -= sense / slack
         hessian[finite, finite] += 1.0 / slack**2
-    value = np.linalg.slogdet(p)[1] - np.sum(np.log(_slacks(parameters, problem)))
-    return Wall(float(value), gradient, 0.5 * (hessian + hessian.T))
+    return gradient, 0.5 * (hessian + hessian.T)
 
 
 def _twice(matrices: Array) -> Array:
     return matrices + np.swapaxes(matrices, -1, -2)
 
 
-def _slacks(parameters: Array, problem: Objective) -> Array:
-    low, high = parameters - problem.lower, problem.upper - parameters
-    return np.concatenate([low[np.isfinite(problem.lower)], high[np.isfinite(problem.upper)]])
-
-
-def _lyapunov(state: Array, right: Array) -> Array:
-    """Solve S X + X S^T = R for several symmetric R, (k, m, m)."""
-    eye = np.eye(len(state))
+def _lyapunov(parameters: Array, problem: Objective) -> Array:
+    """Return the matrix of X -> (S + m I) X + X (S + m I)^T, (4n^2, 4n^2)."""
+    slopes = problem.state_slopes
+    eye = np.eye(slopes.shape[1])
+    state = np.eye(len(eye), k=len(eye) // 2) + MARGIN * eye + np.tensordot(parameters, slopes, 1)
     # the Kronecker sum of S with itself; np.kron took 40 % of a fit whose stability is active
     sums = state[:, None, :, None] * eye[:, None] + eye[:, None, :, None] * state[:, None]
-    operator = sums.reshape(state.size, state.size)
-    solution = np.linalg.solve(operator, right.reshape(len(right), -1).T).T.reshape(right.shape)
-    return np.asarray(0.5 * (solution + np.swapaxes(solution, -1, -2)))
+    return sums.reshape(state.size, state.size)
+
+
+def _solved(operator: Array, right: Array) -> Array:
+    """Return the symmetric solutions of symmetric right sides (..., 2n, 2n)."""
+    solution = np.linalg.solve(operator, right.reshape(-1, len(operator)).T).T
+    return 0.5 * _twice(np.asarray(solution.reshape(right.shape)))
 
 
 def stable_start(problem: Objective, begin: Array) -> Array:
@@ -194,10 +184,9 @@ def follow_barrier(problem: Objective, start: Array, weight: float) -> tuple[Arr
     converged : bool
         Whether the last steps of the weight changed the objective by less than 0.1 %.
     """
-    derivatives = state_derivatives(problem.mass)
     now, steps, values = np.array(start), 0, [problem.value(start)]
     while True:
-        now, count = _centre(problem, now, weight, derivatives)
+        now, count = _centre(problem, now, weight)
         steps += count
         values.append(problem.value(now))
         if weight <= _LAST * (1.0 + 1e-9):
@@ -206,23 +195,23 @@ def follow_barrier(problem: Objective, start: Array, weight: float) -> tuple[Arr
     return now, steps, max(values[-4:]) - values[-1] <= _SETTLED * max(values[-1], _LAST)
 
 
-def _centre(problem: Objective, start: Array, weight: float, derivatives: Array) -> tuple[Array, int]:
+def _centre(problem: Objective, start: Array, weight: float) -> tuple[Array, int]:
     """Minimise objective / weight + wall by Newton steps along which the curvature is made positive."""
-    now = start
+    now, height = start, wall_height(start, problem)
     for count in range(1, _MOST_STEPS + 1):
         level, gradient, hessian = problem.expansion(now)
-        barrier = wall(now, problem, derivatives)
-        slope = gradient / weight + barrier.gradient
-        move = -descent(hessian / weight + barrier.hessian, slope)
+        wall_gradient, wall_hessian = wall_slopes(now, problem)
+        slope = gradient / weight + wall_gradient
+        move = -descent(hessian / weight + wall_hessian, slope)
         decrement = float(-slope @ move)
-        if decrement < _CENTRED:
+        if decrement < (_CENTRED if weight <= _LAST else _NEAR_CENTRE):
             return now, count
-        before = level / weight + barrier.value
+        before = level / weight + height
         length = 1.0
         while length > _SHORTEST:
             trial = now + length * move
-            reached = problem.value(trial) / weight + wall_height(trial, problem)
-            if reached <= before - 1e-4 * length * decrement:
+            height = wall_height(trial, problem)
+            if problem.value(trial) / weight + height <= before - 1e-4 * length * decrement:
                 break
             length *= 0.5
         else:

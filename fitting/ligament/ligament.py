@@ -298,7 +298,11 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
     def profile(logarithm: float) -> float:
         applied = term.apply(float(np.exp(logarithm)), lines, equations)
         wide = replace(applied[0], covariance=fit.noise * applied[0].covariance)
-        inner = fit_joint(wide, applied[1], equation_error_start(*applied, fit.parameters))
+        if fits:
+            begin = fits[min(fits, key=lambda tried: abs(tried - logarithm))].parameters
+        else:
+            begin = equation_error_start(*applied, fit.parameters)
+        inner = fit_joint(wide, applied[1], begin)
         fits[logarithm] = inner
         return inner.chi2
 

@@ -193,12 +193,14 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
     """
     count = signals.shape[1]
     apart = rate / count
-    near = freq + apart * np.arange(-3.0, 3.01, 0.25)
-    near = near[(near > 0.5 * freq) & (near < 0.499 * rate)]
+    quarters = np.arange(-12, 13)
+    near = freq + 0.25 * apart * quarters
+    within = (near > 0.5 * freq) & (near < 0.499 * rate)
     level = signals - np.mean(signals, axis=1, keepdims=True)
     level = level / np.maximum(np.std(level, axis=1, keepdims=True), np.finfo(float).tiny)
-    waves = np.exp(-2j * np.pi * np.outer(np.arange(count) / rate, near)) * np.hanning(count)[:, None]
-    coarse = float(near[np.argmax(np.sum(np.abs(level @ waves) ** 2, axis=0))])
+    spectrum = np.fft.fft(level * (_mixer(count, rate, freq) * np.hanning(count)), 4 * count)
+    power = np.sum(np.abs(spectrum[:, quarters[within]]) ** 2, axis=0)
+    coarse = float(near[within][np.argmax(power)])
     half = count // 2
     plain = replace(how, harmonics=1)
     for _ in range(6):
@@ -220,6 +222,11 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
         want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
         raise KinematicsError.of("the sine of a step", want, f"{coarse:.6g} Hz", where, step)
     return coarse
+
+
+def _mixer(count: int, rate: float, freq: float) -> ComplexArray:
+    """Return what moves a frequency to 0 Hz, (sample,)."""
+    return np.asarray(np.exp(-2j * np.pi * freq / rate * np.arange(count)))
 
 
 def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
@@ -256,26 +263,23 @@ def _near(residual: Array, rate: float, freq: float) -> ComplexArray:
     """
     count = residual.shape[1]
     bins = np.concatenate([-np.arange(_GAP, _GAP + OFFSETS), np.arange(_GAP, _GAP + OFFSETS)])
-    places = freq + bins * rate / count
-    offsets_hz = places[(places > 2.0 * rate / count) & (places < 0.5 * rate - 2.0 * rate / count)]
-    offsets_hz = offsets_hz[
-        np.abs(offsets_hz / freq - np.round(offsets_hz / freq)) * freq > 2.5 * rate / count
-    ]
-    narrow = offsets_hz[np.abs(offsets_hz - freq) < _NEAR * freq]
-    offsets_hz = narrow if len(narrow) >= 12 else offsets_hz
-    if len(offsets_hz) < 4:
-        offsets_hz = places[places > 0.0]
-    time = np.arange(count) / rate
+    places, apart = freq + bins * rate / count, rate / count
+    off_harmonics = np.abs(places - np.round(places / freq) * freq) > 2.5 * apart
+    chosen = (places > 2.0 * apart) & (places < 0.5 * rate - 2.0 * apart) & off_harmonics
+    narrow = chosen & (np.abs(places - freq) < _NEAR * freq)
+    if np.sum(narrow) >= 12:
+        chosen = narrow
+    elif np.sum(chosen) < 4:
+        chosen = places > 0.0
     taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
-    waves = np.exp(-2j * np.pi * np.outer(time, offsets_hz)) * taper[:, None]
-    return np.asarray(residual @ waves) * 2.0 / count / np.sqrt(np.mean(taper**2))
+    spectrum = np.fft.fft(residual * (_mixer(count, rate, freq) * taper))
+    return np.asarray(spectrum[:, bins[chosen] % count]) * 2.0 / count / np.sqrt(np.mean(taper**2))
 
 
 def _unsteady(residual: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
     """Return the largest change of an amplitude between the halves of a record over its noise."""
     count = residual.shape[1]
-    wave = np.exp(-2j * np.pi * freq / rate * np.arange(count))
-    mixed = residual * wave
+    mixed = residual * _mixer(count, rate, freq)
     half = count // 2
     change = 2.0 * np.abs(mixed[:, half:].mean(axis=1) - mixed[:, :half].mean(axis=1))
     notable = change > _NOTABLE_CHANGE * np.abs(amplitude)

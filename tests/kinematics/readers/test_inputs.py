@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kinematics.options import LdvOptions
-from kinematics.readers import InputOptions
 from kinematics.readers.assemble_measurement import assemble
 from kinematics.readers.from_options import input_options
+from kinematics.readers.input_options import InputOptions
 from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.tidy.points_csv import read_points
 from stapeskit.faults import Place, StapeskitError

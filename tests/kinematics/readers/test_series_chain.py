@@ -9,8 +9,8 @@ from kinematics.cli import parser, work
 from kinematics.fit_options import Options
 from kinematics.options import LdvOptions
 from kinematics.points2dof import points2dof
-from kinematics.readers import read_measurement
 from kinematics.readers.from_options import input_options
+from kinematics.readers.measurement_files import read_measurement
 from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import read_motion, standard_deviation

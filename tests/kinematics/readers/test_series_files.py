@@ -303,7 +303,8 @@ def test_the_channel_table_of_the_page_is_read(tmp_path):
 
 
 def test_options_that_no_file_is_for_are_refused(tmp_path):
-    from kinematics.readers import InputOptions, read_measurement
+    from kinematics.readers.input_options import InputOptions
+    from kinematics.readers.measurement_files import read_measurement
 
     (tmp_path / "channels.csv").write_text(TABLE)
     (tmp_path / "map.toml").write_text("")

@@ -7,7 +7,8 @@ import random
 import numpy as np
 import pytest
 
-from kinematics.readers import InputOptions, read_measurement
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.measurement_files import read_measurement
 from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.written_psv import fastscan, point

@@ -8,9 +8,10 @@ import pytest
 from scipy.io import savemat
 
 from kinematics.measure_motion import MotionInputs
-from kinematics.readers import InputOptions, read_measurement
 from kinematics.readers.containers.matlab_file import read_mat
 from kinematics.readers.formats import read_recordings
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.measurement_files import read_measurement
 from kinematics.readers.series.series_files import read_series
 from kinematics.readers.unit_labels import motion_unit
 from stapeskit.faults import StapeskitError
