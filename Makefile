@@ -54,8 +54,11 @@ cohort: $(READY)
 	$(BIN)/python -m sample_volumes.make_cohort demo/cohort --compare
 	@echo "Open demo/cohort/out/cohort.html"
 
-# one thread of linear algebra per process: two processes share two cores
+# One thread of linear algebra per process: two processes share two cores. Memory that is freed stays with the process
+# (glibc): a scan in a long process otherwise has all its pages cleared anew for each array.
 test: export OPENBLAS_NUM_THREADS = 1
+test: export MALLOC_MMAP_THRESHOLD_ = 268435456
+test: export MALLOC_TRIM_THRESHOLD_ = 1073741824
 test: $(TOOLS)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 

@@ -159,8 +159,7 @@ def blur_displacement(diffusion: Diffusion, blur_mm: float, normals: Array) -> A
     One step of diffusion on the scale s moves the surface by s^2 / 4 times its mean curvature vector, the
     blur b by b^2 / 2 times it.
     """
-    points = diffusion.mesh.points
-    lift = 2.0 * (blur_mm / diffusion.sigma_mm) ** 2 * (points - diffusion.step(points))
+    lift = 2.0 * (blur_mm / diffusion.sigma_mm) ** 2 * (diffusion.mesh.points - diffusion.diffused_points)
     return np.asarray(np.einsum("ij,ij->i", lift, normals))
 
 

@@ -25,7 +25,7 @@ def height_noise(diffusion: Diffusion, vertices: NDArray[np.intp], normals: Arra
     the curvature of bone, robustly (median absolute deviation) over the face.
     """
     sigma_mm = diffusion.sigma_mm
-    once = diffusion.step(diffusion.mesh.points)
+    once = diffusion.diffused_points
     twice = diffusion.step(once)
     waves = once - 2.0 * twice + diffusion.step(twice)
     inner = np.einsum("ij,ij->i", waves[vertices], normals[vertices])

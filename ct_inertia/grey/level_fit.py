@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled, shape_of
 from ct_inertia.volume.grid_operations import gaussian
 from stapeskit.arrays import Array
+
+Value = TypeVar("Value", bound=np.generic)
 
 # The range of grey values (share of the contrast) over which a sample, of two along each axis of a voxel,
 # changes from outside to inside: about what changes across its own width.
@@ -110,51 +113,80 @@ def fit_bodies(
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
     filled = own if beside is None else own | np.pad(beside, _PAD)
-    data = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
-    calm = _calmed(data, noise / contrast, most_smoothing)
-    side = None if side is None else np.pad(side, _PAD)
+    # What follows is computed in the filled voxels alone, (n,); the others of the grid hold air.
+    voxels = _Voxels(filled)
+    grey = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
+    data = voxels.of(grey)
+    calm = voxels.of(_calmed(grey, noise / contrast, most_smoothing))
+    compared = voxels.of(own)
+    one_side = None if side is None else voxels.of(np.pad(side, _PAD))
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
     rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
     for k in range(rounds):
         share = data / np.float32(contrast)
-        body = body_share(calm / np.float32(contrast), level, filled)
+        body = _positive_share(voxels.grid(calm / np.float32(contrast) - level, -1.0))
         if not fit_contrast and k == rounds - 1:
             break
-        model = blurred(body, sigma_mm, spacing)
+        model = voxels.of(blurred(body, sigma_mm, spacing))
         width = 1.5 * sigma_mm / spacing
         if fit_contrast:
-            inner = own & (model > _INNER)
+            inner = compared & (model > _INNER)
             if np.count_nonzero(inner) < 50:
                 break
             slope = float((share[inner] @ model[inner]) / (model[inner] @ model[inner]))
             history.append(slope)
             contrast *= 1.0 + 1.2 * (slope - 1.0)
             if k in (4, 8):
-                sigma_mm = _best_blur(data / np.float32(contrast), body, own, sigma_mm, spacing)
+                sigma_mm = _best_blur(data / np.float32(contrast), body, voxels, compared, sigma_mm, spacing)
             if k == rounds - 1 or (k > 9 and abs(slope - 1.0) < _SETTLED):
                 break
-        rest = np.where(own, share - model, np.float32(0.0))
-        near = (model > 0.05) & (model < 0.95) & own
-        shift = _smoothed(rest, near, width, side)
+        rest = np.where(compared, share - model, np.float32(0.0))
+        near = (model > 0.05) & (model < 0.95) & compared
+        shift = _smoothed(rest, near, voxels, width, one_side)
         level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
     core = tuple(slice(_PAD, -_PAD) for _ in range(3))
     if not fit_contrast:
         return BodyFit(contrast, 0.0, sigma_mm, body[core])
-    rest = (data / np.float32(contrast) - model)[own]
+    model = model[compared]
+    rest = data[compared] / np.float32(contrast) - model
     residual = float(np.sqrt(np.mean(rest.astype(float) ** 2)))
-    sd = _uncertainty(model, own, noise / contrast, residual, history)
+    sd = _uncertainty(model, noise / contrast, residual, history)
     return BodyFit(contrast, sd, sigma_mm, body[core])
 
 
+class _Voxels:
+    """Some voxels of a grid, in the order in which they lie in memory."""
+
+    def __init__(self, chosen: NDArray[np.bool_]) -> None:
+        self._shape = chosen.shape
+        self._index = np.flatnonzero(chosen)
+
+    def of(self, grid: NDArray[Value]) -> NDArray[Value]:
+        """Return the values (n,) of a grid [z, y, x]."""
+        return grid.ravel()[self._index]
+
+    def grid(self, values: NDArray[np.generic], elsewhere: float = 0.0) -> NDArray[np.float32]:
+        """Return a grid [z, y, x] with values (n,), and one value in all other voxels."""
+        grid = np.full(self._shape, elsewhere, dtype=np.float32)
+        grid.ravel()[self._index] = values
+        return grid
+
+
 def _smoothed(
-    rest: NDArray[np.float32], near: NDArray[np.bool_], width: Array, side: NDArray[np.bool_] | None
+    rest: NDArray[np.float32],
+    near: NDArray[np.bool_],
+    voxels: _Voxels,
+    width: Array,
+    side: NDArray[np.bool_] | None,
 ) -> NDArray[np.float32]:
-    """Return the weighted mean of what is left near the surfaces, of each side by itself."""
+    """Return the weighted mean (n,) of what is left near the surfaces, of each side by itself."""
 
     def mean(of: NDArray[np.bool_]) -> NDArray[np.float32]:
-        weight = gaussian(of.astype(np.float32), width, truncate=3.0)
-        total = gaussian(np.where(of, rest, np.float32(0.0)), width, truncate=3.0)
+        weight, total = (
+            voxels.of(gaussian(voxels.grid(values), width, truncate=3.0))
+            for values in (of, np.where(of, rest, np.float32(0.0)))
+        )
         return np.asarray(total / np.maximum(weight, np.float32(1e-3)))
 
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
@@ -173,7 +205,11 @@ def body_share(
 
     Only voxels that the surface passes near are sampled, at eight places by linear interpolation.
     """
-    field = np.where(own, share - level, np.float32(-1.0))
+    return _positive_share(np.where(own, share - level, np.float32(-1.0)))
+
+
+def _positive_share(field: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the part of each voxel where a field [z, y, x] is positive."""
     kernels = compiled()
     if kernels is not None:
         field = np.ascontiguousarray(field)
@@ -236,30 +272,28 @@ def blurred(body: NDArray[np.float32], sigma_mm: float, spacing: Array) -> NDArr
 def _best_blur(
     share: NDArray[np.float32],
     body: NDArray[np.float32],
-    own: NDArray[np.bool_],
+    voxels: _Voxels,
+    compared: NDArray[np.bool_],
     sigma_mm: float,
     spacing: Array,
 ) -> float:
     """Return the blur that leaves least: the vertex of a parabola through three trials."""
     steps = np.array([0.92, 1.0, 1.08])
-    left = [
-        float(np.sum((share - blurred(body, sigma_mm * s, spacing))[own].astype(float) ** 2)) for s in steps
-    ]
+    models = (voxels.of(blurred(body, sigma_mm * s, spacing)) for s in steps)
+    left = [float(np.sum((share - model)[compared].astype(float) ** 2)) for model in models]
     second, first, _ = np.polyfit(steps, left, 2)
     if second <= 0.0:
         return sigma_mm
     return sigma_mm * float(np.clip(-first / (2.0 * second), steps[0], steps[-1]))
 
 
-def _uncertainty(
-    model: NDArray[np.float32], own: NDArray[np.bool_], noise: float, residual: float, history: list[float]
-) -> float:
+def _uncertainty(model: NDArray[np.float32], noise: float, residual: float, history: list[float]) -> float:
     """Return the relative standard uncertainty of the contrast: noise, misfit, thin walls, settling.
 
     The share of thin walls is the blur times the surface over the volume: voxels with 5 to 95 % of bone span
     3.29 widths of the blur.
     """
-    values = model[own].astype(float)
+    values = model.astype(float)
     inner = values[values > _INNER]
     random = _NOISE_FACTOR * noise / np.sqrt(max(float(inner @ inner), 1.0))
     misfit = _MISFIT * np.sqrt(max(residual**2 - noise**2, 0.0))

@@ -221,23 +221,36 @@ INLINED int64_t mirrored(int64_t k, int64_t n)
 /* So many neighbouring sums stay in registers, and are left out together where nothing but zeros adds to them. */
 #define BLOCK 16
 
-INLINED uint8_t not_zero(const float *block)
+/* Where a block of a line of `length` numbers begins; the last one ends with the line and may overlap the one before. */
+INLINED int64_t block_start(int64_t block, int64_t length)
+{
+    const int64_t last = length - BLOCK;
+    return last > 0 ? least(block * BLOCK, last) : 0;
+}
+
+INLINED uint8_t not_zero(const float *block, int64_t count)
 {
     uint64_t bits[BLOCK / 2], found = 0;
-    memcpy(bits, block, sizeof bits);
+    if (count < BLOCK) {
+        for (int64_t k = 0; k < count; k++)
+            if (block[k] != 0.0f)
+                return 1;
+        return 0;
+    }
+    for (int k = 0; k < BLOCK / 2; k++)
+        memcpy(bits + k, block + 2 * k, sizeof *bits);
     for (int k = 0; k < BLOCK / 2; k++)
         found |= bits[k];
     return found != 0;
 }
 
-/* Sums of up to BLOCK places: weights[0] times the middle row and, from the outermost pair inward, weights[j] times
- * the two rows at the distance j; rows[radius] is the middle one. With `used`, rows that hold zeros there are not
- * added. */
-INLINED void weighted_sums(const float *const *rows, const uint8_t *const *used, int64_t radius, const double *weights,
-                          int64_t at, int64_t count, float *to)
+/* Sums of a block, or of `count` places of it: weights[0] times the middle row and, from the outermost pair inward,
+ * weights[j] times the two rows at the distance j; rows[radius] is the middle one. With `used`, rows that hold zeros
+ * there are not added. */
+INLINED void weighted_sums(const float *const *rows, const uint8_t *const *used, int64_t block, int64_t radius,
+                           const double *weights, int64_t at, int64_t count, float *to)
 {
     double sum[BLOCK];
-    const int64_t block = at / BLOCK;
     if (count < BLOCK) {
         for (int64_t k = at; k < at + count; k++) {
             double total = (double)rows[radius][k] * weights[0];
@@ -260,26 +273,69 @@ INLINED void weighted_sums(const float *const *rows, const uint8_t *const *used,
         to[at + k] = (float)sum[k];
 }
 
-/* Convolve rows along x; `line` holds one with what is mirrored beyond it. */
-INLINED void smooth_rows(const float *in, int64_t many, int64_t n, int64_t radius, const double *weights,
-                        const float **rows, float *line, float *out)
+/* Convolve rows of n numbers along x, in blocks of `count`; `line` holds one with what is mirrored beyond it, `any` a
+ * flag for each block. */
+INLINED void smooth_rows(const float *in, int64_t many, int64_t n, int64_t count, int64_t radius, const double *weights,
+                         const int64_t *source, const float **rows, float *line, uint8_t *any, float *out)
 {
+    const int64_t blocks = (n + BLOCK - 1) / BLOCK;
     for (int64_t j = 0; j <= 2 * radius; j++)
         rows[j] = line + j;
     for (int64_t o = 0; o < many; o++, in += n, out += n) {
-        int64_t seen = 0, last = -1;
-        for (int64_t k = -radius; k < n + radius; k++)
-            line[k + radius] = in[k >= 0 && k < n ? k : mirrored(k, n)];
-        for (int64_t at = 0; at < n; at += BLOCK) {
-            const int64_t count = least(BLOCK, n - at);
-            for (; seen < at + count + 2 * radius; seen++)
-                last = line[seen] != 0.0f ? seen : last;
-            if (last < at)
-                memset(out + at, 0, (size_t)count * sizeof *out);
+        int64_t full = 0;
+        for (int64_t b = 0; b < blocks; b++)
+            full += any[b] = not_zero(in + block_start(b, n), count);
+        if (!full) {
+            memset(out, 0, (size_t)n * sizeof *out);
+            continue;
+        }
+        memcpy(line + radius, in, (size_t)n * sizeof *line);
+        for (int64_t k = 0; k < radius; k++) {
+            line[k] = in[source[k]];
+            line[radius + n + k] = in[source[radius + n + k]];
+        }
+        for (int64_t b = 0; b < blocks; b++) { /* what is mirrored lies within the radius of the border, too */
+            const int64_t at = block_start(b, n), first = most(at - radius, 0) / BLOCK;
+            const int64_t last = least((at + count - 1 + radius) / BLOCK, blocks - 1);
+            if (full == blocks || memchr(any + first, 1, (size_t)(last - first + 1)))
+                weighted_sums(rows, NULL, b, radius, weights, at, count, out);
             else
-                weighted_sums(rows, NULL, radius, weights, at, count, out);
+                memset(out + at, 0, (size_t)count * sizeof *out);
         }
     }
+}
+
+/* Convolve n rows of `inner` numbers with their neighbours, in blocks of `count`; `any` holds a flag for each block,
+ * `near` a count. */
+INLINED void smooth_columns(const float *in, int64_t n, int64_t inner, int64_t count, int64_t radius, const double *weights,
+                            const int64_t *source, const float **rows, const uint8_t **used, uint8_t *any,
+                            int64_t *near, float *out)
+{
+    const int64_t blocks = (inner + BLOCK - 1) / BLOCK;
+    for (int64_t k = 0; k < n; k++)
+        for (int64_t b = 0; b < blocks; b++)
+            any[k * blocks + b] = not_zero(in + k * inner + block_start(b, inner), count);
+    memset(near, 0, (size_t)blocks * sizeof *near);
+    for (int64_t k = 0; k < least(radius, n); k++)
+        for (int64_t b = 0; b < blocks; b++)
+            near[b] += any[k * blocks + b];
+    for (int64_t start = 0; start < blocks; start += 32) /* rows that stay in the cache */
+        for (int64_t k = 0; k < n; k++) {
+            const uint8_t *comes = k + radius < n ? any + (k + radius) * blocks : NULL;
+            const uint8_t *goes = k > radius ? any + (k - radius - 1) * blocks : NULL;
+            for (int64_t j = 0; j <= 2 * radius; j++) {
+                rows[j] = in + source[k + j] * inner;
+                used[j] = any + source[k + j] * blocks;
+            }
+            for (int64_t b = start; b < least(start + 32, blocks); b++) {
+                const int64_t at = block_start(b, inner);
+                near[b] += (comes ? comes[b] : 0) - (goes ? goes[b] : 0);
+                if (near[b])
+                    weighted_sums(rows, used, b, radius, weights, at, count, out + k * inner);
+                else
+                    memset(out + k * inner + at, 0, (size_t)count * sizeof *out);
+            }
+        }
 }
 
 /* Convolve with a symmetric kernel, weights[0] in the middle, along one axis; d c b a | a b c d | d c b a beyond
@@ -299,30 +355,29 @@ API CLONES int64_t smooth_axis(const float *in, const int64_t *shape, int64_t ax
     const uint8_t **used = malloc((size_t)many * sizeof *used);
     float *line = malloc((size_t)(n + 2 * radius) * sizeof *line);
     uint8_t *any = malloc((size_t)(n * blocks));
-    const int room = rows && used && line && any;
-    if (room && inner == 1)
-        smooth_rows(in, outer, n, radius, weights, rows, line, out);
+    int64_t *source = malloc((size_t)(n + 2 * radius) * sizeof *source), *near = malloc((size_t)blocks * sizeof *near);
+    const int room = rows && used && line && any && source && near;
+    for (int64_t k = 0; room && k < n + 2 * radius; k++)
+        source[k] = mirrored(k - radius, n);
+    /* apart where blocks are whole: their size is then known to the compiler */
+    if (room && inner == 1 && n < BLOCK)
+        smooth_rows(in, outer, n, n, radius, weights, source, rows, line, any, out);
+    else if (room && inner == 1)
+        smooth_rows(in, outer, n, BLOCK, radius, weights, source, rows, line, any, out);
     for (int64_t o = 0; room && inner > 1 && o < outer; o++) {
         const float *from = in + o * n * inner;
         float *to = out + o * n * inner;
-        for (int64_t k = 0; k < n; k++)
-            for (int64_t b = 0; b < blocks; b++)
-                any[k * blocks + b] = b * BLOCK + BLOCK > inner || not_zero(from + k * inner + b * BLOCK);
-        for (int64_t start = 0; start < inner; start += 32 * BLOCK) /* rows that stay in the cache */
-            for (int64_t k = 0; k < n; k++) {
-                for (int64_t j = 0; j < many; j++) {
-                    const int64_t row = mirrored(k + j - radius, n);
-                    rows[j] = from + row * inner;
-                    used[j] = any + row * blocks;
-                }
-                for (int64_t at = start; at < least(start + 32 * BLOCK, inner); at += BLOCK)
-                    weighted_sums(rows, used, radius, weights, at, least(BLOCK, inner - at), to + k * inner);
-            }
+        if (inner < BLOCK)
+            smooth_columns(from, n, inner, inner, radius, weights, source, rows, used, any, near, to);
+        else
+            smooth_columns(from, n, inner, BLOCK, radius, weights, source, rows, used, any, near, to);
     }
     free(rows);
     free(used);
     free(line);
     free(any);
+    free(source);
+    free(near);
     return room ? 0 : -1;
 }
 

@@ -50,14 +50,20 @@ API CLONES int64_t sampled_shares(const float *restrict field, const int64_t *sh
 {
     const int64_t nz = shape[0], ny = shape[1], nx = shape[2], layer = ny * nx;
     uint8_t *restrict inside = malloc((size_t)(nz * layer)), *restrict nine = calloc((size_t)nx + LANES + 1, 1);
-    const int room = inside && nine;
+    uint8_t *full = malloc((size_t)(nz * ny)); /* rows with anything inside */
+    const int room = inside && nine && full;
     for (int64_t i = 0; room && i < nz * layer; i++)
         out[i] = field[i] > 0.0f ? 1.0f : 0.0f;
     for (int64_t i = 0; room && i < nz * layer; i++)
         inside[i] = field[i] > 0.0f;
+    for (int64_t r = 0; room && r < nz * ny; r++)
+        full[r] = memchr(inside + r * nx, 1, (size_t)nx) != NULL;
     for (int64_t z = 1; room && z + 1 < nz; z++)
         for (int64_t y = 1; y + 1 < ny; y++) {
             const int64_t row = z * layer + y * nx;
+            const uint8_t *around = full + z * ny + y - 1;
+            if (!memchr(around - ny, 1, 3) && !memchr(around, 1, 3) && !memchr(around + ny, 1, 3))
+                continue;
             count_nine(inside + row, nx, layer, nine);
             for (int64_t x = 1; x + 1 < nx; x += LANES) {
                 const int64_t count = least(LANES, nx - 1 - x);
@@ -82,5 +88,6 @@ API CLONES int64_t sampled_shares(const float *restrict field, const int64_t *sh
         }
     free(inside);
     free(nine);
+    free(full);
     return room ? 0 : -1;
 }

@@ -449,10 +449,10 @@ API int64_t graph_pieces(int64_t n, const int64_t *edges, int64_t m, int64_t *pi
     return count;
 }
 
-/* Put a matrix into compressed rows: a diagonal (n,) and m entries, those at one place added up. `start` has n + 1
- * places, `column` and `value` n + m. Returns how many are used. */
+/* Put a matrix into compressed rows: a diagonal (n,), which comes first, and m entries, those at one place added up.
+ * `start` has n + 1 places, `column` and `value` n + m. Returns how many are used. */
 API int64_t assembled(int64_t n, int64_t m, const int64_t *row, const int64_t *col, const double *entry,
-                      const double *diagonal, int64_t *start, int64_t *column, double *value)
+                      const double *diagonal, int64_t *start, int32_t *column, double *value)
 {
     int64_t *first = calloc((size_t)(n + 1), sizeof *first), used = 0;
     int64_t *order = malloc((size_t)most(m, 1) * sizeof *order);
@@ -469,14 +469,14 @@ API int64_t assembled(int64_t n, int64_t m, const int64_t *row, const int64_t *c
         order[first[row[k]]++] = k;
     for (int64_t i = 0, next = 0; i < n; i++) { /* first[i] has moved on to where row i ends */
         start[i] = used;
-        column[used] = i;
+        column[used] = (int32_t)i;
         value[used++] = diagonal[i];
         for (; next < first[i]; next++) {
             int64_t at = start[i];
             while (at < used && column[at] != col[order[next]])
                 at++;
             if (at == used) {
-                column[used] = col[order[next]];
+                column[used] = (int32_t)col[order[next]];
                 value[used++] = 0.0;
             }
             value[at] += entry[order[next]];
@@ -488,57 +488,76 @@ API int64_t assembled(int64_t n, int64_t m, const int64_t *row, const int64_t *c
     return used;
 }
 
+/* So many right-hand sides are solved at once: their sums do not wait for each other. */
+#define SIDES 4
+typedef double Sides __attribute__((vector_size(SIDES * sizeof(double)), aligned(sizeof(double))));
+
+/* Solve A x = b for `use` right-hand sides, SIDES at most: the first columns of b and x (n, wide). */
+INLINED void solve_sides(int64_t n, const int64_t *start, const int32_t *column, const double *value, int64_t wide,
+                         int64_t use, const double *b, double accuracy, int64_t most_rounds, Sides *memory, double *x)
+{
+    Sides *r = memory, *p = r + n, *q = p + n, *own = q + n;
+    Sides size = {0.0}, rho = {0.0}, step = {0.0}, turn = {0.0};
+    double *inverse = (double *)(own + n);
+    int runs[SIDES], more = 0;
+    for (int64_t i = 0; i < n; i++) {
+        inverse[i] = 1.0 / value[start[i]];
+        for (int w = 0; w < SIDES; w++)
+            r[i][w] = w < use ? b[i * wide + w] : 0.0;
+        own[i] = r[i] * inverse[i];
+        size += r[i] * r[i] * inverse[i];
+    }
+    for (int64_t i = 0; i < n; i++) {
+        for (int64_t k = start[i]; k < start[i + 1]; k++)
+            r[i] -= value[k] * own[column[k]];
+        p[i] = inverse[i] * r[i];
+        rho += r[i] * p[i];
+    }
+    for (int w = 0; w < SIDES; w++)
+        more |= runs[w] = rho[w] > accuracy * accuracy * size[w];
+    for (int64_t round = 0; round < most_rounds && more; round++) {
+        Sides along = {0.0}, next = {0.0};
+        for (int64_t i = 0; i < n; i++) {
+            Sides sum = {0.0};
+            for (int64_t k = start[i]; k < start[i + 1]; k++)
+                sum += value[k] * p[column[k]];
+            q[i] = sum;
+            along += p[i] * sum;
+        }
+        for (int w = 0; w < SIDES; w++) { /* one that has ended moves no more */
+            runs[w] = runs[w] && along[w] > 0.0;
+            step[w] = runs[w] ? rho[w] / along[w] : 0.0;
+        }
+        for (int64_t i = 0; i < n; i++) {
+            own[i] += step * p[i];
+            r[i] -= step * q[i];
+            next += r[i] * inverse[i] * r[i];
+        }
+        more = 0;
+        for (int w = 0; w < SIDES; w++) {
+            turn[w] = runs[w] ? next[w] / rho[w] : 0.0;
+            more |= runs[w] = runs[w] && next[w] > accuracy * accuracy * size[w];
+        }
+        rho = next;
+        for (int64_t i = 0; i < n; i++)
+            p[i] = inverse[i] * r[i] + turn * p[i];
+    }
+    for (int64_t i = 0; i < n; i++)
+        for (int w = 0; w < use; w++)
+            x[i * wide + w] = own[i][w];
+}
+
 /* Solve A x = b for `wide` right-hand sides (n, wide) by conjugate gradients with the diagonal as preconditioner
  * (Hestenes and Stiefel 1952, doi:10.6028/jres.049.044). A is symmetric and positive definite, in compressed rows.
  * Each stops at `accuracy` of its right-hand side or where it no longer gets better. Returns 0, or -1. */
-API int64_t solved(int64_t n, const int64_t *start, const int64_t *column, const double *value, int64_t wide,
-                   const double *b, double accuracy, int64_t most_rounds, double *x)
+API CLONES int64_t solved(int64_t n, const int64_t *start, const int32_t *column, const double *value, int64_t wide,
+                          const double *b, double accuracy, int64_t most_rounds, double *x)
 {
-    double *memory = malloc((size_t)(5 * n) * sizeof *memory);
+    Sides *memory = malloc((size_t)n * (4 * sizeof(Sides) + sizeof(double)));
     if (!memory)
         return -1;
-    double *r = memory, *p = r + n, *q = p + n, *inverse = q + n, *own = inverse + n;
-    for (int64_t i = 0; i < n; i++) {
-        inverse[i] = 1.0 / value[start[i]]; /* the diagonal comes first */
-    }
-    for (int64_t w = 0; w < wide; w++) {
-        double size = 0.0, rho = 0.0;
-        for (int64_t i = 0; i < n; i++) {
-            own[i] = b[i * wide + w] * inverse[i];
-            r[i] = b[i * wide + w];
-        }
-        for (int64_t i = 0; i < n; i++) {
-            for (int64_t k = start[i]; k < start[i + 1]; k++)
-                r[i] -= value[k] * own[column[k]];
-            p[i] = inverse[i] * r[i];
-            rho += r[i] * p[i];
-            size += b[i * wide + w] * b[i * wide + w] * inverse[i];
-        }
-        for (int64_t round = 0; round < most_rounds && rho > accuracy * accuracy * size; round++) {
-            double along = 0.0, next = 0.0;
-            for (int64_t i = 0; i < n; i++) {
-                double sum = 0.0;
-                for (int64_t k = start[i]; k < start[i + 1]; k++)
-                    sum += value[k] * p[column[k]];
-                q[i] = sum;
-                along += p[i] * sum;
-            }
-            if (!(along > 0.0))
-                break;
-            const double step = rho / along;
-            for (int64_t i = 0; i < n; i++) {
-                own[i] += step * p[i];
-                r[i] -= step * q[i];
-                next += r[i] * inverse[i] * r[i];
-            }
-            const double turn = next / rho;
-            rho = next;
-            for (int64_t i = 0; i < n; i++)
-                p[i] = inverse[i] * r[i] + turn * p[i];
-        }
-        for (int64_t i = 0; i < n; i++)
-            x[i * wide + w] = own[i];
-    }
+    for (int64_t w = 0; w < wide; w += SIDES)
+        solve_sides(n, start, column, value, wide, least(SIDES, wide - w), b + w, accuracy, most_rounds, memory, x + w);
     free(memory);
     return 0;
 }

@@ -7,6 +7,7 @@ normals are diffused over a given length in mm, and sets are cut inside the tria
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +129,11 @@ class Diffusion:
     def step(self, field: Array) -> Array:
         """Diffuse a field (n, k) by one step."""
         return self._solve(self.mass[:, None] * field)
+
+    @cached_property
+    def diffused_points(self) -> Array:
+        """The vertices (n, 3) after one step, mm."""
+        return self.step(self.mesh.points)
 
     def normals(self, points: Array | None = None) -> Array:
         """Return outward normals (n, 3) at the vertices after two steps; not yet of unit length.

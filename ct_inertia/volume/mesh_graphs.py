@@ -13,7 +13,7 @@ from stapeskit.arrays import Array
 Indices = NDArray[np.int64]
 # Residual at which conjugate gradients stop, relative to the right-hand side: near rounding, as
 # the direct solver is that stands in for them. Most steps: a guard, for steps without progress end it before.
-_ACCURACY = 1e-14
+_ACCURACY = 1e-13
 _ROUNDS = 2000
 
 
@@ -65,8 +65,7 @@ def solver(
     row, col = (np.ascontiguousarray(part, dtype=np.int64) for part in (rows, columns))
     entries, middle = (np.ascontiguousarray(part, dtype=float) for part in (values, diagonal))
     start = np.empty(n + 1, dtype=np.int64)
-    column = np.empty(n + len(rows), dtype=np.int64)
-    data = np.empty(n + len(rows))
+    column, data = np.empty(n + len(rows), dtype=np.int32), np.empty(n + len(rows))
     checked(
         kernels.assembled(
             *(n, len(row), row.ctypes.data, col.ctypes.data, entries.ctypes.data),
