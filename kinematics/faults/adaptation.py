@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.finding_text import channel_list, describe
-from kinematics.faults.findings import Finding
+from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.fit.beams import observability
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.catalogue import ADVICE, EXCHANGES, KINDS, Fault, Layout
 from kinematics.faults.packed_readings import Source, initial, packed
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
@@ -16,6 +16,7 @@ from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_n
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import table
 from tests.kinematics.simulated import body, scene
 
 PLACES = [(name, owner) for name, kind in KINDS.items() for owner in kind.owners]
@@ -33,6 +34,18 @@ def small(name):
     """Return parameters of a fault of a kind."""
     rng = np.random.default_rng(3)
     return 0.1 * KINDS[name].scale(1.5e-3) * rng.uniform(0.5, 1.0, len(KINDS[name].tangents))
+
+
+def test_every_verdict_has_a_warning_of_the_table_and_a_step():
+    for verdict, (code, step) in ADVICE.items():
+        assert step.endswith(".")
+        assert code in table() or verdict in ("zeros", "unused")
+    assert {name for name, kind in KINDS.items() if not kind.code} == {
+        "phase",
+        "delay",
+        "phase_offset",
+        "axes",
+    }
 
 
 @pytest.mark.parametrize(("name", "owner"), PLACES)

@@ -10,8 +10,7 @@ import pytest
 
 from benchmarks.fault_scenes import measured, scene
 from kinematics.faults.catalogue import Fault
-from kinematics.faults.finding_text import describe
-from kinematics.faults.findings import Finding
+from kinematics.faults.findings import Finding, describe
 from kinematics.faults.refit import FaultFit
 from kinematics.faults.sentences import with_sd
 from kinematics.measurement import BodyChannels, Measurement
