@@ -75,13 +75,13 @@ def detectable(fit: LineFit, body: BodyChannels, freq_hz: Array, alarm: float) -
     data = initial(Source.of(fit, body, freq_hz, known=True), body)
     state = State.of(data)
     nuisance = Nuisance.of(data, np.nan_to_num(body.position_sd_mm) * 1e-3)
-    near = Marginal(state, nuisance) if len(nuisance.sd) else None
+    near = Marginal(state, nuisance)
     points = data.by_point
 
     def smallest(kind: str, places: list[list[int]]) -> Array:
         found = np.full(len(body.points), np.nan)
         for same in of_one_size(places):
-            information = 2.0 * scores_at(state, near, same, KINDS[kind].tangents)[1]
+            information = 2.0 * scores_at(near, same, KINDS[kind].tangents)[1]
             for own, one in zip(same, information, strict=True):
                 unit = fit.beams.lever_m if KINDS[kind].lengths else 1.0
                 found[own] = _least(one * unit**2, alarm) * unit

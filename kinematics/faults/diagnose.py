@@ -34,6 +34,8 @@ from stapeskit.arrays import Array
 MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
+# Share of the energy of noise below which a misfit is rounding.
+_ROUNDING = 1e-9
 # From so many residual directions on, a misfit of one channel alone is that channel's.
 _MANY = 30
 # Scattered positions: fewest points, sizes that are sought (m, and levers), and how much more than stated.
@@ -198,7 +200,7 @@ class _Diagnose:
             findings.append(culprit)
             search = self.after(search.data, culprit, findings)
             if len(findings) == 1 and culprit.owner != "body":
-                kept = search.excess() / max(first.excess(), 1e-300)
+                kept = search.excess() / max(first.excess(), _ROUNDING * first.noise_energy, 1e-300)
         if findings and first.structure.significant and not self._explain(first, findings):
             return self._many(first, search, findings, first.flexible())
         if len(findings) > 1:
@@ -276,7 +278,7 @@ class _Diagnose:
         -----
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
-        if len(first.live) > _MOST_PAIRED or len(first.x):
+        if len(first.live) > _MOST_PAIRED or not first.exact:
             return None
         points = first.data.points
         pairs = [pair for pair in combinations(first.live, 2) if points[pair[0]] != points[pair[1]]]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinematics.faults.catalogue import OF_MANY, Fault
 from kinematics.faults.packed_readings import Packed, Source, packed
 from kinematics.faults.score_information import Model, State, model_of, weighted_rows
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.uncertain_positions import Marginal, estimate_nuisance
 from stapeskit.arrays import Array, ComplexArray
 
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
@@ -76,35 +76,36 @@ class FaultFit:
 @dataclass(frozen=True)
 class _Trial:
     theta: Array
-    x: Array
-    state: State
-    value: float
+    near: Marginal
+
+    @property
+    def value(self) -> float:
+        return self.near.value
 
 
 class Refit:
-    """Fits of faults to data with nuisance parameters; ``before`` is the objective without fault.
+    """Fits of faults to data with nuisance parameters, from a fit ``near`` without fault.
 
-    ``flat`` are the data for faults that are the same at all lines, ``start`` the nuisance parameters.
+    ``flat`` are the data for faults that are the same at all lines.
     """
 
-    def __init__(self, data: Packed, nuisance: Nuisance, start: Array, before: float, flat: Packed) -> None:
-        self.data, self.nuisance, self.start, self.before, self.flat = data, nuisance, start, before, flat
-        self.lever = data.source.beams.lever_m
+    def __init__(self, near: Marginal, flat: Packed) -> None:
+        self.near, self.data, self.flat = near, near.state.data, flat
+        self.start = np.broadcast_to(near.x, near.nuisance.sd.shape)
+        self.lever = self.data.source.beams.lever_m
 
     @cached_property
-    def fine(self) -> tuple[Packed, float]:
-        """The data that judge faults of many channels, and their objective without fault.
+    def fine(self) -> Marginal:
+        """The fit without fault of the data that judge faults of many channels.
 
         A large fault of many channels hides motion from the fit, so that it is not gathered with it.
         """
         data = packed(self.data.source, self.data.assumed, fine=True)
-        null = State.of(data, self.nuisance.applied(model_of(data), self.start))
-        return data, null.energy + self.nuisance.penalty(self.start)
+        return Marginal.at(data, self.near.nuisance, self.start)
 
     def _try(self, data: Packed, fault: Fault, theta: Array, x: Array) -> _Trial:
-        model = self.nuisance.applied(fault.applied(model_of(data), theta, data), x)
-        state = State.of(data, model)
-        return _Trial(theta, x, state, state.energy + self.nuisance.penalty(x))
+        base = fault.applied(model_of(data), theta, data)
+        return _Trial(theta, Marginal.at(data, self.near.nuisance, x, base))
 
     def sight(self, fault: Fault) -> float:
         """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
@@ -115,28 +116,28 @@ class Refit:
         """Return by how much the objective falls without some channels: no fault of theirs takes more."""
         if self.data.whiten is not None:
             return np.inf
-        state, x = estimate_nuisance(self.data.blanked(channels), self.nuisance)
-        return self.before - state.energy - self.nuisance.penalty(x)
+        return self.near.value - estimate_nuisance(self.data.blanked(channels), self.near.nuisance).value
 
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
         many = fault.owner in OF_MANY
-        judge, before = self.fine if many and self.data.source.sd is None else (self.data, self.before)
+        null = self.fine if many and self.data.source.sd is None else self.near
+        judge = null.state.data
         data = judge if fault.entry.varies else self.flat
         trials = (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault))
         now, inverse = self._improved(data, fault, min(trials, key=lambda trial: trial.value))
         if data is not judge:
-            now = self._try(judge, fault, now.theta, now.x)
+            now = self._try(judge, fault, now.theta, now.near.x)
             if many or not judge.rest.size:
                 # What is gathered without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
-        return FaultFit(fault, now.theta, 0.5 * inverse, before - now.value, self.data.source)
+        return FaultFit(fault, now.theta, 0.5 * inverse, null.value - now.value, self.data.source)
 
     def refined(self, fit: FaultFit) -> FaultFit:
         """Return a fit of a fault that changes from line to line, by single lines instead of segments."""
         if not fit.fault.entry.varies or self.data.source.sd is not None:
             return fit
-        data = self.fine[0]
+        data = self.fine.state.data
         start = self._try(data, fit.fault, fit.parameters, self.start)
         now, inverse = self._improved(data, fit.fault, start)
         return replace(fit, parameters=now.theta, covariance=0.5 * inverse)
@@ -147,7 +148,7 @@ class Refit:
         for _ in range(_ROUNDS if fault.size + len(self.start) else 0):
             step, inverse = self._step(data, fault, now)
             for part in (1.0, 0.5, 0.25, 0.06):
-                theta, x = now.theta + part * step[: fault.size], now.x + part * step[fault.size :]
+                theta, x = now.theta + part * step[: fault.size], now.near.x + part * step[fault.size :]
                 trial = self._try(data, fault, theta, x)
                 if trial.value <= now.value:
                     break
@@ -196,18 +197,17 @@ class Refit:
 
         The nuisance parameters are eliminated (Schur complement).
         """
-        near = Marginal(now.state, self.nuisance)
-        pull = near.score - 0.5 * now.x / self.nuisance.sd**2
+        near, pull = now.near, now.near.pull
         free = near.solved(pull)
         if not fault.size:
             return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
-        base = self.nuisance.applied(model_of(data), now.x)
-        t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
-        sums = now.state.sums(groups, t)
+        base = near.nuisance.applied(model_of(data), near.x)
+        t = self._tangents(data, fault, now.theta, base, near.state.z)[:, :, None]
+        sums = near.state.sums(groups, t)
         shared = near.common(groups, t, sums.taken)[0]
         held = near.solved(shared.T)
-        whole = np.diag(sums.information[0]) + np.sum(sums.taken[0] ** 2, axis=1)
+        whole = np.diag(sums.information[0]) + np.sum(np.abs(sums.taken[0]) ** 2, axis=(1, 2, 3))
         # A parameter that does not show at its usual size is none that rounding should show.
         unit = 1.0 / np.sqrt(np.maximum(whole, fault.scale(self.lever) ** -2.0))
         inverse = _inverse(sums.information[0] - shared @ held, unit)

@@ -17,7 +17,7 @@ from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.refit import FaultFit, Refit, log_evidence
-from kinematics.faults.score_information import State, model_of
+from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import Tested, of_one_size, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.laser_groups import laser_channels
@@ -70,22 +70,21 @@ class Search:
         alarm: float = FALSE_ALARM,
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
-        self.nuisance = Nuisance.of(data, prior_m)
-        base = State.of(data)
-        flat = data.merged(base.z)
-        x = estimate_nuisance(flat, self.nuisance)[1]
-        self.x = x
-        self.state = State.of(data, self.nuisance.applied(model_of(data), x)) if len(x) else base
-        self.given = base
-        self.before = self.state.energy + self.nuisance.penalty(x)
+        self.given, nuisance = State.of(data), Nuisance.of(data, prior_m)
+        flat = data.merged(self.given.z)
+        self.exact = not len(nuisance.sd)
+        self.near = Marginal(self.given, nuisance)
+        if not self.exact:
+            self.near = Marginal.at(data, nuisance, estimate_nuisance(flat, nuisance).x)
+        self.state = self.near.state
         self.live = data.live
-        self.refit = Refit(data, self.nuisance, x, self.before, flat)
+        self.refit = Refit(self.near, flat)
         noise = self.noise = channel_noise(self.state)
         self.least = noise.least
         self.of_all = not known and noise.least < LEAST_SAMPLES
         self.level, self.sure = noise.level, noise.sure
         if self.of_all:
-            self.level, self.sure = common_level(data, self.nuisance)
+            self.level, self.sure = common_level(data, nuisance)
         self.scale = self.level
         if known and self.level < 1.0 + _SURELY_LOUDER * np.sqrt(2.0 / self.sure):
             self.scale = 1.0
@@ -242,7 +241,7 @@ class Search:
         number = self.freedom * self.state.z.shape[2]
         if not drops or number < LEAST_SAMPLES:
             return self.scale
-        left = max((self.before - max(drops)) / number, 1.0 if self.known else 0.0)
+        left = max((self.near.value - max(drops)) / number, 1.0 if self.known else 0.0)
         return left if 0.0 < left < _INFLATED * self.scale else self.scale
 
     def _evidence(self, fit: FaultFit, scale: float) -> float:
@@ -253,7 +252,7 @@ class Search:
         kind = fit.fault.entry
         unit = self.data.source.beams.lever_m if kind.lengths else 1.0
         small = float(np.linalg.norm(fit.parameters)) < kind.largest * unit
-        return small or self.before - fit.drop < 2.0 * self.noise_energy
+        return small or self.near.value - fit.drop < 2.0 * self.noise_energy
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
@@ -281,8 +280,7 @@ class Search:
     @cached_property
     def tested(self) -> list[Tested]:
         """Tests of all kinds at all places."""
-        marginal = Marginal(self.state, self.nuisance) if len(self.x) else None
-        return score_tests(self.state, marginal, self._owners())
+        return score_tests(self.near, self._owners())
 
     def _owners(self) -> dict[str, Sequence[Sequence[int]]]:
         """Return the places where faults are looked for."""
@@ -339,7 +337,7 @@ class Search:
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
             if needed > 0.0:
                 if own not in freed:
-                    freed[own] = self.refit.most(own) if len(self.x) else -fall[own]
+                    freed[own] = -fall[own] if self.exact else self.refit.most(own)
                 if freed[own] < needed:
                     continue
             fit = self.refit.fit(fault)

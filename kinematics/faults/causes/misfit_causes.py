@@ -95,7 +95,7 @@ class MisfittingBody:
         nuisance = Nuisance.of(data, self.position_sd_m)
         if not self.known:
             data = equalise_noise(data, nuisance)
-        state = estimate_nuisance(data, nuisance)[0]
+        state = estimate_nuisance(data, nuisance).state
         inverse = 0.5 * Marginal(state, nuisance).solved(np.eye(len(nuisance.sd)))
         own = nuisance.owner.T
         covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
