@@ -79,9 +79,13 @@ class Kind:
     code: str = ""
     step: str = ""
 
+    def unit(self, lever_m: float) -> float:
+        """Return the unit of ``prior`` and ``largest``."""
+        return lever_m if self.lengths else 1.0
+
     def scale(self, lever_m: float) -> Array:
         """Return how large each parameter commonly is."""
-        return np.array(self.prior) * (lever_m if self.lengths else 1.0)
+        return np.array(self.prior) * self.unit(lever_m)
 
 
 def _direction(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:

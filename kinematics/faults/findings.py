@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 
 import numpy as np
 
-from kinematics.faults.catalogue import KINDS, OF_MANY
-from kinematics.faults.packed_readings import Assumed, Packed
-from kinematics.faults.refit import FaultFit
+from kinematics.faults.catalogue import KINDS, OF_MANY, Fault
+from kinematics.faults.packed_readings import Assumed, Packed, Source
 from kinematics.measurement import BodyChannels
-from stapeskit.arrays import ComplexArray
+from stapeskit.arrays import Array, ComplexArray
 
+# Steps of the numerical derivatives, in units of the prior size.
+STEP = 1e-5
 # Cosine above which directions count as parallel: 2.6 degrees, what a positioned head holds.
 _ALONG = 0.999
 
@@ -29,13 +30,19 @@ class Finding:
     channels : list of int
     p_value : float
         Corrected for the number of tests.
-    fit : FaultFit or None
+    fault : Fault, optional
+        Of the catalogue, with its fit:
+    parameters, covariance : ndarray, (p,) and (p, p)
+    drop : float
+        Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
+    source : Source, optional
+        Of the readings.
     size : float
         Of a noise or flexible finding: factor of the noise, share of the motion.
     rivals : tuple of Finding
         Other explanations that the data hardly separate from this one.
     text : str
-        The estimate in words, where it is not made from ``fit`` or ``size``.
+        The estimate in words, where it is not made from ``parameters`` or ``size``.
     code, step : str
         Code of the warning and what to do, of a cause that many channels share; empty otherwise.
     remedied : ndarray, (channel, freq), complex, optional
@@ -44,9 +51,13 @@ class Finding:
 
     kind: str
     channels: list[int]
-    p_value: float
-    fit: FaultFit | None = None
+    p_value: float = 1.0
+    fault: Fault | None = None
     size: float = 0.0
+    parameters: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    drop: float = 0.0
+    source: Source | None = None
     rivals: tuple[Finding, ...] = ()
     text: str = ""
     code: str = ""
@@ -56,15 +67,37 @@ class Finding:
     @property
     def owner(self) -> str:
         """What is at fault, as of a Fault."""
-        if self.fit is not None:
-            return self.fit.fault.owner
+        if self.fault is not None:
+            return self.fault.owner
         return "body" if self.kind == "flexible" else "channel"
+
+    @property
+    def places(self) -> int:
+        """At how many places the fault could be."""
+        return 1 if self.fault is None else max(self.fault.places, 1)
 
     def undone(self, assumed: Assumed) -> Assumed:
         """Return assumptions that hold this finding: its channels weakened, or corrected by its estimate."""
         if self.kind == "noise":
             return assumed.louder(self.channels, self.size)
-        return assumed if self.fit is None else self.fit.fault.undone(assumed, self.fit.parameters)
+        return assumed if self.fault is None else self.fault.undone(assumed, self.parameters)
+
+    def factor_at(self, freq_hz: Array) -> ComplexArray:
+        """Return the factor of the readings, and its relative derivatives, (p + 1, freq).
+
+        Without rows for faults of the geometry.
+        """
+        factor = None if self.fault is None else self.fault.entry.factor
+        if self.fault is None or factor is None or self.source is None:
+            return np.zeros((0, len(freq_hz)), dtype=complex)
+        place = np.interp(np.arange(len(freq_hz)), self.source.lines, self.source.tau)
+        ratio = freq_hz / self.source.middle_hz
+        value = np.broadcast_to(factor(self.parameters, place, ratio), freq_hz.shape)
+        factors = [value]
+        for step in np.diag(STEP * self.fault.scale(1.0)):
+            more = factor(self.parameters + step, place, ratio)
+            factors.append((more - value) / np.sum(step) / value)
+        return np.stack(factors)
 
 
 def is_redundant(data: Packed, channels: list[int]) -> bool:
@@ -79,7 +112,7 @@ def is_redundant(data: Packed, channels: list[int]) -> bool:
 
 def apply_finding(data: Packed, finding: Finding) -> Packed:
     """Return the data without a finding: its channels left out, weakened, or corrected."""
-    corrected = finding.fit is None or finding.owner in OF_MANY or not is_redundant(data, finding.channels)
+    corrected = finding.fault is None or finding.owner in OF_MANY or not is_redundant(data, finding.channels)
     assumed = finding.undone(data.assumed) if corrected else data.assumed.without(finding.channels)
     return data if assumed is data.assumed else data.under(assumed)
 
@@ -134,8 +167,8 @@ def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
         return finding.kind, finding.text
     if finding.kind == "noise":
         return "noise", f"noise {finding.size:.3g} times that of its sd"
-    if finding.kind == "flexible" or finding.fit is None:
+    if finding.kind == "flexible" or finding.fault is None:
         if not finding.size > 0.0:
             return "flexible", "non-rigid motion of a size that these data do not determine"
         return "flexible", f"non-rigid motion {100.0 * finding.size:.2g} % of the motion"
-    return finding.fit.fault.entry.sentence(finding.fit, body)
+    return finding.fault.entry.sentence(finding, body)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import OF_MANY, Fault
-from kinematics.faults.packed_readings import Packed, Source, packed
+from kinematics.faults.findings import STEP, Finding
+from kinematics.faults.packed_readings import Packed, packed
 from kinematics.faults.score_information import Model, State, model_of, weighted_rows
 from kinematics.faults.uncertain_positions import Marginal, estimate_nuisance
 from stapeskit.arrays import Array, ComplexArray
@@ -22,55 +23,8 @@ from stapeskit.arrays import Array, ComplexArray
 # next to errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of
 # the scenes changes with a limit of 6 or 24.
 _ROUNDS = 12
-# Steps of the numerical derivatives, in units of the prior size.
-_STEP = 1e-5
 # Share of a change of the readings, squared, below which what the motion leaves of it is not seen.
 _UNSEEN = 1e-9
-
-
-@dataclass(frozen=True)
-class FaultFit:
-    """A fitted fault.
-
-    Attributes
-    ----------
-    fault : Fault
-    parameters : ndarray, (p,)
-    covariance : ndarray, (p, p)
-    drop : float
-        Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
-    source : Source, optional
-        Of the readings.
-    """
-
-    fault: Fault
-    parameters: Array
-    covariance: Array
-    drop: float
-    source: Source | None = None
-
-    @property
-    def channels(self) -> list[int]:
-        """The channels of the fault."""
-        return self.fault.channels
-
-    def factor_at(self, freq_hz: Array) -> ComplexArray:
-        """Return the factor of the readings, and its relative derivatives, (p + 1, freq).
-
-        Without rows for faults of the geometry.
-        """
-        factor = self.fault.entry.factor
-        if factor is None or self.source is None:
-            return np.zeros((0, len(freq_hz)), dtype=complex)
-        place = np.interp(np.arange(len(freq_hz)), self.source.lines, self.source.tau)
-        ratio = freq_hz / self.source.middle_hz
-        steps = _STEP * self.fault.scale(1.0)
-        value = np.broadcast_to(factor(self.parameters, place, ratio), freq_hz.shape)
-        factors = [value]
-        for k, step in enumerate(steps):
-            more = factor(self.parameters + step * np.eye(len(steps))[k], place, ratio)
-            factors.append((more - value) / step / value)
-        return np.stack(factors)
 
 
 @dataclass(frozen=True)
@@ -118,7 +72,7 @@ class Refit:
             return np.inf
         return self.near.value - estimate_nuisance(self.data.blanked(channels), self.near.nuisance).value
 
-    def fit(self, fault: Fault) -> FaultFit:
+    def fit(self, fault: Fault) -> Finding:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
         many = fault.owner in OF_MANY
         null = self.fine if many and self.data.source.sd is None else self.near
@@ -131,15 +85,24 @@ class Refit:
             if many or not judge.rest.size:
                 # What is gathered without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
-        return FaultFit(fault, now.theta, 0.5 * inverse, null.value - now.value, self.data.source)
+        return Finding(
+            fault.kind,
+            list(fault.channels),
+            fault=fault,
+            parameters=now.theta,
+            covariance=0.5 * inverse,
+            drop=null.value - now.value,
+            source=self.data.source,
+        )
 
-    def refined(self, fit: FaultFit) -> FaultFit:
+    def refined(self, fit: Finding) -> Finding:
         """Return a fit of a fault that changes from line to line, by single lines instead of segments."""
-        if not fit.fault.entry.varies or self.data.source.sd is not None:
+        fault = fit.fault
+        if fault is None or not fault.entry.varies or self.data.source.sd is not None:
             return fit
         data = self.fine.state.data
-        start = self._try(data, fit.fault, fit.parameters, self.start)
-        now, inverse = self._improved(data, fit.fault, start)
+        start = self._try(data, fault, fit.parameters, self.start)
+        now, inverse = self._improved(data, fault, start)
         return replace(fit, parameters=now.theta, covariance=0.5 * inverse)
 
     def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
@@ -188,7 +151,7 @@ class Refit:
             return weighted_rows(data, fault.applied(base, p, data), channels)
 
         here = rows(theta)
-        steps = _STEP * fault.scale(self.lever)
+        steps = STEP * fault.scale(self.lever)
         moved = [(rows(theta + step) - here) / np.sum(step) for step in np.diag(steps)]
         return np.reshape(moved, (len(steps), *here.shape)) @ z
 
@@ -227,12 +190,13 @@ def _inverse(information: Array, unit: Array) -> Array:
     return np.asarray((half @ half.T) * np.outer(unit, unit))
 
 
-def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
+def log_evidence(fit: Finding, level: float, lever_m: float) -> float:
     """Return the logarithm of the Bayes factor of a fault against none.
 
     Parameters
     ----------
-    fit : FaultFit
+    fit : Finding
+        Of a fault, before its covariance is multiplied with the level.
     level : float
         Noise variance over the stated one.
     lever_m : float
@@ -245,10 +209,8 @@ def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
     prior around -1. Information that the prior holds is added, so that a fault of which the data show nothing
     has a factor of 1, however many parameters it has.
     """
-    fault = fit.fault
-    gain = fit.drop / level - log(max(fault.places, 1))
-    size = fault.size
-    if size == 0:
+    fault, size, gain = fit.fault, len(fit.parameters), fit.drop / level - log(fit.places)
+    if fault is None or not size:
         return gain
     scale = fault.scale(lever_m)
     information = np.linalg.pinv(fit.covariance * level, rcond=1e-12, hermitian=True)

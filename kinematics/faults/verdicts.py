@@ -110,7 +110,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             text += f"{_bent(body, diagnosis)}.{step}"
         elif finding.owner == "laser":
             text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
-        elif finding.kind == "position" and finding.fit is None:
+        elif finding.kind == "position" and finding.fault is None:
             text = (
                 f"body {body.body}{where}: {estimate} would explain the residuals; state them as sd_mm in "
                 "the points file, or measure the points anew."

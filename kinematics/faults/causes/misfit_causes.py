@@ -162,5 +162,5 @@ class Explanation:
         alike: bool = False,
     ) -> Explanation:
         """Return a cause by its code, the verdict of its channels, what was found and what to do."""
-        finding = Finding(verdict, channels, 1.0, None, size, text=words[0], code=code, step=words[1])
+        finding = Finding(verdict, channels, size=size, text=words[0], code=code, step=words[1])
         return cls(finding, remedied, alike)

@@ -159,4 +159,4 @@ def test_a_shift_along_parallel_beams_is_left_at_zero(seed):
     found = judged(made, seed)
     (finding,) = found.diagnoses[0, 0].findings
     assert (finding.kind, finding.channels) == ("position", made.culprits)
-    assert abs(finding.fit.parameters[1]) < 1e-9
+    assert abs(finding.parameters[1]) < 1e-9
