@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.finding_text import channel_list, describe
-from kinematics.faults.findings import Finding
+from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.fit.beams import observability
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
@@ -68,8 +67,7 @@ class Correction:
     @property
     def fault(self) -> Fault | None:
         """The fault of the catalogue that is corrected."""
-        fit = self.finding.fit
-        return fit.fault if fit is not None and self.action == CORRECTED else None
+        return self.finding.fault if self.action == CORRECTED else None
 
     def as_json(self, measurement: Measurement) -> dict[str, Any]:
         """Return what was done by the names of the files; readings were divided by the factor, where any."""
@@ -224,21 +222,20 @@ def _correction(
     verdict, estimate = describe(finding, body)
     corrected = Correction(run, number, list(finding.channels), CORRECTED, verdict, estimate, finding)
     if finding.remedied is not None or (
-        finding.kind == "position" and finding.fit is None and finding.size > 0.0
+        finding.kind == "position" and finding.fault is None and finding.size > 0.0
     ):
         return None if again and finding.remedied is None else corrected
     if finding.kind == "flexible" or finding.code:
         return None
     if finding.kind == "noise" and not again:
         return replace(corrected, action=RAISED)
-    if finding.fit is None or finding.rivals or again or not _determined(finding, fit.beams.lever_m):
+    if finding.fault is None or finding.rivals or again or not _determined(finding, fit.beams.lever_m):
         out = sorted({c for suspect in (finding, *finding.rivals) for c in suspect.channels})
         if _spares(body, fit, out):
             return replace(corrected, action=LEFT_OUT, channels=out)
         general = None if again else _general(finding)
         return None if general is None else _correction(placed, fit, key, general, again)
-    fault, p = finding.fit.fault, finding.fit.parameters
-    covariance = finding.fit.covariance
+    fault, p, covariance = finding.fault, finding.parameters, finding.covariance
     stated = np.nan_to_num(body.position_sd_mm[finding.channels[0]]) * 1e-3
     if fault.kind == "position" and stated > 0.0:
         # Next to the fault the stated error of the point itself is free within its prior, and adds that.
@@ -248,7 +245,7 @@ def _correction(
         corrected,
         parameters=p,
         covariance=covariance,
-        factor=finding.fit.factor_at(placed.freq_hz),
+        factor=finding.factor_at(placed.freq_hz),
         arms_m=body.positions_mm * 1e-3,
         directions=body.directions,
     )
@@ -256,10 +253,10 @@ def _correction(
 
 def _determined(finding: Finding, lever_m: float) -> bool:
     """Return whether the size of a fault is known better than by what is common."""
-    if finding.fit is None or not len(finding.fit.parameters):
+    if finding.fault is None or not finding.fault.size:
         return True
-    scale = finding.fit.fault.scale(lever_m)
-    scaled = finding.fit.covariance / np.outer(scale, scale)
+    scale = finding.fault.scale(lever_m)
+    scaled = finding.covariance / np.outer(scale, scale)
     return bool(np.max(np.linalg.eigvalsh(scaled)) < 1.0)
 
 
@@ -280,7 +277,7 @@ def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) ->
         words = f"{correction.estimate}; {correction.action}"
         step = f"Correct the file: this run went on with it {correction.action}"
         finding = replace(
-            correction.finding, kind=correction.verdict, fit=None, rivals=(), text=words, step=step
+            correction.finding, kind=correction.verdict, fault=None, rivals=(), text=words, step=step
         )
         named[key] = replace(named[key], findings=(finding, *named[key].findings))
     return named

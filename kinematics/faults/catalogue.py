@@ -60,6 +60,9 @@ class Kind:
         ``prior`` and ``largest`` are in levers of the body.
     like : str
         The kind whose statement it is, too; empty for its own.
+    code, step : str
+        Of the verdict that has the name of this kind: its warning, and what to do; empty of a kind whose
+        sentences have other verdicts.
     """
 
     owners: tuple[str, ...]
@@ -73,10 +76,16 @@ class Kind:
     largest: float = np.inf
     lengths: bool = False
     like: str = ""
+    code: str = ""
+    step: str = ""
+
+    def unit(self, lever_m: float) -> float:
+        """Return the unit of ``prior`` and ``largest``."""
+        return lever_m if self.lengths else 1.0
 
     def scale(self, lever_m: float) -> Array:
         """Return how large each parameter commonly is."""
-        return np.array(self.prior) * (lever_m if self.lengths else 1.0)
+        return np.array(self.prior) * self.unit(lever_m)
 
 
 def _direction(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
@@ -106,7 +115,14 @@ _SETS = ("channel", "point", "laser")
 OF_MANY = ("laser", "lasers", "body")
 KINDS: dict[str, Kind] = {
     "gain": Kind(
-        _SETS, (REAL,), (0.1,), sentences.factor, factor=lambda p, _t, _r: 1.0 + p[0] + 0j, flips=True
+        _SETS,
+        (REAL,),
+        (0.1,),
+        sentences.factor,
+        factor=lambda p, _t, _r: 1.0 + p[0] + 0j,
+        flips=True,
+        code="channel_gain",
+        step="Check range and scale of this channel; divide its values by the factor, or leave it out.",
     ),
     "phase": Kind(
         _SETS,
@@ -142,6 +158,8 @@ KINDS: dict[str, Kind] = {
         factor=lambda p, t, _r: 1.0 + p[0] + 1j * p[1] + (p[2] + 1j * p[3]) * t,
         varies=True,
         flips=True,
+        code="channel_drift",
+        step="Sensitivity or alignment changed during the sweep: measure it again, or leave it out.",
     ),
     "direction": Kind(
         ("channel", "laser"),
@@ -150,13 +168,40 @@ KINDS: dict[str, Kind] = {
         sentences.direction,
         moved=_direction,
         largest=0.6,
+        code="channel_direction",
+        step="Measure the direction of the beam anew and correct dir_x, dir_y, dir_z.",
     ),
     "position": Kind(
-        ("point",), SHIFTS, (0.2,) * 3, sentences.position, moved=_position, largest=3.0, lengths=True
+        ("point",),
+        SHIFTS,
+        (0.2,) * 3,
+        sentences.position,
+        moved=_position,
+        largest=3.0,
+        lengths=True,
+        code="channel_position",
+        step="Check the coordinates of the point.",
     ),
     "axes": Kind(("body",), AXES, (np.radians(2.0),) * 3, sentences.axes, moved=_axes, largest=0.6),
 }
 
+# Code of the warning, empty for none, and what to do about every verdict.
+ADVICE: dict[str, tuple[str, str]] = {
+    **{name: (kind.code, kind.step) for name, kind in KINDS.items() if kind.step},
+    "sign": ("channel_sign", "Turn its direction or its values round (times -1)."),
+    "noise": (
+        "channel_noise",
+        "Check focus and reflection there; state its true sd, leave it out, or fit with {robust} t4.",
+    ),
+    "label_swap": ("channel_label_swap", "Exchange the two names."),
+    "flexible": (
+        "flexible",
+        "The body bends, or its points belong to several bodies: use lower frequencies or fewer points, and "
+        "do not read its degrees of freedom as rigid motion.",
+    ),
+    "zeros": ("", "Nothing was recorded: measure it again. It is not used in the fit."),
+    "unused": ("", "Nothing usable was read: give values and their sd. It is not used in the fit."),
+}
 
 # What is exchanged has no size, and no score tests.
 _EXCHANGED = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinematics.faults.catalogue import KINDS
 from kinematics.faults.packed_readings import Source, initial
-from kinematics.faults.score_information import SHIFTS, State
+from kinematics.faults.score_information import SHIFTS, State, real_parts
 from kinematics.faults.score_tests import of_one_size, scores_at
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of
 from kinematics.fit.rigid_fit import LineFit
@@ -75,15 +75,15 @@ def detectable(fit: LineFit, body: BodyChannels, freq_hz: Array, alarm: float) -
     data = initial(Source.of(fit, body, freq_hz, known=True), body)
     state = State.of(data)
     nuisance = Nuisance.of(data, np.nan_to_num(body.position_sd_mm) * 1e-3)
-    near = Marginal(state, nuisance) if len(nuisance.sd) else None
+    near = Marginal(state, nuisance)
     points = data.by_point
 
     def smallest(kind: str, places: list[list[int]]) -> Array:
         found = np.full(len(body.points), np.nan)
         for same in of_one_size(places):
-            information = 2.0 * scores_at(state, near, same, KINDS[kind].tangents)[1]
+            information = 2.0 * scores_at(near, same, KINDS[kind].tangents)[1]
             for own, one in zip(same, information, strict=True):
-                unit = fit.beams.lever_m if KINDS[kind].lengths else 1.0
+                unit = KINDS[kind].unit(fit.beams.lever_m)
                 found[own] = _least(one * unit**2, alarm) * unit
         return found
 
@@ -177,25 +177,18 @@ def invisible(q: ComplexArray, dof: tuple[str, ...], directions: Array) -> Invis
     Frames turned by p change a twist (v, omega) by (p x v, p x omega), shifted by s by (omega x s, 0)
     (Featherstone 2008, Rigid Body Dynamics Algorithms, section 2.8).
     """
-    good = np.all(np.isfinite(q), axis=1)
-    v, omega = q[good, :3], q[good, 3:]
-    axes = np.eye(3)
-    turned = np.stack([np.hstack([np.cross(e, v), np.cross(e, omega)]) for e in axes], axis=-1)
-    still = np.zeros_like(v)
-    shifted = np.stack([np.hstack([np.cross(omega, e), still]) for e in axes], axis=-1)
-    places = dof_indices(dof)
-    size = np.maximum(np.sqrt(np.mean(np.abs(q[good]) ** 2, axis=0)), 1e-300)
+    q, places = q[np.all(np.isfinite(q), axis=1)], np.array(dof_indices(dof))
+    size = np.maximum(np.sqrt(np.mean(np.abs(q) ** 2, axis=0)), 1e-300)[places]
+    crossed = np.stack([np.cross(q.reshape(-1, 2, 3), axis) for axis in np.eye(3)])
+    turned = -crossed.reshape(3, -1, 6)
+    shifted = np.concatenate([crossed[:, :, 1], np.zeros_like(crossed[:, :, 1])], axis=2)
 
     def worst(change: ComplexArray) -> Array:
-        largest = []
-        for place in places:
-            square = np.real(change[:, place].conj().T @ change[:, place]) / max(len(change), 1)
-            largest.append(np.sqrt(max(float(np.linalg.eigvalsh(square)[-1]), 0.0)) / size[place])
-        return np.array(largest)
+        largest = [np.linalg.norm(real_parts(change[:, :, place]), 2) for place in places]
+        return np.array(largest) / np.sqrt(max(len(q), 1)) / size
 
     tilt = np.full(len(places), np.nan)
     if np.linalg.svd(directions, compute_uv=False)[1:].max(initial=0.0) < PARALLEL * np.sqrt(len(directions)):
-        large = float(np.max(size[:3]))
-        beside = [np.tan(np.radians(TURN_DEG)) * large / size[place] for place in places]
-        tilt = np.where(np.array(places) < 3, beside, np.nan)
+        large = float(np.sqrt(np.max(np.mean(np.abs(q[:, :3]) ** 2, axis=0))))
+        tilt = np.where(places < 3, np.tan(np.radians(TURN_DEG)) * max(large, 1e-300) / size, np.nan)
     return Invisible(np.radians(TURN_DEG) * worst(turned), 1e-6 * SHIFT_UM * worst(shifted), tilt)

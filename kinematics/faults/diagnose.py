@@ -34,6 +34,8 @@ from stapeskit.arrays import Array
 MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
+# Share of the energy of noise below which a misfit is rounding.
+_ROUNDING = 1e-9
 # From so many residual directions on, a misfit of one channel alone is that channel's.
 _MANY = 30
 # Scattered positions: fewest points, sizes that are sought (m, and levers), and how much more than stated.
@@ -198,7 +200,7 @@ class _Diagnose:
             findings.append(culprit)
             search = self.after(search.data, culprit, findings)
             if len(findings) == 1 and culprit.owner != "body":
-                kept = search.excess() / max(first.excess(), 1e-300)
+                kept = search.excess() / max(first.excess(), _ROUNDING * first.noise_energy, 1e-300)
         if findings and first.structure.significant and not self._explain(first, findings):
             return self._many(first, search, findings, first.flexible())
         if len(findings) > 1:
@@ -211,7 +213,7 @@ class _Diagnose:
     def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
         """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
         for other in bending.rivals:
-            if other.fit is not None and self.after(data, other, findings).clean():
+            if other.fault is not None and self.after(data, other, findings).clean():
                 return other
         return bending
 
@@ -260,14 +262,14 @@ class _Diagnose:
         size, gain = likeliest_size(score / first.scale, information / first.scale, sizes)
         if not _MORE * float(np.max(self.prior, initial=0.0)) < size < lever:
             return None
-        fits = [finding.fit for finding in findings if finding.fit is not None]
-        if gain < sum(fit.drop / first.scale - _PER_PARAMETER * (1 + fit.fault.size) for fit in fits):
+        named = [(finding.drop, finding.fault.size) for finding in findings if finding.fault is not None]
+        if gain < sum(drop / first.scale - _PER_PARAMETER * (1 + size) for drop, size in named):
             return None
         if not self.searched(first.data, prior=np.full(len(self.prior), size)).clean():
             return None
         text = f"positions of all points off by about {size * 1e3:.2g} mm (standard deviation per axis)"
         p = min((finding.p_value for finding in [*findings, first.flexible()]), default=1.0)
-        return Finding("position", list(first.live), p, None, size, text=text)
+        return Finding("position", list(first.live), p, size=size, text=text)
 
     def _masked(self, first: Search) -> tuple[list[Finding], Search] | None:
         """Return the faults of two channels that hide each other, and the search without them.
@@ -276,7 +278,7 @@ class _Diagnose:
         -----
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
-        if len(first.live) > _MOST_PAIRED or len(first.x):
+        if len(first.live) > _MOST_PAIRED or not first.exact:
             return None
         points = first.data.points
         pairs = [pair for pair in combinations(first.live, 2) if points[pair[0]] != points[pair[1]]]
@@ -292,7 +294,7 @@ class _Diagnose:
             if not last.clean():
                 continue
             faults = [fault for search in alone if (fault := search.best()) is not None]
-            named = [fault.channels for fault in faults if fault.fit is not None and fault.kind != "drift"]
+            named = [fault.channels for fault in faults if fault.fault is not None and fault.kind != "drift"]
             if named == [pair[:1], pair[1:]] and self._explain(first, faults):
                 return faults, last
         return None

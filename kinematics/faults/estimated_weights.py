@@ -47,13 +47,13 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> Packed:
     if not level > 0.0:
         return data
     data = data.louder(float(np.sqrt(level)))
-    state = estimate_nuisance(data, nuisance)[0]
+    state = estimate_nuisance(data, nuisance).state
     noise = channel_noise(state)
     if noise.least < LEAST_SAMPLES or not noise.level > 0.0:
         return data
     levelled = _course(data, state)
     if levelled is not data:
-        data, state = levelled, estimate_nuisance(levelled, nuisance)[0]
+        data, state = levelled, estimate_nuisance(levelled, nuisance).state
         noise = channel_noise(state)
         if not noise.level > 0.0:
             return data

@@ -90,26 +90,19 @@ class Source:
         """Collect the readings of a fit; unknown noise enters by proportions and course over frequency."""
         course = None if known else noise_course(fit, freq_hz)
         noise = fit.noise if known else LineNoise(fit.noise.stated, course)
-        lines = np.flatnonzero(fit.solution.good)
-        used = fit.solution.used
-        live = used > 0
-        common = noise.common()
-        whole = common is not None and bool(np.all(used[live] == fit.value.shape[1])) and bool(np.all(live))
-        if not whole:
+        lines, used = np.flatnonzero(fit.solution.good), fit.solution.used
+        common = noise.common() if np.all(used == fit.value.shape[1]) else None
+        if common is not None:
+            share, line, sd = common[0], common[1][lines], None
+        else:
             most = max(_MOST_VALUES // max(len(used), 1), 32)
             if len(lines) > most:
                 lines = lines[np.unique(np.linspace(0, len(lines) - 1, most).round().astype(int))]
+            share, line, sd = np.where(used > 0, 1.0, 0.0), np.ones(len(lines)), np.array(noise.at(lines))
+            sd[~(np.isfinite(sd) & np.isfinite(fit.value[:, lines].real))] = np.inf
         tau = np.linspace(-1.0, 1.0, len(lines)) if len(lines) > 1 else np.zeros(len(lines))
         middle = float(np.mean(freq_hz[lines]))
         ratio = freq_hz[lines] / middle
-        if common is not None and whole:
-            share, line, sd = common[0], common[1][lines], None
-        else:
-            sd = np.array(noise.at(lines))
-            sd[~(np.isfinite(sd) & np.isfinite(fit.value[:, lines].real))] = np.inf
-            some = np.isfinite(sd)
-            size = np.sqrt(np.sum(np.where(some, sd, 0.0) ** 2, axis=0) / np.maximum(np.sum(some, axis=0), 1))
-            share, line = live.astype(float), size
         return cls(
             fit.beams, body.points, fit.value, lines, share, line, sd, tau, ratio, spread, middle, course
         )
@@ -279,15 +272,12 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
     few = source.spread == 1.0 and len(source.lines) < 2 * LEAST_SEGMENTS * len(source.beams.dof)
     if source.sd is None and not few and not (fine and len(source.value) * len(source.lines) < _FINE_VALUES):
         return _gathered(source, assumed, live / (source.share * loud), course, whiten, fine)
-    value = source.value[:, source.lines]
-    if source.sd is None:
-        # The course of the noise over the lines is in the motion.
-        value = value / (source.line * course)
-        weight = np.repeat((live / (source.share * loud))[:, None], value.shape[1], axis=1)
-    else:
-        sd = source.sd * loud[:, None] * course
-        weight = np.where(live[:, None] & np.isfinite(sd), 1.0 / sd, 0.0)
-    value = np.where(weight > 0.0, value, 0.0)
+    sd = source.share[:, None] if source.sd is None else source.sd
+    # The course of the noise over the lines is in the motion.
+    course = course * source.line if source.sd is None else course
+    weight = np.where(live[:, None] & np.isfinite(sd), 1.0 / (sd * loud[:, None]), 0.0)
+    weight = np.repeat(weight, len(course) // weight.shape[1], axis=1)
+    value = np.where(weight > 0.0, source.value[:, source.lines] / course, 0.0)
     divide(value, weight, assumed, source.tau, source.ratio)
     y = whitened((weight * value).T[:, :, None], whiten)
     return Packed(source, assumed, y, y[:, :, :0], weight.T, source.tau, source.ratio, whiten)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import ChannelNoise
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.score_information import State
+from kinematics.faults.score_information import State, real_parts
 from stapeskit.arrays import Array, ComplexArray
 
 # Fewer samples, or more channels at a point, than this show no correlation.
@@ -47,8 +47,9 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     Parameters
     ----------
     state : State
+        Of data without correlation.
     residual : ndarray, (channel, n), complex
-        Whitened residuals.
+        Residuals over noise.
     samples : float
         Independent values of a channel in them.
 
@@ -62,25 +63,20 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     Residuals of noise of covariance C have the covariance Q C Q^T, Q the projector; the blocks of C are found
     by repeated correction of those measured.
     """
-    data = state.data
-    flat = state.plain(residual)
-    own = _points(data)
+    own, live = _points(state.data), state.data.live
     if samples < _LEAST_SAMPLES or max(map(len, own)) > _MOST_AT_POINT:
         return None
-    wanted = np.zeros((len(flat),) * 2, dtype=bool)
+    wanted = np.zeros((len(residual),) * 2, dtype=bool)
     for channels in own:
         wanted[np.ix_(channels, channels)] = True
-    wanted[data.live, data.live] = True
-    measured = np.where(wanted, _products(flat) / samples, 0.0)
+    wanted[live, live] = True
+    measured = np.where(wanted, _products(residual) / samples, 0.0)
     covariance = measured.copy()
-    if len(flat) <= _MOST_CORRECTED:
-        span = np.real(state.span[0])
-        project = np.eye(len(span)) - span @ span.T
-        if data.whiten is not None:
-            project = state.back @ project @ data.whiten
+    if len(residual) <= _MOST_CORRECTED:
+        project = _projector(state)
         for _ in range(_CORRECTIONS):
             covariance = covariance + np.where(wanted, measured - project @ covariance @ project.T, 0.0)
-    return covariance if np.all(np.diag(covariance)[data.live] > 0.0) else None
+    return covariance if np.all(np.diag(covariance)[live] > 0.0) else None
 
 
 def scaled(covariance: Array) -> Array:
@@ -116,8 +112,7 @@ def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
     measured = _products(residual) / samples
     expected = np.diag(np.diag(measured))
     if len(measured) <= _MOST_CORRECTED:
-        span = np.real(state.span[0])
-        project = np.eye(len(span)) - span @ span.T
+        project = _projector(state)
         variance = np.linalg.lstsq(project**2, np.diag(measured), rcond=_UNSEEN)[0]
         expected = (project * np.maximum(variance, 0.0)) @ project
     value, size = [], []
@@ -133,9 +128,15 @@ def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
     return bool(chdtrc(np.sum(number[least]), np.sum(shown[least])) > _LIKELY)
 
 
+def _projector(state: State) -> Array:
+    """Return the projector (channel, channel) on the residuals."""
+    span = np.real(state.span[0])
+    return np.asarray(np.eye(len(span)) - span @ span.T)
+
+
 def _products(values: ComplexArray) -> Array:
     """Return the real part (n, n) of the products of complex rows (n, k)."""
-    parts = np.ascontiguousarray(values).view(float)
+    parts = real_parts(values)
     return np.asarray(parts @ parts.T)
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import OF_MANY, Fault
-from kinematics.faults.packed_readings import Packed, Source, packed
+from kinematics.faults.findings import STEP, Finding
+from kinematics.faults.packed_readings import Packed, packed
 from kinematics.faults.score_information import Model, State, model_of, weighted_rows
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.uncertain_positions import Marginal, estimate_nuisance
 from stapeskit.arrays import Array, ComplexArray
 
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
@@ -22,89 +23,43 @@ from stapeskit.arrays import Array, ComplexArray
 # next to errors of positions): half of 3850 fits take up to two steps, 3 % all twelve. No verdict of 25 of
 # the scenes changes with a limit of 6 or 24.
 _ROUNDS = 12
-# Steps of the numerical derivatives, in units of the prior size.
-_STEP = 1e-5
 # Share of a change of the readings, squared, below which what the motion leaves of it is not seen.
 _UNSEEN = 1e-9
 
 
 @dataclass(frozen=True)
-class FaultFit:
-    """A fitted fault.
-
-    Attributes
-    ----------
-    fault : Fault
-    parameters : ndarray, (p,)
-    covariance : ndarray, (p, p)
-    drop : float
-        Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
-    source : Source, optional
-        Of the readings.
-    """
-
-    fault: Fault
-    parameters: Array
-    covariance: Array
-    drop: float
-    source: Source | None = None
-
-    @property
-    def channels(self) -> list[int]:
-        """The channels of the fault."""
-        return self.fault.channels
-
-    def factor_at(self, freq_hz: Array) -> ComplexArray:
-        """Return the factor of the readings, and its relative derivatives, (p + 1, freq).
-
-        Without rows for faults of the geometry.
-        """
-        factor = self.fault.entry.factor
-        if factor is None or self.source is None:
-            return np.zeros((0, len(freq_hz)), dtype=complex)
-        place = np.interp(np.arange(len(freq_hz)), self.source.lines, self.source.tau)
-        ratio = freq_hz / self.source.middle_hz
-        steps = _STEP * self.fault.scale(1.0)
-        value = np.broadcast_to(factor(self.parameters, place, ratio), freq_hz.shape)
-        factors = [value]
-        for k, step in enumerate(steps):
-            more = factor(self.parameters + step * np.eye(len(steps))[k], place, ratio)
-            factors.append((more - value) / step / value)
-        return np.stack(factors)
-
-
-@dataclass(frozen=True)
 class _Trial:
     theta: Array
-    x: Array
-    state: State
-    value: float
+    near: Marginal
+
+    @property
+    def value(self) -> float:
+        return self.near.value
 
 
 class Refit:
-    """Fits of faults to data with nuisance parameters; ``before`` is the objective without fault.
+    """Fits of faults to data with nuisance parameters, from a fit ``near`` without fault.
 
-    ``flat`` are the data for faults that are the same at all lines, ``start`` the nuisance parameters.
+    ``flat`` are the data for faults that are the same at all lines.
     """
 
-    def __init__(self, data: Packed, nuisance: Nuisance, start: Array, before: float, flat: Packed) -> None:
-        self.data, self.nuisance, self.start, self.before, self.flat = data, nuisance, start, before, flat
-        self.lever = data.source.beams.lever_m
+    def __init__(self, near: Marginal, flat: Packed) -> None:
+        self.near, self.data, self.flat = near, near.state.data, flat
+        self.start = np.broadcast_to(near.x, near.nuisance.sd.shape)
+        self.lever = self.data.source.beams.lever_m
 
     @cached_property
-    def fine(self) -> tuple[Packed, float]:
-        """The data that judge faults of many channels, and their objective without fault.
+    def fine(self) -> Marginal:
+        """The fit without fault of the data that judge faults of many channels.
 
         A large fault of many channels hides motion from the fit, so that it is not gathered with it.
         """
         data = packed(self.data.source, self.data.assumed, fine=True)
-        null = State.of(data, self.nuisance.applied(model_of(data), self.start))
-        return data, null.energy + self.nuisance.penalty(self.start)
+        return Marginal.at(data, self.near.nuisance, self.start)
 
     def _try(self, data: Packed, fault: Fault, theta: Array, x: Array) -> _Trial:
-        model = self.nuisance.applied(fault.applied(model_of(data), theta, data), x)
-        state = State.of(data, model)
-        return _Trial(theta, x, state, state.energy + self.nuisance.penalty(x))
+        base = fault.applied(model_of(data), theta, data)
+        return _Trial(theta, Marginal.at(data, self.near.nuisance, x, base))
 
     def sight(self, fault: Fault) -> float:
         """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
@@ -115,30 +70,39 @@ class Refit:
         """Return by how much the objective falls without some channels: no fault of theirs takes more."""
         if self.data.whiten is not None:
             return np.inf
-        state, x = estimate_nuisance(self.data.blanked(channels), self.nuisance)
-        return self.before - state.energy - self.nuisance.penalty(x)
+        return self.near.value - estimate_nuisance(self.data.blanked(channels), self.near.nuisance).value
 
-    def fit(self, fault: Fault) -> FaultFit:
+    def fit(self, fault: Fault) -> Finding:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
         many = fault.owner in OF_MANY
-        judge, before = self.fine if many and self.data.source.sd is None else (self.data, self.before)
+        null = self.fine if many and self.data.source.sd is None else self.near
+        judge = null.state.data
         data = judge if fault.entry.varies else self.flat
         trials = (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault))
         now, inverse = self._improved(data, fault, min(trials, key=lambda trial: trial.value))
         if data is not judge:
-            now = self._try(judge, fault, now.theta, now.x)
+            now = self._try(judge, fault, now.theta, now.near.x)
             if many or not judge.rest.size:
                 # What is gathered without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
-        return FaultFit(fault, now.theta, 0.5 * inverse, before - now.value, self.data.source)
+        return Finding(
+            fault.kind,
+            list(fault.channels),
+            fault=fault,
+            parameters=now.theta,
+            covariance=0.5 * inverse,
+            drop=null.value - now.value,
+            source=self.data.source,
+        )
 
-    def refined(self, fit: FaultFit) -> FaultFit:
+    def refined(self, fit: Finding) -> Finding:
         """Return a fit of a fault that changes from line to line, by single lines instead of segments."""
-        if not fit.fault.entry.varies or self.data.source.sd is not None:
+        fault = fit.fault
+        if fault is None or not fault.entry.varies or self.data.source.sd is not None:
             return fit
-        data = self.fine[0]
-        start = self._try(data, fit.fault, fit.parameters, self.start)
-        now, inverse = self._improved(data, fit.fault, start)
+        data = self.fine.state.data
+        start = self._try(data, fault, fit.parameters, self.start)
+        now, inverse = self._improved(data, fault, start)
         return replace(fit, parameters=now.theta, covariance=0.5 * inverse)
 
     def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
@@ -147,7 +111,7 @@ class Refit:
         for _ in range(_ROUNDS if fault.size + len(self.start) else 0):
             step, inverse = self._step(data, fault, now)
             for part in (1.0, 0.5, 0.25, 0.06):
-                theta, x = now.theta + part * step[: fault.size], now.x + part * step[fault.size :]
+                theta, x = now.theta + part * step[: fault.size], now.near.x + part * step[fault.size :]
                 trial = self._try(data, fault, theta, x)
                 if trial.value <= now.value:
                     break
@@ -187,7 +151,7 @@ class Refit:
             return weighted_rows(data, fault.applied(base, p, data), channels)
 
         here = rows(theta)
-        steps = _STEP * fault.scale(self.lever)
+        steps = STEP * fault.scale(self.lever)
         moved = [(rows(theta + step) - here) / np.sum(step) for step in np.diag(steps)]
         return np.reshape(moved, (len(steps), *here.shape)) @ z
 
@@ -196,18 +160,17 @@ class Refit:
 
         The nuisance parameters are eliminated (Schur complement).
         """
-        near = Marginal(now.state, self.nuisance)
-        pull = near.score - 0.5 * now.x / self.nuisance.sd**2
+        near, pull = now.near, now.near.pull
         free = near.solved(pull)
         if not fault.size:
             return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
-        base = self.nuisance.applied(model_of(data), now.x)
-        t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
-        sums = now.state.sums(groups, t)
+        base = near.nuisance.applied(model_of(data), near.x)
+        t = self._tangents(data, fault, now.theta, base, near.state.z)[:, :, None]
+        sums = near.state.sums(groups, t)
         shared = near.common(groups, t, sums.taken)[0]
         held = near.solved(shared.T)
-        whole = np.diag(sums.information[0]) + np.sum(sums.taken[0] ** 2, axis=1)
+        whole = np.diag(sums.information[0]) + np.sum(np.abs(sums.taken[0]) ** 2, axis=(1, 2, 3))
         # A parameter that does not show at its usual size is none that rounding should show.
         unit = 1.0 / np.sqrt(np.maximum(whole, fault.scale(self.lever) ** -2.0))
         inverse = _inverse(sums.information[0] - shared @ held, unit)
@@ -227,12 +190,13 @@ def _inverse(information: Array, unit: Array) -> Array:
     return np.asarray((half @ half.T) * np.outer(unit, unit))
 
 
-def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
+def log_evidence(fit: Finding, level: float, lever_m: float) -> float:
     """Return the logarithm of the Bayes factor of a fault against none.
 
     Parameters
     ----------
-    fit : FaultFit
+    fit : Finding
+        Of a fault, before its covariance is multiplied with the level.
     level : float
         Noise variance over the stated one.
     lever_m : float
@@ -245,10 +209,8 @@ def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
     prior around -1. Information that the prior holds is added, so that a fault of which the data show nothing
     has a factor of 1, however many parameters it has.
     """
-    fault = fit.fault
-    gain = fit.drop / level - log(max(fault.places, 1))
-    size = fault.size
-    if size == 0:
+    fault, size, gain = fit.fault, len(fit.parameters), fit.drop / level - log(fit.places)
+    if fault is None or not size:
         return gain
     scale = fault.scale(lever_m)
     information = np.linalg.pinv(fit.covariance * level, rcond=1e-12, hermitian=True)

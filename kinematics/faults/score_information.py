@@ -60,12 +60,20 @@ def perpendicular_axes(directions: Array) -> Array:
     return np.stack([first, cross(directions, first)], axis=-2)
 
 
+def real_parts(value: ComplexArray) -> Array:
+    """Return real and imaginary parts (..., 2 n) of complex values (..., n)."""
+    return np.ascontiguousarray(value).view(float)
+
+
 class Sums(NamedTuple):
-    """Scores (B, p), information (B, p, p) and projections (B, p, D) of tangents of B sets of channels."""
+    """Scores (B, p) and information (B, p, p) of tangents of B sets of channels.
+
+    ``taken`` (B, p, group, m, column) are the projections of the tangents on the motion.
+    """
 
     score: Array
     information: Array
-    taken: Array
+    taken: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -221,9 +229,9 @@ class State:
             other = (inner[None, None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
         whole = np.real(flat.conj() @ other.swapaxes(1, 2))
         span = self.own_span[:, groups].conj().transpose(0, 1, 3, 2)
-        taken = (span[None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
-        real = np.concatenate([taken.real, taken.imag], axis=2)
-        return Sums(score, whole - real @ real.swapaxes(1, 2), real)
+        taken = (span[None] @ tangents).transpose(2, 0, 1, 3, 4)
+        real = real_parts(taken.reshape(sets, count, -1))
+        return Sums(score, whole - real @ real.swapaxes(1, 2), taken)
 
     def chunks(self, groups: NDArray[np.intp], count: int, shared: int = 0) -> list[NDArray[np.intp]]:
         """Split sets of channels (B, n) so that the sums of ``count`` tangents fit into memory.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
 from kinematics.faults.packed_readings import LEAST_SEGMENTS
-from kinematics.faults.score_information import AXES, State
+from kinematics.faults.score_information import AXES
 from kinematics.faults.uncertain_positions import Marginal
 from stapeskit.arrays import Array
 
@@ -34,23 +34,18 @@ class Tested:
         return [tuple(own) for own in self.groups.tolist()]
 
 
-def score_tests(
-    state: State,
-    marginal: Marginal | None,
-    owners: dict[str, Sequence[Sequence[int]]],
-) -> list[Tested]:
+def score_tests(near: Marginal, owners: dict[str, Sequence[Sequence[int]]]) -> list[Tested]:
     """Test every kind of fault at every place.
 
     Parameters
     ----------
-    state : State
-    marginal : Marginal, optional
-        Of the nuisance parameters at this state, their most probable ones.
+    near : Marginal
+        A fit with the most probable nuisance parameters.
     owners : dict of str to sequences of channels
         The places: ``channel``, ``point``, ``laser``, ``body``.
     """
     tests = []
-    varying = len(state.data.tau) >= LEAST_SEGMENTS
+    varying = len(near.state.data.tau) >= LEAST_SEGMENTS
     for owner, places in owners.items():
         for same in of_one_size(places) if owner != "laser" else _each(places):
             size = same.shape[1]
@@ -64,7 +59,7 @@ def score_tests(
             if not kinds or not len(same):
                 continue
             which = sorted({k for name in kinds for k in KINDS[name].tangents})
-            score, information = scores_at(state, marginal, same, which)
+            score, information = scores_at(near, same, which)
             for name in kinds:
                 at = [which.index(k) for k in KINDS[name].tangents]
                 statistic, freedom = _statistic(score[:, at], information[:, at][:, :, at])
@@ -83,30 +78,21 @@ def of_one_size(places: Sequence[Sequence[int]]) -> list[NDArray[np.intp]]:
     return [np.array([own for own in places if len(own) == size], dtype=np.intp) for size in sizes]
 
 
-def scores_at(
-    state: State,
-    marginal: Marginal | None,
-    groups: NDArray[np.intp],
-    which: Sequence[int],
-) -> tuple[Array, Array]:
-    """Return scores (B, p) and information (B, p, p) of tangents ``which`` (p) at B sets of channels (B, n).
-
-    ``marginal`` as of `score_tests`.
-    """
-    scores, informations = [], []
+def scores_at(near: Marginal, groups: NDArray[np.intp], which: Sequence[int]) -> tuple[Array, Array]:
+    """Return scores (B, p) and information (B, p, p) of tangents ``which`` at B sets of channels (B, n)."""
+    state, scores, informations = near.state, [], []
     members = groups.shape[1]
     beam = None
     if members > 1 and AXES[0] not in which:
         mean = np.sum(state.model.directions[groups[0]], axis=0)
         beam = state.model.directions[groups[0, 0]] if len(groups) == 1 else None
         beam = beam if np.linalg.norm(mean) > 0.9 * members else None
-    shared = 0 if marginal is None else len(marginal.nuisance.sd)
-    for part in state.chunks(groups, len(which), shared):
+    for part in state.chunks(groups, len(which), len(near.nuisance.sd)):
         t = state.tangents(part.ravel(), which, beam)
         t = t.reshape(*t.shape[:2], len(part), members, t.shape[-1])
         sums = state.sums(part, t)
         scores.append(sums.score)
-        informations.append(sums.information if marginal is None else marginal.remaining(part, t, sums))
+        informations.append(near.remaining(part, t, sums))
     return np.concatenate(scores), np.concatenate(informations)
 
 

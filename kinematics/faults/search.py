@@ -16,8 +16,8 @@ from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.refit import FaultFit, Refit, log_evidence
-from kinematics.faults.score_information import State, model_of
+from kinematics.faults.refit import Refit, log_evidence
+from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import Tested, of_one_size, score_tests
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.laser_groups import laser_channels
@@ -70,22 +70,21 @@ class Search:
         alarm: float = FALSE_ALARM,
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
-        self.nuisance = Nuisance.of(data, prior_m)
-        base = State.of(data)
-        flat = data.merged(base.z)
-        x = estimate_nuisance(flat, self.nuisance)[1]
-        self.x = x
-        self.state = State.of(data, self.nuisance.applied(model_of(data), x)) if len(x) else base
-        self.given = base
-        self.before = self.state.energy + self.nuisance.penalty(x)
+        self.given, nuisance = State.of(data), Nuisance.of(data, prior_m)
+        flat = data.merged(self.given.z)
+        self.exact = not len(nuisance.sd)
+        self.near = Marginal(self.given, nuisance)
+        if not self.exact:
+            self.near = Marginal.at(data, nuisance, estimate_nuisance(flat, nuisance).x)
+        self.state = self.near.state
         self.live = data.live
-        self.refit = Refit(data, self.nuisance, x, self.before, flat)
+        self.refit = Refit(self.near, flat)
         noise = self.noise = channel_noise(self.state)
         self.least = noise.least
         self.of_all = not known and noise.least < LEAST_SAMPLES
         self.level, self.sure = noise.level, noise.sure
         if self.of_all:
-            self.level, self.sure = common_level(data, self.nuisance)
+            self.level, self.sure = common_level(data, nuisance)
         self.scale = self.level
         if known and self.level < 1.0 + _SURELY_LOUDER * np.sqrt(2.0 / self.sure):
             self.scale = 1.0
@@ -177,7 +176,7 @@ class Search:
             over = value / (scale or self.scale)
             score = count * (over - 1.0 - np.log(over)) - np.log(len(self.live)) - 0.5 * np.log(count)
             louder = float(np.sqrt((ratio - h[channel]) / left))
-            loud.append((float(score), Finding("noise", [channel], p, None, louder)))
+            loud.append((float(score), Finding("noise", [channel], p, size=louder)))
         return loud
 
     @property
@@ -210,11 +209,11 @@ class Search:
         scale, strange = self._scale_without([fit.drop for fit in fits]), False
         scored = self.loud_channels(scale) if scale < self.scale else list(loud)
         for fit in fits:
-            finding = self._finding(fit)
-            if finding.p_value < self.alarm and not self._credible(fit):
+            p_value = self._p_value(fit)
+            if p_value < self.alarm and not self._credible(fit):
                 strange = True
-            elif finding.p_value < self.alarm:
-                scored.append((self._evidence(fit, scale), finding))
+            elif p_value < self.alarm:
+                scored.append((self._evidence(fit, scale), self._scaled(fit, p_value)))
         if self.bending:
             scored.append((self.structure.gain / scale, self.flexible()))
         if not scored and strange:
@@ -226,12 +225,8 @@ class Search:
         least = _HALF * top if finding.kind == "flexible" else top - _NEAR
         near = [other for value, other in scored[1:] if value > least and differ(finding, other)]
         finding = replace(finding, rivals=tuple(near[:2]))
-        if finding.fit is None:
-            return finding
-        fit = self.refit.refined(finding.fit)
-        if fit is not finding.fit:
-            fit = replace(fit, covariance=fit.covariance * self.scale)
-        return replace(finding, fit=fit)
+        fit = self.refit.refined(finding)
+        return finding if fit is finding else self._scaled(fit, finding.p_value)
 
     def _scale_without(self, drops: list[float]) -> float:
         """Return the noise variance by which explanations are compared.
@@ -242,18 +237,21 @@ class Search:
         number = self.freedom * self.state.z.shape[2]
         if not drops or number < LEAST_SAMPLES:
             return self.scale
-        left = max((self.before - max(drops)) / number, 1.0 if self.known else 0.0)
+        left = max((self.near.value - max(drops)) / number, 1.0 if self.known else 0.0)
         return left if 0.0 < left < _INFLATED * self.scale else self.scale
 
-    def _evidence(self, fit: FaultFit, scale: float) -> float:
+    def _evidence(self, fit: Finding, scale: float) -> float:
         return log_evidence(fit, scale, self.data.source.beams.lever_m)
 
-    def _credible(self, fit: FaultFit) -> bool:
+    def _credible(self, fit: Finding) -> bool:
         """Return whether a fault is of a size that happens, or else leaves nothing but noise."""
-        kind = fit.fault.entry
-        unit = self.data.source.beams.lever_m if kind.lengths else 1.0
-        small = float(np.linalg.norm(fit.parameters)) < kind.largest * unit
-        return small or self.before - fit.drop < 2.0 * self.noise_energy
+        kind = KINDS.get(fit.kind)
+        if kind is None:
+            return True
+        small = float(np.linalg.norm(fit.parameters)) < kind.largest * kind.unit(
+            self.data.source.beams.lever_m
+        )
+        return small or self.near.value - fit.drop < 2.0 * self.noise_energy
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
@@ -261,7 +259,7 @@ class Search:
         excess = max(self.state.energy - self.noise_energy, self.structure.gain)
         moved = float(np.sum(np.abs(self.data.y - self.state.e) ** 2))
         share = float(np.sqrt(excess / max(moved, 1e-300)))
-        return Finding("flexible", list(self.live), self.structure.p_value, None, share)
+        return Finding("flexible", list(self.live), self.structure.p_value, size=share)
 
     def _number(self, owner: str) -> float:
         """Return what p-values of one sort of culprit are multiplied with: Bonferroni, unequal shares."""
@@ -281,8 +279,7 @@ class Search:
     @cached_property
     def tested(self) -> list[Tested]:
         """Tests of all kinds at all places."""
-        marginal = Marginal(self.state, self.nuisance) if len(self.x) else None
-        return score_tests(self.state, marginal, self._owners())
+        return score_tests(self.near, self._owners())
 
     def _owners(self) -> dict[str, Sequence[Sequence[int]]]:
         """Return the places where faults are looked for."""
@@ -296,7 +293,7 @@ class Search:
             "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
         }
 
-    def _suspects(self) -> list[FaultFit]:
+    def _suspects(self) -> list[Finding]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
         for owner in _TESTED:
@@ -325,7 +322,7 @@ class Search:
             blame |= dict(zip(map(tuple, same.tolist()), fall.tolist(), strict=True))
         return blame
 
-    def _likely(self, faults: list[Fault]) -> list[FaultFit]:
+    def _likely(self, faults: list[Fault]) -> list[Finding]:
         """Fit faults, without those that cannot come near the best, the most promising first.
 
         No fault lowers the objective by more than leaving its channels out does: without the squares of their
@@ -339,12 +336,12 @@ class Search:
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
             if needed > 0.0:
                 if own not in freed:
-                    freed[own] = self.refit.most(own) if len(self.x) else -fall[own]
+                    freed[own] = -fall[own] if self.exact else self.refit.most(own)
                 if freed[own] < needed:
                     continue
             fit = self.refit.fit(fault)
             fits.append(fit)
-            if self._credible(fit) and self._finding(fit).p_value < self.alarm:
+            if self._credible(fit) and self._p_value(fit) < self.alarm:
                 best = max(best, self._evidence(fit, self.scale))
         return fits
 
@@ -362,10 +359,11 @@ class Search:
         exchanges.sort(key=self.refit.sight)
         return exchanges[:_EXCHANGED]
 
-    def _finding(self, fit: FaultFit) -> Finding:
-        owner = _SORT.get(fit.fault.owner, fit.fault.owner)
-        size = np.array([max(fit.fault.size, 1)])
-        chance = float(self.chance(np.array([2.0 * fit.drop]), size)[0])
-        p = min(1.0, chance * max(self._number(owner), float(fit.fault.places)))
-        shown = replace(fit, covariance=fit.covariance * self.scale)
-        return Finding(fit.fault.kind, list(fit.fault.channels), p, shown)
+    def _p_value(self, fit: Finding) -> float:
+        """Return the probability of a fit by chance, corrected for the number of tests."""
+        number = max(self._number(_SORT.get(fit.owner, fit.owner)), float(fit.places))
+        chance = self.chance(np.array([2.0 * fit.drop]), np.array([len(fit.parameters)]))
+        return min(1.0, float(chance[0]) * number)
+
+    def _scaled(self, fit: Finding, p_value: float) -> Finding:
+        return replace(fit, p_value=p_value, covariance=fit.covariance * self.scale)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,28 +11,11 @@ from kinematics.faults.score_information import perpendicular_axes
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
 
-
-class Fitted(Protocol):
-    """What a sentence reads of a fitted fault."""
-
-    @property
-    def fault(self) -> Any:
-        """The fault, with what was exchanged as its ``text``."""
-
-    @property
-    def channels(self) -> list[int]:
-        """Its channels."""
-
-    @property
-    def parameters(self) -> Array:
-        """Their values (p,)."""
-
-    @property
-    def covariance(self) -> Array:
-        """Of the parameters (p, p)."""
+if TYPE_CHECKING:
+    from kinematics.faults.findings import Finding
 
 
-Sentence = Callable[[Fitted, BodyChannels], tuple[str, str]]
+Sentence = Callable[["Finding", BodyChannels], tuple[str, str]]
 # A factor this near to -1 is a wrong sign.
 _SIGN = 0.35
 # A coordinate is determined when its sd is below this share of the rms distance of the points, and the
@@ -49,16 +32,16 @@ def with_sd(value: float, sd: float, unit: str = "", digits: int = 3) -> str:
     return f"{value:.{digits}g} +- {sd:.2g}{unit and ' ' + unit}"
 
 
-def _sd(fit: Fitted) -> Array:
+def _sd(fit: Finding) -> Array:
     return np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
 
 
 def exchange(verdict: str) -> Sentence:
     """Return what describes an exchange."""
-    return lambda fit, _body: (verdict, fit.fault.text)
+    return lambda fit, _body: (verdict, "" if fit.fault is None else fit.fault.text)
 
 
-def factor(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
+def factor(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
     """Describe a real factor, or a complex one."""
     p, sd = fit.parameters, _sd(fit)
     factor = 1.0 + p[0] + 1j * (p[1] if len(p) > 1 else 0.0)
@@ -75,14 +58,14 @@ def factor(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
 def angle(words: str, place: str = "") -> Sentence:
     """Return what describes a fault whose one parameter is an angle of the readings, rad."""
 
-    def describe(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
+    def describe(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
         size = with_sd(float(np.rad2deg(fit.parameters[0])), float(np.rad2deg(_sd(fit)[0])), "deg")
         return "gain", f"{words} {size}{place and ' ' + place}"
 
     return describe
 
 
-def drift(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
+def drift(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
     """Describe a factor that runs over the lines by its ends."""
     mean = 1.0 + fit.parameters[0] + 1j * fit.parameters[1]
     half = fit.parameters[2] + 1j * fit.parameters[3]
@@ -95,7 +78,7 @@ def _written(value: complex) -> str:
     return f"{abs(value):.3f}" + (f" at {turn:.1f} deg" if abs(turn) > 0.2 else "")
 
 
-def direction(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
+def direction(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     """Describe the turn of parallel beams, and the direction that would be right in the user's file."""
     p, slope = fit.parameters, float(np.linalg.norm(fit.parameters))
     # Along the way it points: the other way across may be open without the angle being so.
@@ -112,7 +95,7 @@ def direction(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     return "direction", text
 
 
-def axes(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
+def axes(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     """Describe a turn of all beams against the positions, about the axes that the data determine."""
     values, vectors = np.linalg.eigh(fit.covariance)
     vectors = body.file_from_here @ vectors
@@ -130,7 +113,7 @@ def axes(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     return "direction", f"all beams turned together by {written} about ({about})"
 
 
-def position(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
+def position(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     """Describe the shift of a point, and the coordinates that would be right in the user's file.
 
     Notes

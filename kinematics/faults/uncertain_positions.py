@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packed_readings import Packed
-from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of
+from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of, real_parts
 from stapeskit.arrays import Array, ComplexArray
 
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
@@ -70,13 +71,31 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Marginal:
-    """The information on the nuisance parameters at a state.
+    """A fit next to nuisance parameters, and the information on these.
 
     Where the noise within points is correlated, all channels of a point have the same parameters.
+
+    Attributes
+    ----------
+    state : State
+    nuisance : Nuisance
+    x : ndarray, (V,)
+        The parameters at the state; none by default.
     """
 
     state: State
     nuisance: Nuisance
+    x: Array = field(default_factory=lambda: np.zeros(()))
+
+    @classmethod
+    def at(cls, data: Packed, nuisance: Nuisance, x: Array, base: Model | None = None) -> Marginal:
+        """Fit the motion for nuisance parameters ``x`` (V,), in addition to a model."""
+        return cls(State.of(data, nuisance.applied(base or model_of(data), x)), nuisance, x)
+
+    @cached_property
+    def value(self) -> float:
+        """The objective: residual energy and half the squares of the parameters over their sd."""
+        return self.state.energy + self.nuisance.penalty(self.x)
 
     @cached_property
     def turn(self) -> ComplexArray | None:
@@ -86,22 +105,14 @@ class Marginal:
         these few columns.
         """
         own = self.state.own
-        if len(own) == 1 or np.max(np.abs(own - own[0])) > _ALIKE * np.max(np.abs(own)):
+        alike = np.max(np.abs(own - own[0])) <= _ALIKE * np.max(np.abs(own))
+        if len(own) == 1 or not self.held.size or not alike:
             return None
         return np.linalg.qr(_side_by_side(self.state.z)[0].conj().T)[0]
 
-    @cached_property
-    def merged(self) -> State:
-        """The state in the columns that hold the motion."""
-        state, turn = self.state, self.turn
-        if turn is None:
-            return state
-        first = {name: getattr(state, name)[:1] for name in ("own", "span", "upper")}
-        data = replace(state.data, weight=state.data.weight[:1], tau=np.zeros(1), ratio=np.ones(1))
-        factor = state.model.factor
-        model = state.model._replace(factor=None if factor is None else factor[:1])
-        z, e = _side_by_side(state.z) @ turn, _side_by_side(state.e) @ turn
-        return replace(state, data=data, model=model, z=z, e=e, **first)
+    def in_columns(self, value: ComplexArray) -> ComplexArray:
+        """Return values (..., group, n, column) in these columns, as of one group."""
+        return value if self.turn is None else _side_by_side(value) @ self.turn
 
     @cached_property
     def held(self) -> NDArray[np.intp]:
@@ -115,17 +126,17 @@ class Marginal:
 
     @cached_property
     def tangents(self) -> ComplexArray:
-        """Tangents (h, k, D) of these channels."""
-        made = self.merged.tangents(self.held, self.nuisance.which).transpose(2, 0, 1, 3)
-        return made.reshape(*self.owner.shape, made.shape[2] * made.shape[3])
+        """Tangents (h, k, group, column) of these channels."""
+        return self.in_columns(self.state.tangents(self.held, self.nuisance.which)).transpose(2, 0, 1, 3)
 
     @cached_property
     def products(self) -> ComplexArray:
         """What products with changes of the channels' rows are made of, (h, k, D)."""
+        flat = _flat(self.tangents)
         norm = self.state.norm
         if norm is None:
-            return self.tangents
-        return np.einsum("hi,ikd->hkd", norm[np.ix_(self.held, self.held)], self.tangents, optimize=True)
+            return flat
+        return np.einsum("hi,ikd->hkd", norm[np.ix_(self.held, self.held)], flat, optimize=True)
 
     def gathered(self, value: Array) -> Array:
         """Sum values (h, k, ...) of the tangents for each parameter, (V, ...)."""
@@ -136,26 +147,26 @@ class Marginal:
     @cached_property
     def taken(self) -> Array:
         """Projections (V, D) of the tangents on the motion."""
-        groups, size, columns = self.merged.z.shape
-        span = self.merged.own_span[:, self.held].conj().transpose(1, 0, 2)[:, None, :, :, None]
-        seen = span * self.tangents.reshape(*self.owner.shape, groups, 1, columns)
-        flat = seen.reshape(*self.owner.shape, groups * size * columns)
-        return self.gathered(np.concatenate([flat.real, flat.imag], axis=2))
+        span = self.state.own_span[: self.tangents.shape[2], self.held].conj()
+        seen = np.einsum("ghm,hkgc->hkgmc", span, self.tangents)
+        return self.gathered(real_parts(_flat(seen)))
 
     @cached_property
     def score(self) -> Array:
         """Score (V,) of the residual, without the priors."""
-        e = (
-            self.merged.own_e[:, self.held]
-            .transpose(1, 0, 2)
-            .reshape(len(self.held), 1, self.tangents.shape[2])
-        )
-        return self.gathered(np.real(np.sum(self.tangents.conj() * e, axis=2)))
+        e = self.in_columns(self.state.own_e)[:, self.held]
+        return self.gathered(np.real(np.einsum("hkgc,ghc->hk", self.tangents.conj(), e)))
+
+    @property
+    def pull(self) -> Array:
+        """Score (V,) with the priors: minus half the slope of the objective."""
+        return np.asarray(self.score - 0.5 * self.x / self.nuisance.sd**2)
 
     @cached_property
     def information(self) -> Array:
         """Information (V, V), without the priors."""
-        own = np.real(self.tangents.conj() @ self.products.swapaxes(1, 2))
+        flat = _flat(self.tangents)
+        own = np.real(flat.conj() @ self.products.swapaxes(1, 2))
         information = np.asarray(-self.taken @ self.taken.T)
         np.add.at(information, (self.owner[:, :, None], self.owner[:, None, :]), own)
         return information
@@ -179,72 +190,65 @@ class Marginal:
 
         return np.asarray(cho_solve((self.root, True), value, check_finite=False))
 
-    def common(self, groups: NDArray[np.intp], tangents: ComplexArray, taken: Array) -> Array:
-        """Return the information (B, p, V) that tangents (p, group, B, n, column) share with the nuisance."""
+    def common(self, groups: NDArray[np.intp], tangents: ComplexArray, taken: ComplexArray) -> Array:
+        """Return the information (B, p, V) that tangents of sets of channels share with the nuisance.
+
+        ``groups``, ``tangents`` and ``taken`` as of ``State.sums``.
+        """
         sets, count = taken.shape[:2]
-        number = len(self.nuisance.sd)
-        if not number:
+        if not len(self.nuisance.sd):
             return np.zeros((sets, count, 0))
-        if self.turn is not None:
-            tangents, taken = self._in_columns(tangents, taken, self.turn)
-        shared = np.asarray(-taken @ self.taken.T)
+        seen = real_parts(_flat(self.in_columns(taken)))
+        shared = np.asarray(-seen @ self.taken.T)
         place = np.full(self.nuisance.owner.shape[1], -1)
         place[self.held] = np.arange(len(self.held))
-        for member, channels in zip(np.moveaxis(tangents, 3, 0), place[groups].T, strict=True):
+        members = self.in_columns(tangents.transpose(0, 2, 1, 3, 4)).transpose(3, 1, 0, 2, 4)
+        for member, channels in zip(members, place[groups].T, strict=True):
             some = np.flatnonzero(channels >= 0)
-            one = member.transpose(2, 0, 1, 3).reshape(sets, count, -1)[some].conj()
+            one = _flat(member[some]).conj()
             own = np.real(one @ self.products[channels[some]].swapaxes(1, 2))
             at = some[:, None, None], np.arange(count)[:, None], self.owner[channels[some]][:, None]
             np.add.at(shared, at, own)
         return shared
 
-    def _in_columns(
-        self, tangents: ComplexArray, taken: Array, turn: ComplexArray
-    ) -> tuple[ComplexArray, Array]:
-        """Return tangents and their projections, as of ``State.sums``, in the columns of ``turn``."""
-        own = _side_by_side(tangents.transpose(0, 2, 1, 3, 4)) @ turn
-        half = taken.shape[2] // 2
-        whole = taken[:, :, :half] + 1j * taken[:, :, half:]
-        seen = _side_by_side(whole.reshape(*taken.shape[:2], len(self.state.z), -1, tangents.shape[4]))
-        seen = (seen @ turn).reshape(*taken.shape[:2], -1)
-        return own.transpose(0, 2, 1, 3, 4), np.concatenate([seen.real, seen.imag], axis=2)
-
     def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> Array:
         """Return the information (B, p, p) on tangents next to the nuisance."""
         from scipy.linalg import solve_triangular
 
+        if not len(self.nuisance.sd):
+            return sums.information
         shared = self.common(groups, tangents, sums.taken)
         flat = shared.reshape(-1, shared.shape[2]).T
         half = solve_triangular(self.root, flat, lower=True, check_finite=False).T.reshape(shared.shape)
         return np.asarray(sums.information - half @ half.swapaxes(1, 2))
 
 
+def _flat(value: ComplexArray) -> ComplexArray:
+    """Return values (h, k, ...) as (h, k, n)."""
+    return value.reshape(*value.shape[:2], prod(value.shape[2:]))
+
+
 def _side_by_side(value: ComplexArray) -> ComplexArray:
     """Return values (..., group, n, column) as those of one group (..., 1, n, group column)."""
-    swapped = value.swapaxes(-3, -2)
-    return swapped.reshape(*swapped.shape[:-2], -1)[..., None, :, :]
+    *outer, groups, n, columns = value.shape
+    return value.swapaxes(-3, -2).reshape(*outer, 1, n, groups * columns)
 
 
-def estimate_nuisance(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, Array]:
-    """Return the fit with the most probable nuisance parameters, and these (V,)."""
-    base = model_of(data)
-    x = np.zeros(len(nuisance.sd))
-    state = State.of(data, base)
-    value = state.energy
-    for _ in range(rounds if len(x) else 0):
-        marginal = Marginal(state, nuisance)
-        step = marginal.solved(marginal.score - 0.5 * x / nuisance.sd**2)
+def estimate_nuisance(data: Packed, nuisance: Nuisance, rounds: int = 6) -> Marginal:
+    """Return the fit with the most probable nuisance parameters, by Gauss and Newton's method."""
+    near = Marginal.at(data, nuisance, np.zeros(len(nuisance.sd)))
+    for _ in range(rounds if len(nuisance.sd) else 0):
+        step = near.solved(near.pull)
         for part in (1.0, 0.5, 0.25):
-            trial = State.of(data, nuisance.applied(base, x + part * step))
-            left = trial.energy + nuisance.penalty(x + part * step)
-            if left <= value:
+            trial = Marginal.at(data, nuisance, near.x + part * step)
+            if trial.value <= near.value:
                 break
         else:
             break
-        fall, state, value, x = value - left, trial, left, x + part * step
+        fall, near = near.value - trial.value, trial
         if fall < 1e-3:
             break
-    return state, x
+    return near
 
 
 def information_of(

@@ -8,30 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from kinematics.faults.catalogue import ADVICE
 from kinematics.faults.diagnose import Diagnosis, Finding
-from kinematics.faults.finding_text import channel_list, describe
+from kinematics.faults.findings import channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.arrays import Array
 from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice
-
-_CODES = {
-    "gain": "channel_gain",
-    "sign": "channel_sign",
-    "direction": "channel_direction",
-    "position": "channel_position",
-    "noise": "channel_noise",
-    "label_swap": "channel_label_swap",
-    "drift": "channel_drift",
-    "flexible": "flexible",
-}
-_CAUSES = {
-    "sparse_outliers": "sparse_outliers",
-    "mains_lines": "mains_lines",
-    "gains_scattered": "gains_scattered",
-    "drift_between_points": "drift_between_points",
-    "conjugated_laser": "conjugated_laser",
-}
 
 
 @dataclass(frozen=True)
@@ -82,33 +65,26 @@ def channel_verdicts(
     """Return the verdict of every channel of a body in one run."""
     from scipy.special import chdtrc
 
-    verdicts: dict[int, tuple[str, str, float, str]] = {}
-    for finding in diagnosis.findings:
-        verdict, estimate = describe(finding, body)
-        for channel in finding.channels:
-            verdicts.setdefault(channel, (verdict, estimate, finding.p_value, finding.step))
-    rows = []
+    found: dict[int, tuple[str, str, float, str]] = {
+        channel: (*describe(finding, body), finding.p_value, finding.step)
+        for finding in reversed(diagnosis.findings)  # the first of two on one channel counts
+        for channel in finding.channels
+    }
+    found |= {channel: (verdict, "", np.nan, "") for channel, verdict in unused.items()}
     number = 2.0 * diagnosis.lines
     chances = np.where(number > 0.0, chdtrc(np.maximum(number, 1.0), number * diagnosis.energy), np.nan)
-    for channel, point in enumerate(body.points):
-        verdict, estimate, p, step = verdicts.get(channel, ("ok", "", float(chances[channel]), ""))
-        if channel in unused:
-            verdict, estimate, p, step = unused[channel], "", np.nan, ""
-        rows.append(
-            ChannelVerdict(
-                run,
-                body.body,
-                point,
-                body.reported_directions[channel],
-                float(residual_rms_m[channel]),
-                float(weight[channel]),
-                verdict,
-                estimate,
-                p,
-                step,
-            )
+    return [
+        ChannelVerdict(
+            run,
+            body.body,
+            point,
+            body.reported_directions[channel],
+            float(residual_rms_m[channel]),
+            float(weight[channel]),
+            *found.get(channel, ("ok", "", float(chances[channel]), "")),
         )
-    return rows
+        for channel, point in enumerate(body.points)
+    ]
 
 
 def left_out_verdicts(runs: Sequence[str], left_out: Sequence[LeftOut]) -> list[ChannelVerdict]:
@@ -126,18 +102,15 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
     notices = []
     for finding in diagnosis.findings:
         verdict, estimate = describe(finding, body)
+        step = f" {finding.step}." if finding.step else ""
         if finding.code:
-            text = f"body {body.body}{where}: {estimate}. {finding.step}."
-            notices.append(Notice(_CAUSES[finding.code], text))
-            continue
-        if verdict == "flexible":
-            text = (
-                f"body {body.body}{where} does not move as a rigid body: {estimate}{_bent(body, diagnosis)}."
-            )
-            text += f" {finding.step}." if finding.step else ""
+            text = f"body {body.body}{where}: {estimate}.{step}"
+        elif verdict == "flexible":
+            text = f"body {body.body}{where} does not move as a rigid body: {estimate}"
+            text += f"{_bent(body, diagnosis)}.{step}"
         elif finding.owner == "laser":
             text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
-        elif finding.kind == "position" and finding.fit is None:
+        elif finding.kind == "position" and finding.fault is None:
             text = (
                 f"body {body.body}{where}: {estimate} would explain the residuals; state them as sd_mm in "
                 "the points file, or measure the points anew."
@@ -149,7 +122,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             swapped = verdict == "label_swap" and "exchanged" in estimate
             step = "exchange the two names" if swapped else "correct it or leave the channel out"
             text = f"{names}{where}: {verdict}, {estimate}; {step}."
-        notices.append(Notice(_CODES[verdict], text))
+        notices.append(Notice(finding.code or ADVICE[verdict][0], text))
     return notices
 
 

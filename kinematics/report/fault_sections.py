@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kinematics.faults.catalogue import ADVICE
 from kinematics.measurement import direction_name
 from kinematics.report.detectable_sections import detectable_blocks
 from kinematics.report.draw_residuals import relative_rms, residual_figure
@@ -27,22 +28,8 @@ if TYPE_CHECKING:
 # Maps and rows of a page; the channels table holds all.
 _MOST_MAPS = 4
 _MOST_ROWS = 2000
-_STEPS = {
-    "gain": "Check range and scale of this channel; divide its values by the factor, or leave it out.",
-    "sign": "Turn its direction or its values round (times -1).",
-    "direction": "Measure the direction of the beam anew and correct dir_x, dir_y, dir_z.",
-    "position": "Check the coordinates of the point.",
-    "noise": "Check focus and reflection there; state its true sd, leave it out, or fit with {robust} t4.",
-    "label_swap": "Exchange the two names.",
-    "drift": "Sensitivity or alignment changed during the sweep: measure it again, or leave it out.",
-    "flexible": "The body bends, or its points belong to several bodies: use lower frequencies or fewer "
-    "points, and do not read its degrees of freedom as rigid motion.",
-    "zeros": "Nothing was recorded: measure it again. It is not used in the fit.",
-    "unused": "Nothing usable was read: give values and their sd. It is not used in the fit.",
-}
 _CONJUGATE = "Turn the sign of its im or phase_deg round."
 _RELABEL = "Correct body, run or freq_hz of these rows."
-_OTHER = "Look at this channel in the residual map and check its entry."
 
 
 @dataclass(frozen=True)
@@ -157,7 +144,7 @@ def _step(verdict: ChannelVerdict) -> str:
         return _CONJUGATE
     if verdict.verdict == "label_swap" and "exchanged" not in verdict.estimate:
         return _RELABEL
-    return written(_STEPS.get(verdict.verdict, _OTHER))
+    return written(ADVICE[verdict.verdict][1])
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

@@ -48,6 +48,14 @@ def constants(tree):
 
 
 @cache
+def entries_below(folder):
+    """Return the codes of the table that stand as texts in the sources of a folder."""
+    nodes = (node for path in folder.rglob("*.py") for node in ast.walk(tree_of(path)))
+    texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return texts & table().keys()
+
+
+@cache
 def codes():
     """Return {code: rooms that give it} of all sources; fail where a code cannot be read off the source."""
     found = {}
@@ -71,6 +79,8 @@ def codes():
             else:
                 name = first.value if isinstance(first, ast.Subscript) else first
                 given = names.get(ast.unparse(name))
+                if "ADVICE" in ast.unparse(first):  # of what was found, by the catalogue or by a cause
+                    given = entries_below(path.parent)
             assert given, f"{path}:{node.lineno}: the code must be a text or a module-level constant"
             for code in given:
                 found.setdefault(code, set()).add(room)

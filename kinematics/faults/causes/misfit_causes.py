@@ -95,7 +95,7 @@ class MisfittingBody:
         nuisance = Nuisance.of(data, self.position_sd_m)
         if not self.known:
             data = equalise_noise(data, nuisance)
-        state = estimate_nuisance(data, nuisance)[0]
+        state = estimate_nuisance(data, nuisance).state
         inverse = 0.5 * Marginal(state, nuisance).solved(np.eye(len(nuisance.sd)))
         own = nuisance.owner.T
         covariance = np.where(own[:, :1, None] >= 0, inverse[own[:, :, None], own[:, None, :]], 0.0)
@@ -162,5 +162,5 @@ class Explanation:
         alike: bool = False,
     ) -> Explanation:
         """Return a cause by its code, the verdict of its channels, what was found and what to do."""
-        finding = Finding(verdict, channels, 1.0, None, size, text=words[0], code=code, step=words[1])
+        finding = Finding(verdict, channels, size=size, text=words[0], code=code, step=words[1])
         return cls(finding, remedied, alike)

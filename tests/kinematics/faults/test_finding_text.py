@@ -10,9 +10,7 @@ import pytest
 
 from benchmarks.fault_scenes import measured, scene
 from kinematics.faults.catalogue import Fault
-from kinematics.faults.finding_text import describe
-from kinematics.faults.findings import Finding
-from kinematics.faults.refit import FaultFit
+from kinematics.faults.findings import Finding, describe
 from kinematics.faults.sentences import with_sd
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import points2dof
@@ -35,7 +33,7 @@ def fitted(kind, channels, parameters, sd):
     parameters = np.asarray(parameters, dtype=float)
     fault = Fault(kind, "point" if kind == "position" else "channel", channels)
     covariance = np.diag(np.asarray(sd, dtype=float) ** 2)
-    return Finding(kind, channels, 1e-6, FaultFit(fault, parameters, covariance, 10.0))
+    return Finding(kind, channels, 1e-6, fault, parameters=parameters, covariance=covariance, drop=10.0)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from kinematics.faults.packed_readings import Source, initial, whitening
 from kinematics.faults.point_noise import by_chance, point_covariance, scaled
 from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import score_tests
+from kinematics.faults.uncertain_positions import Marginal, Nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
@@ -130,7 +131,9 @@ def test_scores_under_common_noise_are_chi_squared():
     groups = [list(range(3 * k, 3 * k + 3)) for k in range(9)]
     places = {"channel": [[c] for c in range(27)], "point": groups, "body": [list(range(27))]}
     for seed in range(8):
-        for one in score_tests(State.of(mixed(740 + seed)), None, places):
+        data = mixed(740 + seed)
+        near = Marginal(State.of(data), Nuisance.of(data, np.zeros(len(data.points))))
+        for one in score_tests(near, places):
             found.setdefault(f"{one.owner} {one.kind}", []).extend(one.statistic / one.freedom)
     for name in ("channel gain", "channel direction", "point position"):
         assert np.mean(found[name]) == pytest.approx(1.0, abs=0.3)

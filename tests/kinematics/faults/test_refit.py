@@ -39,9 +39,7 @@ def refit_of(spoiled, factor, noisy=True):
     data = data_of(made)
     nuisance = Nuisance.of(data, np.full(27, SD_M))
     flat = data.merged(State.of(data).z)
-    x = estimate_nuisance(flat, nuisance)[1]
-    state = State.of(data, nuisance.applied(State.of(data).model, x))
-    return Refit(data, nuisance, x, state.energy + nuisance.penalty(x), flat)
+    return Refit(Marginal.at(data, nuisance, estimate_nuisance(flat, nuisance).x), flat)
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.kind} of a {fault.owner}")
@@ -58,10 +56,10 @@ def test_a_fit_next_to_errors_of_positions_ends_where_its_objective_is_least(fau
     now = refit._try(data, fault, np.zeros(fault.size), np.zeros_like(refit.start))
     now, inverse = refit._improved(data, fault, now)
     rng = np.random.default_rng(1)
-    scale = np.concatenate([np.sqrt(np.diag(inverse)), refit.nuisance.sd])
+    scale = np.concatenate([np.sqrt(np.diag(inverse)), refit.near.nuisance.sd])
     for _ in range(20):
         step = 0.05 * scale * rng.normal(size=len(scale))
-        other = refit._try(data, fault, now.theta + step[: fault.size], now.x + step[fault.size :])
+        other = refit._try(data, fault, now.theta + step[: fault.size], now.near.x + step[fault.size :])
         assert other.value > now.value - 1e-3
 
 
@@ -70,12 +68,12 @@ def test_the_covariance_of_a_fault_holds_what_errors_of_positions_add():
     fault = FAULTS[0]
     now = refit._try(refit.flat, fault, np.zeros(1), np.zeros_like(refit.start))
     now, inverse = refit._improved(refit.flat, fault, now)
-    size = np.concatenate([[1e-4], 1e-2 * refit.nuisance.sd])
+    size = np.concatenate([[1e-4], 1e-2 * refit.near.nuisance.sd])
     count = len(size)
 
     def value(*steps):
         moved = sum(sign * size[k] * np.eye(count)[k] for k, sign in steps)
-        return refit._try(refit.flat, fault, now.theta + moved[:1], now.x + moved[1:]).value
+        return refit._try(refit.flat, fault, now.theta + moved[:1], now.near.x + moved[1:]).value
 
     hessian = np.zeros((count, count))
     for i in range(count):
@@ -150,7 +148,7 @@ def test_a_turn_that_is_motion_as_well_is_left_at_zero(seed):
     fit = fit_lines(beam_set("stapes", arms, beams, ("x", "y")), value, held.sd[0])
     data = initial(Source.of(fit, held, np.linspace(400.0, 5000.0, 12), True), held)
     state = State.of(data)
-    refit = Refit(data, Nuisance.of(data, np.zeros(3)), np.zeros(0), state.energy, data.merged(state.z))
+    refit = Refit(Marginal(state, Nuisance.of(data, np.zeros(3))), data.merged(state.z))
     assert np.max(np.abs(refit.fit(Fault("axes", "body", [0, 1, 2])).parameters)) < 1.0
 
 
@@ -161,4 +159,4 @@ def test_a_shift_along_parallel_beams_is_left_at_zero(seed):
     found = judged(made, seed)
     (finding,) = found.diagnoses[0, 0].findings
     assert (finding.kind, finding.channels) == ("position", made.culprits)
-    assert abs(finding.fit.parameters[1]) < 1e-9
+    assert abs(finding.parameters[1]) < 1e-9
