@@ -24,6 +24,8 @@ from stapeskit.warnings import Notice
 
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
+# Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
+_AT_SINGLE_LINES = {"sparse_outliers", "mains_lines"}
 
 
 @dataclass(frozen=True)
@@ -136,15 +138,16 @@ def with_lasers(
 ) -> SearchedFits | None:
     """Return the fits with the lasers corrected, where that explains all that was found.
 
-    A scatter of the lasers no larger than stated is no fault. None where it is larger, or where it leaves
-    anything to be found.
+    A scatter of the lasers no larger than stated is no fault. None where it is larger, where it leaves
+    anything to be found, or where single values or lines are at fault.
 
     Notes
     -----
     Where the noise is not stated its size comes from the misfit itself, which the lasers add to: they are
     estimated and the noise is fitted in turn, and what is left decides, not by how much the misfit fell.
     """
-    if searched.clean:
+    codes = {finding.code for diagnosis in searched.diagnoses.values() for finding in diagnosis.findings}
+    if searched.clean or codes & _AT_SINGLE_LINES:
         return None
     stated = all(searched.known.values())
     placed, fits, values = searched.placed, searched.fits, None

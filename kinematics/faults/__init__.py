@@ -20,7 +20,8 @@ How a diagnosis flows, from a measurement to the verdicts:
                           outliers, mains, scattered gains, drift between points, a conjugated laser
     mislabelled/          all bodies and runs together (search_all_bodies): rows under another label
                           (row_labels, a table of places), lines in another order (line_order), and whole
-                          bodies (body_labels, a table of labels) by the ligament between two (two_bodies)
+                          bodies (body_labels, a table of labels; body_sizes, of factors) by the ligament
+                          between two (two_bodies, relative_scale)
     verdicts, finding_text  what is reported of each channel
     adaptation            what is corrected or left out on request
     detectable            how large a fault must be to be found, by the information of the score tests

@@ -8,12 +8,13 @@ import numpy as np
 
 from kinematics.faults.detectable import SHIFT_UM, TURN_DEG, Detectable, detectable, invisible
 from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
+from kinematics.faults.mislabelled.body_sizes import rms_would_show
+from kinematics.faults.mislabelled.two_bodies import Pair
 from kinematics.faults.unit_slips import FASTEST, SLOWEST
 from kinematics.measurement import direction_name
 from kinematics.registration.prior_errors import shown
 from kinematics.report.draw_motion import full_motion
 from stapeskit.arrays import Array
-from stapeskit.option_names import named
 from stapeskit.page import page
 from stapeskit.page.drawings import shorten_name
 
@@ -132,12 +133,22 @@ def _never(result: Points2Dof) -> list[Markup]:
         if np.any(np.isfinite(errors.tilt)):
             what = f"the one beam direction tilted by {TURN_DEG:g}°, as much motion across as along"
             rows.append((body.body, what, *_shares(errors.tilt)))
-    if len(result.measurement.bodies) > 1:
+    pair = Pair.of(result.motion, "stapes", "base")
+    shown_rms = pair is not None and rms_would_show(pair)
+    if len(result.measurement.bodies) > 1 and not shown_rms:
         rms = [f"{100.0 * (1.0 - np.sqrt(0.5)):.2g} %"] * len(dof)
         rows.append(("one of them", "readings of that body alone in rms instead of peak values", *rms))
     if not rows:
         return []
     rows.append(("all", "all readings too large by 1 %", *["1 %"] * len(dof)))
+    scale = ""
+    if pair is not None:
+        scale = (
+            " One of stapes and base in rms would have been found by the ligament that joins them."
+            if shown_rms
+            else " One of stapes and base in rms could not be told from these lines and this noise, not even "
+            "by the ligament that joins them."
+        )
     single = any("tilted" in row[1] for row in rows)
     tilt = "" if single else " A tilt of the beams against the points would show, as their directions differ."
     return [
@@ -145,10 +156,9 @@ def _never(result: Points2Dof) -> list[Markup]:
         page.table(("body", "error", *dof), rows, words=True),
         page.text(
             "Such errors move beams and points alike, or scale a whole body, and leave residuals of exactly "
-            "zero: only markers and the alignment of the vibrometer guard against them, and against a wrong "
-            f"scale of one body {named('mass')}, with which a ligament must join the two. Change (rms over "
-            "frequency) of each degree of freedom relative to itself, about the worst axis; proportional to "
-            f"the error.{tilt}"
+            f"zero: only markers and the alignment of the vibrometer guard against them.{scale} Change (rms "
+            "over frequency) of each degree of freedom relative to itself, about the worst axis; "
+            f"proportional to the error.{tilt}"
         ),
         page.text(
             "A factor that all readings of all bodies have (the gain of the whole system, amplitudes a "

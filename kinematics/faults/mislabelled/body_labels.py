@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import permutations, product
+from itertools import permutations
 
 import numpy as np
 
-from kinematics.faults.mislabelled.two_bodies import BAD, GOOD, Pair, joins_better
-from stapeskit.arrays import Array
+from kinematics.faults.mislabelled.two_bodies import BAD, Pair, joins_better
 from stapeskit.warnings import Notice
 
-# Another factor of one body is tried above the first misfit, and taken below this share of the given: factors
-# that are known leave less to chance than other labels do.
-_SLIP, _LESS = 2.0, 0.4
-# Ratios of the ranges of vibrometers, in steps of 1, 2, 5; and of rms and peak values.
-_RANGES = tuple(x for r in (2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0) for x in (r, 1.0 / r))
 # Runs of which all orders are tried, and the largest shift in lines: they bound the time.
 _MOST_RUNS, _REACH = 4, 5
 TURN = "check on which side the laser head was, and turn the sign or the directions of one body."
@@ -24,24 +18,12 @@ TURN = "check on which side the laser head was, and turn the sign or the directi
 Labelled = tuple[Pair, dict[str, object]]
 
 
-def _times(pair: Pair, factor: float | Array) -> Pair:
-    """Return a pair with the motion of the base times a factor, or one for each run (run, 1, 1)."""
-    sd = np.stack([pair.sd[:, 0], pair.sd[:, 1] * np.abs(factor)], axis=1)
-    return replace(pair, base=pair.base * factor, sd=sd)
-
-
 def _other_sign(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
-    yield _times(pair, -1.0), {}
+    yield replace(pair, base=-pair.base), {}
 
 
 def _other_names(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
     yield replace(pair, structure=pair.base, base=pair.structure, sd=pair.sd[:, ::-1]), {}
-
-
-def _other_amplitude(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
-    structure, base = pair.names
-    for factor, rms, peak in ((2.0**0.5, base, structure), (0.5**0.5, structure, base)):
-        yield _times(pair, factor), {"factor": factor, "rms": rms, "peak": peak}
 
 
 def _conjugate(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
@@ -77,14 +59,6 @@ def _other_lines(pair: Pair, derivatives: int) -> Iterator[Labelled]:
             yield shifted, {"hertz": -shift * float(np.median(np.diff(freq))), "lines": abs(shift)}
 
 
-def _other_range(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
-    """Yield one body in one run of several in another range of its vibrometer."""
-    count = len(pair.runs)
-    for run, factor in product(range(count if count > 1 else 0), _RANGES):
-        factors = np.where(np.arange(count) == run, factor, 1.0)[:, None, None]
-        yield _times(pair, factors), {"factor": factor, "run": pair.runs[run]}
-
-
 @dataclass(frozen=True)
 class Kind:
     """One way in which labels can be wrong.
@@ -99,18 +73,12 @@ class Kind:
         What the warning says of these labels; with the names of the bodies, and of that which lags less.
     above : float
         Misfit of the labels as given from which on these are tried.
-    factor : bool
-        The motion is multiplied by a known factor.
-    last : bool
-        Tried when no other kind explains the data: of many factors one fits by chance.
     """
 
     labels: Callable[[Pair, int], Iterator[Labelled]]
     warning: Callable[[str], Notice]
     sentence: str
     above: float = 0.0
-    factor: bool = False
-    last: bool = False
 
 
 KINDS: dict[str, Kind] = {
@@ -123,13 +91,6 @@ KINDS: dict[str, Kind] = {
         _other_names,
         lambda text: Notice("label_swap", text),
         ": the names {structure} and {base} look exchanged{conjugated}. Exchange them.",
-    ),
-    "amplitude": Kind(
-        _other_amplitude,
-        lambda text: Notice("unit_slip", text),
-        ", but one would with {base} {factor:.4g} times as large: {rms} looks given in rms and {peak} in "
-        "peak values. Name the columns of {rms} amp_rms or give all in peak values.",
-        factor=True,
     ),
     "conjugate": Kind(
         _conjugate,
@@ -151,16 +112,6 @@ KINDS: dict[str, Kind] = {
         ": the frequencies of {base} look shifted against those of {structure} by about {hertz:.3g} Hz "
         "({lines} lines). Check freq_hz.",
         BAD,
-    ),
-    "range": Kind(
-        _other_range,
-        lambda text: Notice("unit_slip", text),
-        ", but one would with {base} {factor:.4g} times as large in run {run} alone: one of the two bodies "
-        "looks measured in another range or unit there. Check the ranges of the vibrometer, and correct the "
-        "values of that body in run {run}.",
-        _SLIP,
-        factor=True,
-        last=True,
     ),
 }
 
@@ -193,15 +144,8 @@ class Comparison:
 
     @property
     def believed(self) -> bool:
-        """Whether other labels explain the data to twice the noise, and what those as given do not.
-
-        They leave a fifth of what those as given leave, or two fifths with a known factor.
-        """
-        if not self.kind:
-            return False
-        if KINDS[self.kind].factor:
-            return self.given > _SLIP and self.misfit < min(GOOD, _LESS * self.given)
-        return joins_better(self.given, self.misfit)
+        """Whether other labels explain the data to twice the noise, and what those as given do not."""
+        return bool(self.kind) and joins_better(self.given, self.misfit)
 
     def rather(self, kind: str, share: float) -> bool:
         """Return whether a kind leaves less than a share of what the labels as given leave."""
@@ -231,7 +175,7 @@ def compare_labels(pair: Pair, derivatives: int) -> Comparison | None:
         return None
     best = Comparison(as_given, as_given, pair)
     for name, kind in KINDS.items():
-        if as_given < kind.above or (kind.last and best.believed):
+        if as_given < kind.above:
             continue
         for other, details in kind.labels(pair, derivatives):
             misfit = other.misfit()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kinematics.faults.mislabelled.body_labels import TURN, compare_labels
-from kinematics.faults.mislabelled.two_bodies import Pair
+from kinematics.faults.mislabelled.body_sizes import size_notices
+from kinematics.faults.mislabelled.two_bodies import LEVER_M, Pair
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
@@ -14,8 +15,6 @@ from stapeskit.warnings import Notice
 
 # A rise of the phase that no response shows, and how alike neighbouring lines must be to count it.
 _RISE, _ALIKE = 0.75 * np.pi, 0.7
-# Weighs rotations against translations of a body alone: about half the length of a footplate.
-_LEVER_M = 1e-3
 
 
 def phase_notice(
@@ -52,6 +51,9 @@ def phase_notice(
     signed = lag.reversed and lag.opposed
     if labels is not None and labels.believed and not (signed and labels.kind == "sign"):
         return [labels.notice()]
+    sizes = size_notices(pair)
+    if sizes:
+        return sizes
     if not lag.reversed:
         return []
     said = (
@@ -94,7 +96,7 @@ def _alone(motion: RigidMotion) -> list[Notice]:
         places = np.flatnonzero(size > 3.0 * np.sqrt(2.0 * np.mean(sd**2, axis=0)))
         if not places.size:
             return []
-        even = q[:, places] * np.where(np.array(dof_indices(motion.dof))[places] < 3, 1.0, _LEVER_M)
+        even = q[:, places] * np.where(np.array(dof_indices(motion.dof))[places] < 3, 1.0, LEVER_M)
         steps = np.sum(even[:-1].conj() * even[1:], axis=1)
         turns.append(float(np.sum(np.angle(steps))))
         power = np.maximum(np.sum(np.abs(even) ** 2, axis=1), 1e-300)

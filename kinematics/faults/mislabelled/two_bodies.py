@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.mass_record import MassRecord
@@ -17,7 +18,9 @@ from stapeskit.records.motion_files import standard_deviation
 from stapeskit.spatial import DOF_NAMES, dof_indices
 
 # Share of the motion that one ligament of constant matrices leaves even of right data.
-_MODEL = 0.02
+MODEL = 0.02
+# Weighs rotations against translations: about half the length of a footplate.
+LEVER_M = 1e-3
 # Misfits, 1 of right labels: others are tried above BAD, and taken below GOOD and _BETTER of the given.
 BAD, GOOD, _BETTER = 5.0, 2.0, 0.2
 # Real values of a component beyond its unknowns in A, B and C. With 11 a wrong label is taken in 0.2 % of
@@ -79,6 +82,8 @@ class Pair:
         Weighs the degrees of freedom by their power; only the translations where M is not known.
     names, runs : tuple of str
         Of the structure and the base, and of the runs.
+    unit_m : ndarray, (m,)
+        Brings rotations to the size of translations.
     """
 
     structure: ComplexArray
@@ -88,6 +93,7 @@ class Pair:
     mass: Array
     names: tuple[str, str]
     runs: tuple[str, ...]
+    unit_m: Array
 
     @classmethod
     def of(
@@ -103,7 +109,13 @@ class Pair:
         if mass is not None:
             weight = mass.mass_matrix.matrix[np.ix_(places, places)]
         sd = standard_deviation(motion)[:, both]
-        return cls(q[:, 0], q[:, 1], sd, motion.freq_hz, weight, (structure, base), motion.runs)
+        unit_m = np.where(np.array(places) < 3, 1.0, LEVER_M)
+        return cls(q[:, 0], q[:, 1], sd, motion.freq_hz, weight, (structure, base), motion.runs, unit_m)
+
+    def complete_lines(self) -> NDArray[np.intp]:
+        """Return the lines at which both bodies are determined in all runs."""
+        good = np.isfinite(self.structure.real) & np.isfinite(self.base.real)
+        return np.flatnonzero(np.all(good, axis=(0, 2)))
 
     def misfit(self) -> float | None:
         """Return the mean squared misfit of one ligament to all runs and lines; None with too few lines.
@@ -117,8 +129,7 @@ class Pair:
         both conjugated as well, with the opposite damping. Misfits count in units of the noise and of 2 % of
         the motion.
         """
-        good = np.isfinite(self.structure.real) & np.isfinite(self.base.real)
-        lines = np.flatnonzero(np.all(good, axis=(0, 2)))
+        lines = self.complete_lines()
         if len(lines) > _LINES:
             start, step = (len(lines) - _LINES) // 2, len(lines) // _LINES
             lines = lines[start % step :: step]
@@ -137,10 +148,10 @@ class Pair:
         dq, s = dq.reshape(-1, size), s.reshape(-1, size)
         total = 0.0
         for row in range(size):
-            misfit = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
+            misfit = _left(by_mass, dq[:, row], of_dq[:, row] + (MODEL * moved[row]) ** 2)
             # Noise would be explained by nothing as well: a base that hardly moves is no structure.
             if own[row] ** 2 > _MOVES * np.mean(of_s[:, row]):
-                misfit = min(misfit, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
+                misfit = min(misfit, _left(by_spring, s[:, row], of_s[:, row] + (MODEL * own[row]) ** 2))
             total += misfit
         return total / max(dq.size - 1.5 * size * size, 1.0)
 

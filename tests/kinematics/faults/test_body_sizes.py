@@ -1,0 +1,134 @@
+"""One body in rms or in another range: a few lines show it by the ligament, or it is said that none could."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.faults.mislabelled.body_sizes import rms_would_show, size_notices
+from kinematics.faults.mislabelled.two_bodies import Pair
+from kinematics.points2dof import points2dof
+from kinematics.report.detectable_sections import detectable_blocks
+from tests.kinematics.ligament import study
+
+LEVER_M = 1e-3
+UNIT_M = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
+
+
+def shaken(seed, lines, *, band=(200.0, 6000.0), runs=1, noise=0.01, off=0.0):
+    """Return a stapes of six degrees of freedom on its ligament and the bone that shakes it.
+
+    ``noise`` and ``off``, the errors of either geometry, are shares of the motion.
+    """
+    rng = np.random.default_rng([seed, 31])
+    freq, size = np.geomspace(*band, lines), 1e-7 * np.array([0.3, 1.0, 0.3, 200.0, 100.0, 200.0])
+    mass = np.diag([3e-6, 3e-6, 3e-6, 2.4e-12, 7e-13, 3e-12])
+    resonance = 2.0 * np.pi * np.exp(rng.uniform(np.log(1200.0), np.log(6000.0), 6))
+    stiffness = mass * resonance**2
+    stiffness[1, 3] = stiffness[3, 1] = 0.3 * np.sqrt(stiffness[1, 1] * stiffness[3, 3])
+    damping = 2.0 * rng.uniform(0.05, 0.25, 6) * mass * resonance
+    moved = np.zeros((2, runs, lines, 6), dtype=complex)
+    for run in range(runs):
+        own, shape = rng.uniform(500.0, 7000.0), rng.normal(size=(6, 2)) @ [1.0, 0.3j]
+        moved[1, run] = size * (
+            rng.choice([-1.0, 1.0]) + np.outer(1.0 / (1.0 - (freq / own) ** 2 + 0.4j), shape)
+        )
+        for k, w in enumerate(2.0 * np.pi * freq):
+            ligament = stiffness * (1.0 + 0.05j) + 1j * w * damping
+            moved[0, run, k] = np.linalg.solve(ligament - w**2 * mass, ligament @ moved[1, run, k])
+    spread = np.sqrt(0.5 * np.mean(np.abs(moved * UNIT_M) ** 2, axis=(2, 3), keepdims=True)) * noise / UNIT_M
+    sd = np.broadcast_to(spread, moved.shape)
+    read = moved + sd * (rng.normal(size=(*moved.shape, 2)) @ [1.0, 1j])
+    geometry = np.eye(6) + off * rng.normal(size=(2, 1, 6, 6))
+    read = (read * UNIT_M) @ geometry / UNIT_M
+    names, numbers = ("stapes", "base"), tuple(str(1 + run) for run in range(runs))
+    return Pair(read[0], read[1], sd.swapaxes(0, 1), freq, np.eye(6), names, numbers, UNIT_M)
+
+
+def slipped(pair, factor, run=slice(None)):
+    """Return a pair with the base read ``factor`` times too small."""
+    base, sd = pair.base.copy(), pair.sd.copy()
+    base[run] /= factor
+    sd[run, 1] /= factor
+    return replace(pair, base=base, sd=sd)
+
+
+def said(pair):
+    return [notice.text for notice in size_notices(pair)]
+
+
+@pytest.mark.parametrize("lines", [6, 9, 12, 40])
+def test_one_body_in_rms_is_named_from_six_lines_on(lines):
+    found = 0
+    for seed in range(10):
+        pair = shaken(seed, lines, off=0.02 * (seed % 2))
+        assert said(pair) == []
+        for factor, rms in ((np.sqrt(2.0), "base"), (np.sqrt(0.5), "stapes")):
+            texts = said(slipped(pair, factor))
+            assert all(f"{rms} looks given in rms" in text for text in texts)
+            found += len(texts)
+    assert found >= 17
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.2, 10.0])
+def test_another_range_of_a_body_is_named_with_its_factor(factor):
+    found = 0
+    for seed in range(8):
+        texts = said(slipped(shaken(20 + seed, 8), factor))
+        assert all(f"with base {factor:.4g} times as large: one of the two bodies" in text for text in texts)
+        found += len(texts)
+    assert found >= 7
+
+
+def test_another_range_in_one_run_is_named_with_its_run():
+    found = 0
+    for seed in range(6):
+        texts = said(slipped(shaken(40 + seed, 8, runs=3), 5.0, 1))
+        assert all("with base 5 times as large in run 2 alone" in text for text in texts)
+        found += len(texts)
+    assert found >= 5
+
+
+def test_clean_motions_of_any_band_and_noise_raise_nothing():
+    rng = np.random.default_rng(6)
+    for seed in range(60):
+        low = rng.uniform(100.0, 1500.0)
+        pair = shaken(
+            100 + seed, int(rng.integers(2, 30)), band=(low, low * rng.uniform(3.0, 30.0)),
+            runs=int(rng.integers(1, 4)), noise=np.exp(rng.uniform(np.log(0.003), np.log(0.1))),
+            off=rng.choice([0.0, 0.02, 0.05]),
+        )  # fmt: skip
+        assert said(pair) == []
+
+
+def test_other_errors_and_motions_without_a_ligament_are_not_taken_for_a_size():
+    for seed in range(12):
+        pair, other = shaken(200 + seed, 10), shaken(300 + seed, 10)
+        swapped = replace(pair, structure=pair.base, base=pair.structure, sd=pair.sd[:, ::-1])
+        for wrong in (
+            replace(pair, base=-pair.base),
+            replace(pair, base=pair.base.conj()),
+            replace(pair, structure=pair.structure.conj(), base=pair.base.conj()),
+            replace(pair, base=np.roll(pair.base, 2, axis=1)),
+            replace(pair, base=other.base),
+            swapped,
+        ):
+            assert said(wrong) == []
+
+
+def test_what_a_line_far_above_the_resonance_does_not_show_is_not_claimed():
+    assert all(rms_would_show(shaken(seed, 12)) for seed in range(5))
+    high = [shaken(400 + seed, 6, band=(7000.0, 12000.0), noise=0.1) for seed in range(5)]
+    assert not any(rms_would_show(pair) for pair in high)
+
+
+@pytest.mark.parametrize(
+    ("noise", "sentence"), [(0.005, "would have been found"), (0.9, "could not be told")]
+)
+def test_the_page_says_whether_a_body_in_rms_would_have_been_found(noise, sentence):
+    result = points2dof(study(3, lines=10, noise=noise))
+    text = " ".join("".join(detectable_blocks(result)).split())
+    assert f"{sentence} by the ligament" in text or f"{sentence} from these lines" in text
+    assert ("readings of that body alone in rms" in text) == (sentence == "could not be told")
