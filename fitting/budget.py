@@ -156,8 +156,8 @@ def without_rounding(covariance: Array, stiffness: Array, damping: Array) -> Arr
     """
     variance = np.diag(covariance)
     least = -((_ROUNDING * np.concatenate([_steps(stiffness), _steps(damping)])) ** 2)
-    kept = (variance >= 0.0) | (variance < least)
-    return covariance * np.outer(kept, kept)
+    sound = (variance >= 0.0) | (variance < least)
+    return covariance * np.outer(sound, sound)
 
 
 def _by_source(effect: SharedEffect) -> dict[str, Array]:

@@ -41,9 +41,9 @@ def parser() -> Parser:
 
 def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     """Parse, fit or plan, write, and return the outcome."""
-    given = parser().parse(arguments)
-    if given.plan is not None:
-        return given, _plan(given)
+    options = parser().parse(arguments)
+    if options.plan is not None:
+        return options, _plan(options)
     from pathlib import Path
 
     from fitting.dof2kd import dof2kd
@@ -52,18 +52,18 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     from stapeskit.command import Outcome
     from stapeskit.progress import stage_on_terminal
 
-    with stage_on_terminal(not given.quiet and not given.json) as progress:
+    with stage_on_terminal(not options.quiet and not options.json) as progress:
         result = dof2kd(
-            given.motion,
-            given.mass,
-            given.make(KDOptions),
-            given.out or Path("kd.json"),
-            force=given.force,
-            config=given.config,
+            options.motion,
+            options.mass,
+            options.make(KDOptions),
+            options.out or Path("kd.json"),
+            force=options.force,
+            config=options.config,
             progress=progress,
-            export=given.export,
+            export=options.export,
         )
-    return given, Outcome(
+    return options, Outcome(
         "stiffness and damping",
         summary_rows(result.fit),
         result.fit.notices,
@@ -72,7 +72,7 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
     )
 
 
-def _plan(given: ParsedOptions) -> Outcome:
+def _plan(options: ParsedOptions) -> Outcome:
     """Report what a planned measurement can reach."""
     from pathlib import Path
 
@@ -81,7 +81,7 @@ def _plan(given: ParsedOptions) -> Outcome:
     from stapeskit.command import Outcome
 
     expectation, content, files = plan2kd(
-        given.plan, given.out or Path("plan.json"), force=given.force, config=given.config
+        options.plan, options.out or Path("plan.json"), force=options.force, config=options.config
     )
     return Outcome(
         "what the plan can reach", summary_rows(expectation), expectation.notices, list(files), content

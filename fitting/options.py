@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fitting.errors import FittingError
 from fitting.estimators import CONSTRAINTS, ESTIMATORS, ROBUST, estimator
@@ -30,7 +29,7 @@ from stapeskit.option_kinds import (
     summaries,
     whole,
 )
-from stapeskit.option_rules import Rule, Values, excludes
+from stapeskit.option_rules import Rule, excludes
 from stapeskit.option_values import WithSd
 from stapeskit.options import OptionTable
 
@@ -204,7 +203,8 @@ class KDOptions(OptionTable):
     def _faults_of_bounds(self) -> list[Fault]:
         """Check the bounds against the entries that there are, and against each other."""
         n = len(self.dof)
-        entries = [f"{letter}{i}{j}" for letter in "KD" for i, j in _upper_triangle(n)]
+        triangle = list(itertools.combinations_with_replacement(range(1, n + 1), 2))
+        entries = [f"{letter}{i}{j}" for letter in "KD" for i, j in triangle]
         faults = []
         for reference, bounds in (("{lower}", self.lower), ("{upper}", self.upper)):
             for name, value in bounds.items():
@@ -222,14 +222,6 @@ class KDOptions(OptionTable):
                 expected = f"below {self.upper[name]:g}"
                 faults.append(Fault(f"{{lower}} {name}", expected, f"{self.lower[name]:g}", "", step))
         return faults
-
-
-def _upper_triangle(n: int) -> list[tuple[int, int]]:
-    return list(itertools.combinations_with_replacement(range(1, n + 1), 2))
-
-
-def _fit_options(values: Values) -> list[Any]:
-    return values.given(*(name for name in KDOptions.__dataclass_fields__ if name != "profile"))
 
 
 @dataclass(frozen=True)
@@ -255,7 +247,7 @@ class KDFiles(OptionTable):
         excludes("motion", "plan", "which needs no measurement"),
         excludes("mass", "plan", 'which names its mass itself (mass = "mass.json")'),
         Rule(
-            lambda v: v.plan and _fit_options(v),
+            lambda v: v.plan and v.given(*(set(KDOptions.__dataclass_fields__) - {"profile"})),
             "{plan}",
             "given without options of a fit",
             "some",

@@ -31,8 +31,9 @@ _BIASED = 0.02
 
 def result_warnings(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
-    notices = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
-    return [*notices, *_fit_quality(fit), *_local(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
+    notices = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices(), *_fit_quality(fit)]
+    local = [] if fit.frequency is None else fit.frequency.notices()
+    return [*notices, *local, *_bias(fit), *_inputs(fit), *plausibility(fit)]
 
 
 def physics(fit: KDFit) -> list[Notice]:
@@ -156,10 +157,6 @@ def outlying(fit: KDFit) -> Array:
     usual = float(np.median(distance)) / float(chdtri(degrees, 0.5))
     limit = usual * float(chdtri(degrees, _FALSE_OUTLIERS / len(weights)))
     return fit.observation.freq_hz[distance > limit]
-
-
-def _local(fit: KDFit) -> list[Notice]:
-    return [] if fit.frequency is None else fit.frequency.notices()
 
 
 def _bias(fit: KDFit) -> list[Notice]:

@@ -10,7 +10,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, LeftOut, Measurement, direction_name
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, list_some, raise_all
 from stapeskit.option_names import suggestion
 
 # Beams are written with three decimals in messages; two different lasers are farther apart.
@@ -80,8 +80,10 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
     names = [body.body for body in measurement.bodies]
     possible = [k for k, body in enumerate(names) if name.startswith(body + ":")]
     if not possible:
-        expected = f"BODY:POINT[:BEAM] with a body of the files: {_listed(names)}"
-        return _fault(expected, name, suggestion(name.split(":")[0], names) or f"Bodies are {_listed(names)}")
+        expected = f"BODY:POINT[:BEAM] with a body of the files: {list_some(names, _LISTED)}"
+        return _fault(
+            expected, name, suggestion(name.split(":")[0], names) or f"Bodies are {list_some(names, _LISTED)}"
+        )
     for k in possible:
         body, rest = measurement.bodies[k], name[len(names[k]) + 1 :]
         channels = _of_point(body, rest)
@@ -95,11 +97,11 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
             if along:
                 return _Choice(k, along)
             beams = [direction_name(body.reported_directions[c]).replace(" ", "") for c in channels]
-            expected = f"a beam at point {point} of body {names[k]}: {_listed(beams, '; ')}"
+            expected = f"a beam at point {point} of body {names[k]}: {list_some(beams, _LISTED, '; ')}"
             return _fault(expected, name, f"Write {names[k]}:{point} for all of them")
     body = measurement.bodies[possible[0]]
     points = list(dict.fromkeys(body.points))
-    step = suggestion(name[len(body.body) + 1 :], points) or f"Points are {_listed(points)}"
+    step = suggestion(name[len(body.body) + 1 :], points) or f"Points are {list_some(points, _LISTED)}"
     return _fault(f"a point of body {body.body}", name, step)
 
 
@@ -130,8 +132,3 @@ def _along(body: BodyChannels, channels: Sequence[int], wanted: Array) -> tuple[
         for channel in channels
         if float(np.max(np.abs(body.reported_directions[channel] - wanted))) < _SAME_BEAM
     )
-
-
-def _listed(names: Sequence[str], between: str = ", ") -> str:
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return between.join(names[:_LISTED]) + more

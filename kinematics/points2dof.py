@@ -127,7 +127,8 @@ def points2dof(
     diagnoses = searched.diagnoses
     notices = [*ready.notices, *far_away(searched.placed), *searched.notices]
     notices += [*correction_notices(searched.placed, corrections), *_notices_of_bodies(searched)]
-    notices += check_axes(searched.placed, placement.transform, searched.fits, _left_by_one(diagnoses))
+    unexplained = {key: diagnosis.kept for key, diagnosis in diagnoses.items()}
+    notices += check_axes(searched.placed, placement.transform, searched.fits, unexplained)
     motion = with_record_noise(
         _motion(searched.placed, searched.fits, options.dof), searched.placed, searched.fits
     )
@@ -207,11 +208,6 @@ def _with_reference_noise(motion: RigidMotion, options: Options, measurement: Me
         return motion
     measured = 0.0 if measurement.common_sd is None else measurement.common_sd
     return motion.with_common_noise(np.hypot(options.reference_noise, measured))
-
-
-def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
-    """Return the share of each misfit that a single fault, other than of all beams, does not explain."""
-    return {key: diagnosis.kept for key, diagnosis in diagnoses.items()}
 
 
 def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:

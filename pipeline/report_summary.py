@@ -23,9 +23,9 @@ _SENTENCES = {
 }
 _TEMPLATE = """<div class="verdict {{ css }}" id="verdict">
 <strong>{{ level }}</strong> <span>{{ sentence }}</span>
-{% if reasons %}<ul>{% for one in reasons %}
-<li>{% if one.code %}<code>{{ one.code }}</code> {% endif %}
-<span class="short">{{ one.text }}</span></li>{% endfor %}
+{% if reasons %}<ul>{% for reason in reasons %}
+<li>{% if reason.code %}<code>{{ reason.code }}</code> {% endif %}
+<span class="short">{{ reason.text }}</span></li>{% endfor %}
 </ul><a class="more" href="#warnings">the whole texts</a>{% endif %}</div>
 <div class="cards" id="summary">{% for title, rows in cards %}<div><table><caption>{{ title }}</caption>
 {% for row in rows %}<tr><th scope="row">{{ row[0] }}</th>{% for cell in row[1:] %}<td>

@@ -127,15 +127,11 @@ def code_hash(rooms: Iterable[str]) -> str:
     root = Path(__file__).resolve().parents[1]
     digest = xxhash.xxh3_128()
     for room in rooms:
-        for file in [root / room] if room.endswith(".py") else _sources(root / room):
+        files = [root / room] if room.endswith(".py") else (root / room).rglob("*")
+        for file in sorted(file for file in files if file.suffix in _SOURCES):
             digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     return str(digest.hexdigest())
-
-
-def _sources(folder: Path) -> list[Path]:
-    """Return the files of a package that its outputs depend on."""
-    return sorted(path for path in folder.rglob("*") if path.suffix in _SOURCES)
 
 
 @dataclass(frozen=True)

@@ -118,10 +118,6 @@ def _scan_outputs(study: Study, out: Path) -> tuple[str, ...]:
     return result_names(labels_name(out, study.scan.labels))
 
 
-def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
-    return study.scan.parameters()
-
-
 def _run_scan(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write mass.json, surfaces and labels."""
     from ct_inertia.exports.mass_json import mass_json, write_outputs
@@ -228,7 +224,7 @@ STAGES = (
         ("stapeskit", "ct_inertia", *_OWN_CODE),
         lambda study: study.scan.inputs,
         _scan_outputs,
-        _scan_parameters,
+        lambda study, _work: study.scan.parameters(),
         _run_scan,
     ),
     Stage(

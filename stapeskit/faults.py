@@ -244,11 +244,11 @@ def _join(faults: Sequence[Fault]) -> Fault:
     return Fault(things, faults[0].expected, values, where, faults[0].next_step)
 
 
-def list_some(texts: Iterable[str], most: int = 3) -> str:
+def list_some(texts: Iterable[str], most: int = 3, between: str = ", ") -> str:
     """List the first distinct texts and count the others."""
     distinct = list(dict.fromkeys(texts))
     more = f" and {len(distinct) - most} more" if len(distinct) > most else ""
-    return ", ".join(distinct[:most]) + more
+    return between.join(distinct[:most]) + more
 
 
 def _shorten(fault: Fault) -> Fault:

@@ -179,7 +179,12 @@ def diagnose(
     if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
         likely = []
     elif not searched:
-        likely = [place for place in likely if _far(names[place]) and tested.p_values[place] < _DOUBTFUL]
+        likely = [  # a cause that may be too large for its score, a linear test
+            place
+            for place in likely
+            if (_large(names[place]) or np.isfinite(CAUSES[names[place]].usual))
+            and tested.p_values[place] < _DOUBTFUL
+        ]
     most = int(calibrated("causes.shortlist"))
     shortlist = likely[:most]
     if searched:  # the score, a linear test, says nothing of a cause that is as large as the body itself
@@ -286,11 +291,6 @@ def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
     if only is None:
         return -np.inf
     return float((tested.estimate[place] ** 2 - (tested.estimate[place] - only) ** 2) / tested.sd[place] ** 2)
-
-
-def _far(name: str) -> bool:
-    """Return whether a cause may be too large for its score, a linear test."""
-    return _large(name) or bool(np.isfinite(CAUSES[name].usual))
 
 
 def _large(name: str) -> bool:

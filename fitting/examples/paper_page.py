@@ -25,6 +25,7 @@ from stapeskit.page.page import Page, Section
 
 _HEADER = ("quantity", "printed", "recomputed", "finding")
 _AGREES = "agrees"
+_DAMPING_UNITS = {"N/m": "N s/m", "N": "N s", "N m/rad": "N m s/rad"}
 # Mean length and width of human footplates (Sim et al. 2013, JARO 14:159).
 FOOTPLATE_MM = (2.71, 1.23)
 _RING = (
@@ -139,7 +140,7 @@ def _printed_damping() -> Section:
         ),
         _row("that D positive semidefinite", "implied", "yes" if passive(corrected) else "no", "passive"),
     ]
-    units = [[_damping_unit(unit) for unit in row] for row in entry_units(paper.PAPER_DOF)]
+    units = [[_DAMPING_UNITS[unit] for unit in row] for row in entry_units(paper.PAPER_DOF)]
     return Section("The printed D is a misprint").add(
         page.matrix(printed, paper.PAPER_DOF, "D as printed, SI.", units=units),
         page.matrix(
@@ -150,10 +151,6 @@ def _printed_damping() -> Section:
         ),
         page.table(_HEADER, rows, words=True),
     )
-
-
-def _damping_unit(unit: str) -> str:
-    return {"N/m": "N s/m", "N": "N s", "N m/rad": "N m s/rad"}[unit]
 
 
 def _modal() -> Section:

@@ -113,7 +113,7 @@ def inplane_stiffness(
     fitted_covariance = (inverse @ spread @ inverse)[: len(units), : len(units)] * np.outer(units, units)
     good = np.arange(len(units))
     if not semidefinite(fitted / units):
-        good = good[_without_torsion()]
+        good = good[[_N - 1 not in pair for pair in pairs(_N)] * 2]  # all that do not concern beta
     values[good] = fitted[good]
     covariance[np.ix_(good, good)] = fitted_covariance[np.ix_(good, good)]
     matrices = split(values, _N)
@@ -156,11 +156,6 @@ def coupling_root(covariance: Array) -> Array:
     """Return a root of the covariance (9, 9) of the scaled coupling, (9, 3, 3)."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T.reshape(-1, _N, _N))
-
-
-def _without_torsion() -> Array:
-    """Return which entries of K_cc and D_cc do not concern beta, (12,), bool."""
-    return np.array([_N - 1 not in pair for pair in pairs(_N)] * 2)
 
 
 def _time(problem: Problem) -> float:

@@ -161,10 +161,6 @@ def joint_lines(problem: Problem, both: Observation) -> JointLines:
     )
 
 
-def _none(lines: int) -> tuple[ComplexArray, Array, tuple[str, ...]]:
-    return np.zeros((0, lines, 2 * DOFS), dtype=complex), np.zeros((0, DOFS, DOFS)), ()
-
-
 def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, tuple[str, ...]]:
     """Return changes of q (k, lines, 12) and M (k, 6, 6) by errors of unit variance, with their sources."""
     changes, slopes, sources = [], [], []
@@ -183,7 +179,7 @@ def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, t
             slopes += [matrix_from_parameters(column) for column in columns]
             sources += [f"mass.{source}"] * len(columns)
     if not sources:
-        return _none(len(both.q))
+        return np.zeros((0, *both.q.shape), dtype=complex), np.zeros((0, DOFS, DOFS)), ()
     return np.concatenate(changes), np.array(slopes), tuple(sources)
 
 

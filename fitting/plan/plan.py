@@ -187,7 +187,11 @@ def expect(plan: Plan) -> Expectation:
     FittingError
         Mass, stiffness and degrees of freedom do not fit together, or the lines are too few.
     """
-    options = tuple(_option(name, way) for name, way in _ways(plan))
+    settings = KDOptions(dof=plan.dof, damping=plan.law.name, bands=0, profile=False)
+    options = tuple(
+        Option(name, fit_kd(planned_motion(way), way.mass, settings), _mass_sd(way))
+        for name, way in _ways(plan)
+    )
     notices = [notice for notice in options[0].fit.notices if notice.code in EXPECTED_CODES]
     return Expectation(plan, options, tuple(notices))
 
@@ -221,11 +225,6 @@ def _mass_sd(plan: Plan) -> float:
     """Return the stated relative error of the mass; zero where the mass brings its own."""
     own = isinstance(plan.mass, MassMatrix) and bool(plan.mass.contributions)
     return 0.0 if own else 1e-2 * plan.errors.mass_sd_percent
-
-
-def _option(name: str, plan: Plan) -> Option:
-    options = KDOptions(dof=plan.dof, damping=plan.law.name, bands=0, profile=False)
-    return Option(name, fit_kd(planned_motion(plan), plan.mass, options), _mass_sd(plan))
 
 
 def planned_motion(plan: Plan) -> RigidMotion:

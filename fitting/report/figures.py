@@ -80,7 +80,8 @@ def _amplitude(
         freq, np.maximum(simulated - band, 0.0), simulated + band, color=SIMULATED, alpha=0.25, lw=0
     )
     axis.plot(freq, simulated, color=SIMULATED, lw=1.3, label="simulated (Eq. 8), 95 % band", zorder=3)
-    _log_scale(axis)
+    amplitude_axis(axis, 0.5)
+    axis.tick_params(axis="y", which="minor", labelsize=8)
     low = float(np.nanmin(np.where(measured > 0.0, measured, np.nan)))
     high = float(max(np.nanmax(measured), np.nanmax(simulated)))
     axis.set_ylim(max(0.6 * low, high * 1e-4), 1.8 * high)
@@ -113,11 +114,6 @@ def _unwrapped(response: NDArray[np.complex128], noise: Array) -> Array:
     known = np.unwrap(phase[clear])
     before = known[np.maximum(np.searchsorted(clear, np.arange(len(phase)), side="right") - 1, 0)]
     return phase + 2.0 * np.pi * np.round((before - phase) / (2.0 * np.pi))
-
-
-def _log_scale(axis: Axes) -> None:
-    amplitude_axis(axis, 0.5)
-    axis.tick_params(axis="y", which="minor", labelsize=8)
 
 
 def _tidy(axis: Axes, freq: Array) -> None:

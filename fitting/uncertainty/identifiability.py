@@ -11,6 +11,7 @@ from fitting.model.parameter_vector import entry_names, pairs, split
 from fitting.model.scaled_lines import Lines, real_rows, regressor
 from fitting.uncertainty.covariance import chi2, degrees, invert, known_and_spread
 from stapeskit.arrays import Array
+from stapeskit.faults import list_some
 from stapeskit.warnings import Notice
 
 # Relative sd from which on an entry, or a combination of entries, is reported as weak; how many are named.
@@ -68,12 +69,11 @@ class Identifiability:
             for name, value in zip(self.names, self.relative, strict=True)
             if value > WEAK_ENTRY
         ]
-        listed = ", ".join(entries[:6]) + (f" and {len(entries) - 6} more" if len(entries) > 6 else "")
         return [
             Notice(
                 "weak_identifiability",
                 "The data determine some entries weakly"
-                + (f" (sd relative to sqrt(Xii Xjj): {listed})" if entries else "")
+                + (f" (sd relative to sqrt(Xii Xjj): {list_some(entries, 6)})" if entries else "")
                 + f"; the worst combination, {self.describe(0)}, has a relative sd of {self.percent(0)}. "
                 "A wider band, another shaker direction or fewer degrees of freedom would help.",
             )

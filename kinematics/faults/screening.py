@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit.beams import beam_set, observability
-from kinematics.fit.line_kernels import all_finite, all_whole
 from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.measurement import BodyChannels, Measurement
@@ -38,18 +37,17 @@ class Screened:
 
 
 def is_whole(body: BodyChannels) -> bool:
-    """Return, in one pass without a copy, whether all values and sd are finite and no value is exactly zero.
+    """Return, in one pass, whether all values and sd are finite and no value is exactly zero.
 
     Such a body has nothing to be screened for.
     """
     for run, value in enumerate(body.displacement):
         sd = np.ones((1, 1)) if body.sd is None else body.sd[run]
         sd = sd[tuple(slice(0, 1) if stride == 0 else slice(None) for stride in sd.strides)]
-        whole, sure = all_whole(value), all_finite(sd)
-        if whole is None:
-            parts = (value[:, part] for part in blocks(*value.shape))
-            whole = all(np.all(np.isfinite(part) & (part != 0.0)) for part in parts)
-        if not whole or not (np.all(np.isfinite(sd)) if sure is None else sure):
+        parts = (value[:, part] for part in blocks(*value.shape))
+        if not np.all(np.isfinite(sd)):
+            return False
+        if not all(np.all(np.isfinite(part) & (part != 0.0)) for part in parts):
             return False
     return True
 

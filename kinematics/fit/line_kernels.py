@@ -14,8 +14,8 @@ from kinematics.fit.line_sums import Solution
 from kinematics.native import compiled
 from stapeskit.arrays import Array, ComplexArray
 
-# As in the sources: SIZE, WIDE of kernels.h; TILE of shared.c; BLOCK of lines.c; (MOST - 1) / 2 of medians.c.
-_SIZE, _WIDE, _TILE, _BLOCK, _HALF = 6, 8, 16, 32, 31
+# As in the sources: SIZE, WIDE of kernels.h; TILE of shared.c; BLOCK of lines.c.
+_SIZE, _WIDE, _TILE, _BLOCK = 6, 8, 16, 32
 
 
 def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
@@ -24,57 +24,6 @@ def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
     if not fits or rows.strides[0] % 8 or (rows.shape[1] > 1 and rows.strides[1] != itemsize):
         return None
     return rows.strides[0] // 8
-
-
-def all_whole(value: ComplexArray) -> bool | None:
-    """Return whether all values (channel, freq) are finite and none is exactly zero."""
-    kernels, stride = compiled(), _stride(value, 16)
-    if kernels is None or stride is None:
-        return None
-    return bool(kernels.whole(value.ctypes.data, len(value), stride, value.shape[1]))
-
-
-def all_finite(numbers: Array) -> bool | None:
-    """Return whether all numbers (channel, freq) are finite."""
-    kernels, stride = compiled(), _stride(numbers, 8)
-    if kernels is None or stride is None or numbers.dtype.kind != "f":
-        return None
-    return bool(kernels.finite(numbers.ctypes.data, len(numbers), stride, numbers.shape[1]))
-
-
-def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
-    """Return value (channel, n) times vectors (n, k), complex, for a few vectors."""
-    kernels, stride = compiled(), _stride(value, 16)
-    lines, count = vectors.shape
-    if kernels is None or stride is None or count > _SIZE or value.shape[1] != lines:
-        return np.asarray(value @ vectors)
-    given = np.ascontiguousarray(vectors, dtype=complex)
-    sums = np.empty((len(value) + 1, 2 * _SIZE * _WIDE))
-    product = np.empty((len(value), count), dtype=complex)
-    kernels.mix_lines(
-        value.ctypes.data,
-        stride,
-        len(value),
-        lines,
-        given.ctypes.data,
-        count,
-        sums.ctypes.data,
-        product.ctypes.data,
-    )
-    return product
-
-
-def running_medians(table: Array, half: int) -> Array:
-    """Return the medians of 2 half + 1 rows of a table (line, n), whose ends are repeated beyond it."""
-    kernels = compiled()
-    if kernels is None or not table.size or half > _HALF or not np.all(np.isfinite(table)):
-        from scipy.ndimage import median_filter
-
-        return np.asarray(median_filter(table, size=(2 * half + 1, 1), mode="nearest"))
-    given = np.ascontiguousarray(table, dtype=float)
-    medians = np.empty(given.shape)
-    kernels.medians(given.ctypes.data, *given.shape, half, medians.ctypes.data)
-    return medians
 
 
 def _filled(rows: Array) -> Array:

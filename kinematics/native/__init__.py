@@ -10,12 +10,8 @@ from stapeskit.compiled_kernels import load
 
 # Arguments: p pointer, i whole number of 64 bits, d double; behind the colon what it returns.
 _SIGNATURES = {
-    "whole": "piii:i",
-    "finite": "piii:i",
     "fit_shared": "pipiiiippppppippp:i",
     "fit_lines": "piiiipiippippddppppppppi",
-    "mix_lines": "piiipipp",
-    "medians": "piiip",
 }
 
 

@@ -207,7 +207,10 @@ def _per(recordings: Sequence[Recording]) -> list[Notice]:
     faults = []
     for run, by_unit in by_run.items():
         if len(by_unit) > 1:
-            got = " and ".join(f"{_per_name(per)} ({where})" for per, where in list(by_unit.items())[:3])
+            got = " and ".join(
+                f"{f'responses per {per}' if per else 'amplitudes'} ({where})"
+                for per, where in list(by_unit.items())[:3]
+            )
             step = "Export all points as responses to one reference, or all as amplitudes"
             where = f"run {run}" if len(by_run) > 1 else ""
             faults.append(Fault("the values of one run", "of one unit", got, where, step))
@@ -220,10 +223,6 @@ def _per(recordings: Sequence[Recording]) -> list[Notice]:
         "deviations; stiffness and damping do not depend on it."
     )
     return [Notice("per_reference", text)]
-
-
-def _per_name(per: str) -> str:
-    return f"responses per {per}" if per else "amplitudes"
 
 
 def _numbers(keys: Iterable[K]) -> dict[K, int]:

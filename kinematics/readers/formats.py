@@ -11,10 +11,8 @@ from pathlib import Path
 from kinematics.errors import KinematicsError
 from kinematics.readers import proprietary_formats
 from kinematics.readers.format_table import FORMATS, TIDY, ZIP, Format, Head
-from kinematics.readers.input_options import InputOptions
 from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.psv.text_blocks import EXPORT_ENDINGS, export_files
-from kinematics.readers.recording import Recordings
 
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 
@@ -86,15 +84,3 @@ def describes_series(path: Path) -> bool:
         return False
     head = _head_of(path)
     return any(entry.holds(head) for entry in FORMATS if entry.series == "described")
-
-
-def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:
-    """Read a file of any format but the tidy table.
-
-    Raises
-    ------
-    KinematicsError
-        What its reader reports.
-    """
-    path = Path(path)
-    return format_of(path).read(path, options or InputOptions())

@@ -30,10 +30,10 @@ class ContrastSums:
 
     Attributes
     ----------
-    energy, left : float
+    energy, remainder : float
         Of the contrast, and of what remains.
     cells : int
-        Channels and lines with anything left.
+        Channels and lines with any remainder.
     squares : float
         Sum of the squared energies of the cells.
     products, chances, pairs : ndarray, (lag,)
@@ -41,7 +41,7 @@ class ContrastSums:
     """
 
     energy: float = 0.0
-    left: float = 0.0
+    remainder: float = 0.0
     cells: int = 0
     squares: float = 0.0
     products: ComplexArray = field(default_factory=lambda: np.zeros(_CORRELATED_LINES, dtype=complex))
@@ -49,27 +49,27 @@ class ContrastSums:
     pairs: Array = field(default_factory=lambda: np.zeros(_CORRELATED_LINES))
     lines: int = 0
 
-    def add(self, z: ComplexArray, left: ComplexArray) -> None:
+    def add(self, z: ComplexArray, remainder: ComplexArray) -> None:
         """Add a run of lines.
 
         Parameters
         ----------
         z : ndarray, (n, channel), complex
-        left : ndarray, (n, take, channel), complex
+        remainder : ndarray, (n, take, channel), complex
             The residual after the contrast.
         """
-        left = np.ascontiguousarray(left)
-        size = left.real**2 + left.imag**2
+        remainder = np.ascontiguousarray(remainder)
+        size = remainder.real**2 + remainder.imag**2
         cells = np.sum(size, axis=1)
         self.energy += energy_of(z)
-        self.left += float(np.sum(cells))
+        self.remainder += float(np.sum(cells))
         self.cells += int(np.count_nonzero(cells))
         self.squares += float(np.vdot(cells, cells))
-        self.lines += len(left)
-        for lag in range(1, min(_CORRELATED_LINES, len(left) - 1) + 1):
-            self.products[lag - 1] += complex(np.vdot(left[:-lag], left[lag:]))
+        self.lines += len(remainder)
+        for lag in range(1, min(_CORRELATED_LINES, len(remainder) - 1) + 1):
+            self.products[lag - 1] += complex(np.vdot(remainder[:-lag], remainder[lag:]))
             self.chances[lag - 1] += float(np.vdot(size[lag:], size[:-lag]))
-            self.pairs[lag - 1] += len(left) - lag
+            self.pairs[lag - 1] += len(remainder) - lag
 
     def compared(
         self, own: float, rest: float, stated: bool, doubt: float = 0.0
@@ -93,7 +93,7 @@ class ContrastSums:
                 return None, 0.0
             widen = 1.0 + doubt
             return float(special.chdtrc(2.0 * own / widen, self.energy / widen)), 2.0
-        noise = self.left / rest
+        noise = self.remainder / rest
         if noise <= 0.0:
             return (1.0 if self.energy <= 0.0 else 0.0), 0.0
         widen = self._correlation() * self._unequal(rest) * (1.0 + doubt)
@@ -109,7 +109,7 @@ class ContrastSums:
         cells = max(self.cells, 1)
         m = max(rest / cells, 0.25)
         squares = self.squares / (m * (m + 1.0)) * m**2
-        return max(1.0, squares * cells / max(self.left**2, 1e-300))
+        return max(1.0, squares * cells / max(self.remainder**2, 1e-300))
 
     def _correlation(self) -> float:
         """Return by what factor correlation between neighbouring lines lowers the degrees of freedom."""
@@ -118,7 +118,7 @@ class ContrastSums:
             if pairs > 0.0:
                 whole = (self.lines - lag) / pairs
                 product = abs(self.products[lag - 1]) ** 2
-                factor += 2.0 * whole**2 * max(product - self.chances[lag - 1], 0.0) / self.left**2
+                factor += 2.0 * whole**2 * max(product - self.chances[lag - 1], 0.0) / self.remainder**2
         return float(factor)
 
 
@@ -160,8 +160,8 @@ class Outliers:
                 continue
             way /= length[:, None]
             z = np.einsum("ft,ftc->fc", way.conj(), data, optimize=True)
-            left = way[:, :, None] * z[:, None, :]
-            sums.add(z, np.subtract(own, left, out=left))
+            remainder = way[:, :, None] * z[:, None, :]
+            sums.add(z, np.subtract(own, remainder, out=remainder))
             self._lever[take] += float(np.sum(length * np.abs(gain[:, take])))
             self._lines[take] += len(length)
 

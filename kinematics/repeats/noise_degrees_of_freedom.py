@@ -36,13 +36,13 @@ def stated_freedom(pieces: Iterator[Array]) -> float:
     for logs in pieces:
         whole = np.all(np.isfinite(logs), axis=0)
         takes, count = len(logs), np.sum(whole, axis=0)
-        held = np.where(whole[None], logs, 0.0)
+        filled = np.where(whole[None], logs, 0.0)
         safe = np.maximum(count, 1)
-        rows = held.sum(axis=1) / safe
-        columns = held.sum(axis=0) / takes
-        left = np.where(whole[None], held - rows[:, None] - columns[None] + rows.mean(axis=0), 0.0)
+        rows = filled.sum(axis=1) / safe
+        columns = filled.sum(axis=0) / takes
+        interaction = np.where(whole[None], filled - rows[:, None] - columns[None] + rows.mean(axis=0), 0.0)
         both = whole[:, _APART:] & whole[:, :-_APART]
-        steps = np.where(both[None], left[:, :, _APART:] - left[:, :, :-_APART], 0.0)
+        steps = np.where(both[None], interaction[:, :, _APART:] - interaction[:, :, :-_APART], 0.0)
         number = np.sum(both, axis=0)
         freedom = 2.0 * (takes - 1) * (number - 1.0)
         good = number * takes >= _LEAST_CELLS * takes

@@ -209,9 +209,9 @@ def _noise_scales(sd: Array, used: NDArray[np.bool_], doubted: bool) -> tuple[Ar
 
 def _clear(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bool_]:
     """Return the lines whose common part is well above the noise."""
-    left = np.maximum(np.sum(values[:, :-1], axis=1), 0.0)
+    scatter = np.maximum(np.sum(values[:, :-1], axis=1), 0.0)
     freedom = np.maximum((takes - 1) * (counts - 1), 1)
-    noise = left / freedom
+    noise = scatter / freedom
     level = (np.sqrt(takes) + np.sqrt(np.maximum(counts, 1))) ** 2
     return np.asarray((counts >= _LEAST_CHANNELS) & (values[:, -1] > _CLEAR_RATIO * noise * level))
 

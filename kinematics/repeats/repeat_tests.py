@@ -152,20 +152,20 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
         data, own = shapes.data(part), shapes.gain[part]
         residual = shapes.residual(part, data)
         whole += energy_of(residual)
-        for (_, way, others), held in zip(ways, sums, strict=True):
+        for (_, way, others), contrast in zip(ways, sums, strict=True):
             basis = contrasts(own, [*others, way])
             spanned = np.einsum("ftk,ftc->fkc", basis.conj(), data, optimize=True)
-            left = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
-            held.add(spanned[:, -1], np.subtract(residual, left, out=left))
+            remainder = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
+            contrast.add(spanned[:, -1], np.subtract(residual, remainder, out=remainder))
         outliers.add(data, own, residual)
     energies, doubt = [], count * shapes.stack.doubt
-    for (name, way, others), held in zip(ways, sums, strict=True):
+    for (name, way, others), contrast in zip(ways, sums, strict=True):
         rest = freedom * (count - 2 - len(others))
-        p, noise = held.compared(freedom, rest, stated, doubt)
+        p, noise = contrast.compared(freedom, rest, stated, doubt)
         if p is not None:
             length = np.linalg.norm(gain * _beside(gain, [*others, way]), axis=1)
             lever = float(np.sqrt(np.mean(length**2))) / float(np.ptp(way))
-            energies.append((RepeatTest(name, p, lever), held.energy, noise))
+            energies.append((RepeatTest(name, p, lever), contrast.energy, noise))
     worst = outliers.worst(freedom, doubt)
     if worst is not None:
         p, take, lever, energy, noise = worst

@@ -33,15 +33,15 @@ def scatter_noise(shapes: Shapes) -> Array | None:
     """
     lines, takes = shapes.gain.shape
     channels = shapes.stack.channels
-    energy, left = np.empty((channels, lines)), np.empty((channels, lines))
+    energy, degrees = np.empty((channels, lines)), np.empty((channels, lines))
     for part in shapes.stack.blocks():
         data = shapes.data(part)
         present = np.any(data != 0.0, axis=1)
         energy[:, part] = np.where(present, np.sum(np.abs(shapes.residual(part, data)) ** 2, axis=1), 0.0).T
         size = np.abs(shapes.common(part, data)) ** 2
         whole = np.sum(size, axis=1, keepdims=True)
-        taken = np.where(shapes.clear[part][:, None] & (whole > 0.0), size / np.maximum(whole, 1e-300), 0.0)
-        left[:, part] = np.where(present, 2.0 * (takes - 1) * np.maximum(1.0 - taken, 0.05), 0.0).T
+        share = np.where(shapes.clear[part][:, None] & (whole > 0.0), size / np.maximum(whole, 1e-300), 0.0)
+        degrees[:, part] = np.where(present, 2.0 * (takes - 1) * np.maximum(1.0 - share, 0.05), 0.0).T
     width = int(np.clip(np.ceil(_WANTED_FREEDOM / (2.0 * (takes - 1))), 1, lines))
     together = _together(shapes, width)
     start = np.clip(np.arange(lines) - width // 2, 0, lines - width)
@@ -49,7 +49,7 @@ def scatter_noise(shapes: Shapes) -> Array | None:
     most = 0.0
     for channel in range(channels):
         sums = np.concatenate([[0.0], np.cumsum(energy[channel])])
-        counts = np.concatenate([[0.0], np.cumsum(left[channel])])
+        counts = np.concatenate([[0.0], np.cumsum(degrees[channel])])
         freedom = counts[start + width] - counts[start]
         most = max(most, float(np.max(freedom, initial=0.0)))
         good = freedom >= _LEAST_FREEDOM

@@ -106,7 +106,9 @@ def join_lines(
     rank[order] = np.cumsum(new) - 1
     grid = Grid(ascending[new], rank[codes], tuple(notices))
     check_filled((1, len(names), len(grid.freq_hz)), len(freq_hz), where)
-    return grid, grid_faults(grid.freq_hz, _presence(grid, body, len(names)), names, where)
+    present = np.zeros((len(names), len(grid.freq_hz)), dtype=bool)
+    present[body, grid.line] = True
+    return grid, grid_faults(grid.freq_hz, present, names, where)
 
 
 def check_bodies(names: Sequence[str], where: str = "") -> None:
@@ -168,12 +170,6 @@ def _without_chains(
         if end > start and ascending[end] - ascending[start] > float(np.min(limit[start:end])):
             new[start : end + 1] |= strict[start : end + 1]
     return new
-
-
-def _presence(grid: Grid, body: Index, count: int) -> NDArray[np.bool_]:
-    present = np.zeros((count, len(grid.freq_hz)), dtype=bool)
-    present[body, grid.line] = True
-    return present
 
 
 def grid_faults(

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 
 from kinematics.errors import KinematicsError
 from kinematics.tidy.points_csv import other_table
-from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.option_names import named
 from stapeskit.units import SUFFIXES, Unit, unit_of
 from stapeskit.warnings import Notice
@@ -194,10 +194,8 @@ def ignored_notice(columns: Columns, file: str) -> list[Notice]:
         free = [other for other in known if other not in columns.numbers | columns.texts]
         near = get_close_matches(name, free, 1, 0.75)
         sentences.append(name + (f" (did you mean {near[0]}?)" if near else ""))
-    more = f" and {len(sentences) - 6} more" if len(sentences) > 6 else ""
-    return [
-        Notice("columns_ignored", f"columns of {file} that are not used: {', '.join(sentences[:6])}{more}.")
-    ]
+    text = f"columns of {file} that are not used: {list_some(sentences, 6)}."
+    return [Notice("columns_ignored", text)]
 
 
 def _level(header: Sequence[str], place: Place, faults: list[Fault]) -> str:

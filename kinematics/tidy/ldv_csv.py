@@ -16,7 +16,7 @@ from kinematics.tidy.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tidy.ldv_rows import Rows, rows_of
 from kinematics.tidy.points_csv import read_points
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, StapeskitError, list_some, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.warnings import Notice
 
@@ -154,8 +154,7 @@ def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) ->
         return []
     channels = np.flatnonzero(np.any(lost, axis=(0, 2)))
     body, point = table.texts["body"].names, table.texts["point"].names
-    listed = dict.fromkeys(f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels)
-    names = ", ".join(list(listed)[:6]) + (f" and {len(listed) - 6} more points" if len(listed) > 6 else "")
+    names = list_some((f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels), 6)
     of_last = lost[rows.take[-1], rows.channel[-1]]
     cut = bool(np.any(of_last[rows.line[-1] + 1 :]))
     text = (

@@ -104,7 +104,7 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
         step = -(-len(ears) // _SOME)
         panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places[::step])
         few = len(ears) <= _FEW
-        ticks = [_narrow(quantity) if few else str(k + 1) for k, quantity in enumerate(named)]
+        ticks = [textwrap.fill(plain(ear), 14) if few else str(k + 1) for k, ear in enumerate(named)]
         panel.set_xticklabels(ticks[::step], fontsize=8)
         panel.tick_params(axis="y", labelsize=8)
         panel.grid(True, axis="y", color="#eef1f4")
@@ -112,11 +112,6 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
     for panel in panels[len(shown) :]:
         panel.set_axis_off()
     return drawing
-
-
-def _narrow(name: str) -> str:
-    """Wrap a name into lines short enough for the label of a tick."""
-    return "\n".join(textwrap.wrap(plain(name), 14))
 
 
 def _groups(rows: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:

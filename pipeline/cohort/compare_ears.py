@@ -138,7 +138,8 @@ def read_ear(folder: Path, name: str) -> Ear:
 
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears."""
-    common, exponent = _common_sources(ears), damping_exponent(ears)
+    common = tuple(source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1)
+    exponent = damping_exponent(ears)
     sds = [ear.mass["mass_matrix"]["standard_deviation_si"][0][0] for ear in ears]
     variances = [_mass_shared(ear.mass, common) for ear in ears]
     rows = [_quantity("mass", "kg", [ear.mass["mass_kg"] for ear in ears], sds, variances)]
@@ -176,11 +177,6 @@ def source_id(ear: Ear, source: str) -> str:
         stated = (provenance.get("parameters") or {}).get("voxel_size_sd", "")
         return f"voxel size of scanner {ear.about.get('scanner', '')} {stated}".strip()
     return f"{source} of {ear.folder}"
-
-
-def _common_sources(ears: Sequence[Ear]) -> tuple[str, ...]:
-    """Return the sources of the mass's errors that all ears share."""
-    return tuple(source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1)
 
 
 def _mass_shared(mass: Mapping[str, Any], common: Sequence[str]) -> float:

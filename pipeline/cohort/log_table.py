@@ -28,7 +28,6 @@ _VOXEL_POWERS = {
     "gap_m": 1.0,
 }
 PREDICTORS = tuple(_VOXEL_POWERS)
-_DENSE = ("mass_kg", "J1_kg_m2", "J2_kg_m2", "J3_kg_m2")
 _LENGTHS = {
     "footplate_area_m2": ("footplate_area_mm2", 1e-6),
     "footplate_length_m": ("footplate_length_mm", 1e-3),

@@ -59,6 +59,6 @@ def run_child(words: list[str]) -> dict[str, Any]:
 if __name__ == "__main__":
     listen("scan2kd", _PATIENCE_S)
     end_with_parent()
-    given = sys.argv[1:]
-    sys.argv = ["scan2kd", *(Path(word).name for word in given[:1])]  # the command in the provenance
-    sys.stdout.write(json.dumps(run_child(given)) + "\n")
+    arguments = sys.argv[1:]
+    sys.argv = ["scan2kd", *(Path(word).name for word in arguments[:1])]  # the command in the provenance
+    sys.stdout.write(json.dumps(run_child(arguments)) + "\n")

@@ -6,12 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
-from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
 from stapeskit.arrays import Array, ComplexArray
 
 # How many of the roughest lines are exchanged with each other in trial.
 _MOST = 8
+# Lines to either side whose median is the usual comparison.
+_AROUND = 7
 # A jump, in units of its expected square, and what an exchange may leave of it.
 _ROUGH, _SETTLES = 30.0, 0.05
 # The cubic through the four neighbours of a line, at the line (Lagrange).
@@ -48,7 +49,9 @@ def exchanged_pair(readings: ComplexArray, sd: Array) -> tuple[int, int] | None:
         return None
     rough = _roughness(readings)
     noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
-    scale = np.maximum(noise + 2.0 * running_medians(rough, 7), 1e-300)
+    beyond = np.pad(rough, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(beyond, 2 * _AROUND + 1, axis=0), axis=-1)
+    scale = np.maximum(noise + 2.0 * usual, 1e-300)
     size = np.mean(rough / scale, axis=1)
     roughest = np.argsort(-size, kind="stable")[:_MOST]
     roughest = roughest[size[roughest] > _ROUGH]

@@ -192,15 +192,14 @@ def _runs(motions: Sequence[Motion]) -> dict[tuple[int, int, int], str]:
     keys = {_run_key(f, roving) for f in functions}
     if len(keys) == 1:
         return {}
-    return {key: _run_name(*key) for key in keys}
+    return {
+        (case, node, direction): f"case {case}" if case else direction_label(node, direction)
+        for case, node, direction in keys
+    }
 
 
 def _run_key(function: Function, roving: bool = False) -> tuple[int, int, int]:
     return (function.load_case, 0, 0) if roving else (function.load_case, *reference_of(function))
-
-
-def _run_name(case: int, node: int, direction: int) -> str:
-    return f"case {case}" if case else direction_label(node, direction)
 
 
 def _recording(

@@ -62,9 +62,6 @@ def test_every_pass_is_its_twin(monkeypatch, lines, channels, size):
     ]
     for noise in noises:
         alike(solve(basis, value, noise), without(monkeypatch, lambda n=noise: solve(basis, value, n)))
-    vectors = normal(rng, lines, size)
-    mixed = line_kernels.mixed(value, vectors)
-    assert np.max(np.abs(mixed - value @ vectors)) < 1e-14 * np.max(np.abs(value)) * lines
 
 
 @pytest.mark.parametrize("stated", ["alike", "own"])
@@ -123,29 +120,3 @@ def test_arrays_of_any_layout_are_taken(monkeypatch):
             solve(basis, given, varied),
             without(monkeypatch, lambda v=varied: solve(basis, value, v)),
         )
-        assert line_kernels.all_whole(given) in (None, True)
-
-
-def test_running_medians_are_their_twin(monkeypatch):
-    for lines in (1, 2, 9, 15, 400):
-        table = np.round(np.random.default_rng(4).normal(size=(lines, 3)), 1)
-        for half in (0, 1, 7, 31):
-            twin = without(monkeypatch, lambda t=table, h=half: line_kernels.running_medians(t, h))
-            assert np.array_equal(line_kernels.running_medians(table, half), twin)
-
-
-def test_a_value_that_is_not_finite_or_zero_is_seen_wherever_it_is():
-    for lines in (1, 3, 130, 300):
-        value = normal(np.random.default_rng(3), 2, lines)
-        value[0, 0] = complex(0.0, 1.0)
-        value[1, lines - 1] = complex(-1e-320, 0.0)
-        assert line_kernels.all_whole(value)
-        for odd in (0.0, -0.0, np.nan, complex(1.0, np.inf), complex(np.nan, 0.0)):
-            for place in {0, lines // 2, lines - 1}:
-                spoiled = value.copy()
-                spoiled[1, place] = odd
-                assert line_kernels.all_whole(spoiled) is False
-                numbers = np.abs(value)
-                assert line_kernels.all_finite(numbers)
-                numbers[1, place] = np.nan if np.isfinite(odd) else np.inf
-                assert line_kernels.all_finite(numbers) is False

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import read_recordings
 from kinematics.readers.hdf5 import read, write_hdf5
 from stapeskit.faults import StapeskitError
+from tests.kinematics.readers.recordings import read_recordings
 
 RNG = np.random.default_rng(0)
 FREQ = np.linspace(100.0, 4000.0, 40)

@@ -13,9 +13,9 @@ from scipy.io import savemat
 
 from kinematics.cli import work
 from kinematics.readers.containers.matlab_file import read_mat
-from kinematics.readers.formats import read_recordings
 from kinematics.readers.matlab.spectra import read
 from stapeskit.faults import StapeskitError
+from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.written_mat import write_v73
 
 pytestmark = pytest.mark.usefixtures("undrawn")

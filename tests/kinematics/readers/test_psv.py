@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import format_of, read_recordings
+from kinematics.readers.formats import format_of
 from kinematics.readers.psv import fastscan as psv_fastscan
 from kinematics.readers.psv import per_point as psv_points
 from kinematics.readers.psv.text_blocks import fields_of
 from stapeskit.faults import StapeskitError
+from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.written_psv import fastscan, point
 
 FREQ = np.array([500.0, 1000.0, 1500.5])

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 import pyuff
 
-from kinematics.readers.formats import format_of, read_recordings
+from kinematics.readers.formats import format_of
 from kinematics.readers.uff.datasets import datasets, looks_like_uff
 from kinematics.readers.uff.functions import read_function
 from kinematics.readers.uff.spectra import read
 from kinematics.readers.unit_labels import MotionUnit, motion_unit
 from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
+from tests.kinematics.readers.recordings import read_recordings
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "uff"
 X = np.arange(1, 24) * 12.5

@@ -7,12 +7,12 @@ import pytest
 
 from kinematics.cli import work
 from kinematics.options import SeriesOptions
-from kinematics.readers.formats import read_recordings
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.series.frequency_responses import read as read_series
 from kinematics.readers.uff.spectra import read
 from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
+from tests.kinematics.readers.recordings import read_recordings
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

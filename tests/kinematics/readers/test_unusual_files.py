@@ -9,12 +9,12 @@ from scipy.io import savemat
 
 from kinematics.measure_motion import MotionInputs
 from kinematics.readers.containers.matlab_file import read_mat
-from kinematics.readers.formats import read_recordings
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
 from kinematics.readers.series.series_files import read_series
 from kinematics.readers.unit_labels import motion_unit
 from stapeskit.faults import StapeskitError
+from tests.kinematics.readers.recordings import read_recordings
 
 FREQ = np.array([100.0, 250.0, 400.0, 800.0])
 VALUE = np.array([1.0 + 2.0j, -3.0e-4j, 2.5e-3, -1.0 + 1.0e-3j])

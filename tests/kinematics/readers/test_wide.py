@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import format_of, read_recordings
+from kinematics.readers.formats import format_of
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
 from kinematics.readers.wide.columns import meaning
 from kinematics.readers.wide.spectra import read
 from stapeskit.faults import StapeskitError
+from tests.kinematics.readers.recordings import read_recordings
 
 EXPORTS = Path(__file__).resolve().parents[3] / "sample_volumes" / "exports"
 GOOD = "f,x Mag [m],x Phase\n100,2,30\n"

@@ -142,11 +142,11 @@ def test_noise_of_the_reference_is_common_to_channels_and_told_apart():
 def periodic_record(rng, in_noise, out_noise, periods, samples=512, gains=GAINS[:1], cubic=0.0, colour=0.0):
     lines = np.arange(10, 200, 3)
     phase = rng.uniform(0.0, 2.0 * np.pi, len(lines))
-    time = np.arange(samples * periods)
-    drive = np.cos(2.0 * np.pi * np.outer(time, lines) / samples + phase).sum(axis=1)
+    period = np.cos(2.0 * np.pi * np.outer(np.arange(samples), lines) / samples + phase).sum(axis=1)
+    drive = np.tile(period, periods)
     response = gains * lfilter([0.5], [1.0, -0.4], drive + cubic * drive**3)
     noise = lfilter([1.0], [1.0, -colour], rng.standard_normal(response.shape))
-    return drive + in_noise * rng.standard_normal(len(time)), response + out_noise * noise
+    return drive + in_noise * rng.standard_normal(len(drive)), response + out_noise * noise
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,13 @@
+"""The recordings of one file, whatever its format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kinematics.readers.formats import format_of
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.recording import Recordings
+
+
+def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:
+    return format_of(path).read(Path(path), options or InputOptions())
