@@ -23,28 +23,27 @@ class Crossings:
 
     Attributes
     ----------
-    column : ndarray, (n,)
+    layer : ndarray of int16, (n,)
+        Slice of the voxel that is crossed, ascending.
+    column : ndarray of int32, (n,)
         Flat index y * nx + x of the voxel column.
     height : ndarray, (n,)
-        In voxels, ascending, voxel k spanning k - 0.5 to k + 0.5.
+        In voxels, voxel k spanning k - 0.5 to k + 0.5.
     weight : ndarray, (n,)
         +1/s^2 where the column enters the body going up z, -1/s^2 where it leaves it.
     shape : tuple of int
         (nx, ny) of the grid.
     """
 
-    column: NDArray[np.int64]
+    layer: NDArray[np.int16]
+    column: NDArray[np.int32]
     height: Array
     weight: Array
     shape: tuple[int, int]
 
     def touches(self, first: int, count: int) -> bool:
         """Tell whether the body reaches into ``count`` slices from slice ``first`` on."""
-        return (
-            len(self.height) > 0
-            and bool(self.height[0] < first + count - 0.5)
-            and bool(self.height[-1] > first - 0.5)
-        )
+        return len(self.layer) > 0 and bool(self.layer[0] < first + count) and bool(self.layer[-1] >= first)
 
     def slab(self, first: int, count: int) -> NDArray[np.float32]:
         """Return the filled fraction of ``count`` slices from slice ``first`` on, (z, y, x), 0 to 1."""
@@ -59,10 +58,10 @@ class Crossings:
     def _filled(self, first: int, count: int) -> Array:
         """Return the fractions as (z, y * nx + x)."""
         size = self.shape[0] * self.shape[1]
-        low, high = np.searchsorted(self.height, [first - 0.5, first + count - 0.5])
+        low, high = np.searchsorted(self.layer, [first, first + count])
         height = self.height[low:high] - first
         weight = self.weight[low:high]
-        bottom = np.minimum(np.floor(height + 0.5), count - 1).astype(np.int64)
+        bottom = self.layer[low:high].astype(np.int64) - first
         part = bottom + 0.5 - height
         flat = bottom * size + self.column[low:high]
         above = bottom + 1 < count
@@ -90,23 +89,25 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
         Sub-columns along each side of a voxel.
     """
     nx, ny = shape
-    columns, heights, weights = [], [], []
+    columns, heights, signs = [np.zeros(0, dtype=np.int32)], [np.zeros(0)], [0.0]
     for triangle in np.asarray(vertices, dtype=float)[faces].tolist():
         crossed = _triangle(triangle, nx, ny, samples)
         if crossed is not None:
             columns.append(crossed[0])
             heights.append(crossed[1])
-            weights.append(crossed[2])
-    if not columns:
-        return Crossings(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), shape)
+            signs.append(crossed[2])
     height = np.concatenate(heights)
-    order = np.argsort(height, kind="stable")
-    return Crossings(np.concatenate(columns)[order], height[order], np.concatenate(weights)[order], shape)
+    weight = np.repeat(np.array(signs) / samples**2, [len(part) for part in heights])
+    ends = np.iinfo(np.int16)
+    layer = np.clip(np.floor(height + 0.5), ends.min, ends.max).astype(np.int16)
+    order = np.argsort(layer, kind="stable")  # by radix: a tenth of what sorting the heights takes
+    return Crossings(layer[order], np.concatenate(columns)[order], height[order], weight[order], shape)
 
 
 def _triangle(
     triangle: list[list[float]], nx: int, ny: int, samples: int
-) -> tuple[NDArray[np.int64], Array, Array] | None:
+) -> tuple[NDArray[np.int32], Array, float] | None:
+    """Return column and height (n,) of each crossing, and whether (1.0 or -1.0) columns enter the body."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle
     twice_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if twice_area == 0.0:
@@ -123,9 +124,8 @@ def _triangle(
     if not inside.any():
         return None
     height = az + v * (bz - az) + w * (cz - az)
-    flat = (column_y[:, None] * nx + column_x[None, :])[inside]
-    enters = -1.0 if twice_area > 0.0 else 1.0
-    return flat, height[inside], np.full(len(flat), enters / samples**2)
+    flat = (column_y[:, None] * nx + column_x[None, :]).astype(np.int32)
+    return flat[inside], height[inside], -1.0 if twice_area > 0.0 else 1.0
 
 
 def _samples(

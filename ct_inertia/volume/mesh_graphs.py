@@ -13,7 +13,7 @@ from stapeskit.arrays import Array
 Indices = NDArray[np.int64]
 # Residual at which conjugate gradients stop, relative to the right-hand side: near rounding, as
 # the direct solver is that stands in for them. Most steps: a guard, for steps without progress end it before.
-_ACCURACY = 1e-13
+_ACCURACY = 1e-14
 _ROUNDS = 2000
 
 

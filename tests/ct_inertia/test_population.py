@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.population import row_named, score
 
-VOXEL_UM = 34.0
+VOXEL_UM = 38.0
 SEEDS = (20, 21)
 
 

@@ -33,11 +33,9 @@ def scan(voxel_mm=(H, H, H), **settings):
 def in_fluid(placed, volume, level):
     """Fill what lies around the footplate, up to 0.1 mm above its medial face: g = b + (1 - b) m."""
     air, _, bone = placed.ear.levels
-    z, y, x = np.indices(volume.array.shape)
-    points = placed.scan_from_footplate.inverse().points(
-        np.stack([x, y, z], axis=-1).reshape(-1, 3) * volume.spacing_mm
-    )
-    height = points[:, 1].reshape(volume.array.shape)
+    lateral, origin = placed.scan_from_footplate.rotation[:, 1], placed.scan_from_footplate.translation_mm
+    x, y, z = reversed(np.meshgrid(*map(np.arange, volume.array.shape), indexing="ij", sparse=True))
+    height = sum(lateral[k] * (index * volume.spacing_mm[k] - origin[k]) for k, index in enumerate((x, y, z)))
     there = level / (1.0 + np.exp((height - 0.1) / 0.03)) / (1.0 + np.exp((-0.35 - height) / 0.03))
     share = (volume.array - air) / (bone - air)
     grey = air + (bone - air) * (there + (1.0 - there) * share)
@@ -53,11 +51,12 @@ def test_bubbles_of_air_in_fluid_are_no_missing_bone():
     air, _, bone = placed.ear.levels
     share = (volume.array - air) / (bone - air)
     rng = np.random.default_rng(5)
-    place = np.stack(np.indices(share.shape), axis=-1) * 0.03
+    places = [0.03 * index for index in np.ogrid[tuple(slice(n) for n in share.shape)]]
     solid = np.argwhere(share > 0.9)
     fluid = np.ones(share.shape)
     for centre in solid[rng.integers(len(solid), size=12)] * 0.03:
-        fluid[np.linalg.norm(place - centre, axis=-1) < rng.uniform(0.1, 0.25)] = 0.0
+        square = sum((place - middle) ** 2 for place, middle in zip(places, centre, strict=True))
+        fluid[square < rng.uniform(0.1, 0.25) ** 2] = 0.0
     fluid = gaussian_filter(fluid, 1.0)
     grey = air + (bone - air) * (share + 0.3 * fluid * (1.0 - share))
     bodies = find_bodies(Volume(np.rint(grey).astype(np.uint16), np.full(3, 0.03), np.zeros(3), np.eye(3)))
