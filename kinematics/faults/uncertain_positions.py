@@ -10,8 +10,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.packed_readings import Packed
-from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of, real_parts
+from kinematics.faults.packed_readings import Packed, real_parts
+from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of
 from stapeskit.arrays import Array, ComplexArray
 
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
