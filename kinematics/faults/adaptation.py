@@ -39,13 +39,10 @@ class Correction:
     verdict, estimate : str
         Of the finding, in words.
     finding : Finding
-    parameters : ndarray, (p,)
-    covariance : ndarray, (p, p)
-        Of the estimate; empty for what has no size.
+    before : BodyChannels, optional
+        The body before its geometry is corrected.
     factor : ndarray, (p + 1, freq), complex
         By what the readings are divided, and its relative derivatives; empty for geometry.
-    arms_m, directions : ndarray, (channel, 3)
-        Of the body before the correction.
     lines : ndarray, (freq,), int
         From which line the readings of each line are taken, before the factor; empty where they stay.
     """
@@ -57,17 +54,24 @@ class Correction:
     verdict: str
     estimate: str
     finding: Finding
-    parameters: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    before: BodyChannels | None = None
     factor: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
-    arms_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    directions: Array = field(default_factory=lambda: np.zeros((0, 3)))
     lines: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def fault(self) -> Fault | None:
         """The fault of the catalogue that is corrected."""
         return self.finding.fault if self.action == CORRECTED else None
+
+    @property
+    def parameters(self) -> Array:
+        """Its size (p,); empty for what has none."""
+        return np.zeros(0) if self.fault is None else self.finding.parameters
+
+    @property
+    def covariance(self) -> Array:
+        """Of the parameters, (p, p)."""
+        return self.finding.covariance
 
     def as_json(self, measurement: Measurement) -> dict[str, Any]:
         """Return what was done by the names of the files; readings were divided by the factor, where any."""
@@ -165,12 +169,9 @@ def corrections_of(
             correction = _correction(placed, fit, (run, number), finding, again)
             if correction is None:
                 continue
-            other = next(
-                (k for k, chosen in enumerate(corrections) if _same_geometry(chosen, correction)),
-                None,
-            )
-            if other is not None:
-                corrections[other] = _pooled(corrections[other], correction)
+            same = [k for k, chosen in enumerate(corrections) if _same_geometry(chosen, correction)]
+            if same:
+                corrections[same[0]] = _pooled(corrections[same[0]], correction)
             elif not any(_overlap(chosen, correction) for chosen in corrections):
                 corrections.append(correction)
     return corrections
@@ -211,7 +212,7 @@ def _pooled(first: Correction, second: Correction) -> Correction:
     one, two = inverse(first.covariance), inverse(second.covariance)
     covariance = inverse(one + two)
     mean = covariance @ (one @ first.parameters + two @ second.parameters)
-    return replace(first, parameters=mean, covariance=covariance)
+    return replace(first, finding=replace(first.finding, parameters=mean, covariance=covariance))
 
 
 def _correction(
@@ -235,20 +236,14 @@ def _correction(
             return replace(corrected, action=LEFT_OUT, channels=out)
         general = None if again else _general(finding)
         return None if general is None else _correction(placed, fit, key, general, again)
-    fault, p, covariance = finding.fault, finding.parameters, finding.covariance
+    covariance = finding.covariance
     stated = np.nan_to_num(body.position_sd_mm[finding.channels[0]]) * 1e-3
-    if fault.kind == "position" and stated > 0.0:
+    if finding.kind == "position" and stated > 0.0:
         # Next to the fault the stated error of the point itself is free within its prior, and adds that.
-        values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(p)))
+        values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(covariance)))
         covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return replace(
-        corrected,
-        parameters=p,
-        covariance=covariance,
-        factor=finding.factor_at(placed.freq_hz),
-        arms_m=body.positions_mm * 1e-3,
-        directions=body.directions,
-    )
+    finding = replace(finding, covariance=covariance)
+    return replace(corrected, finding=finding, before=body, factor=finding.factor_at(placed.freq_hz))
 
 
 def _determined(finding: Finding, lever_m: float) -> bool:
@@ -291,10 +286,6 @@ def correction_notices(placed: Measurement, corrections: Iterable[Correction]) -
         where = f" in run {placed.runs[correction.run]}" if len(placed.runs) > 1 else ""
         whole = len(correction.channels) == len(body.points)
         names = f"body {body.body}" if whole else channel_list(correction.channels, body)
-        notices.append(
-            Notice(
-                "corrected",
-                f"{names}{where}: {correction.verdict}, {correction.estimate}; {correction.action}.",
-            )
-        )
+        text = f"{names}{where}: {correction.verdict}, {correction.estimate}; {correction.action}."
+        notices.append(Notice("corrected", text))
     return notices

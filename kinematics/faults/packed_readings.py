@@ -316,8 +316,10 @@ def _gathered(
             divide(value, weight, assumed, source.tau[part], source.ratio[part])
             mean = np.sqrt(np.mean(weight**2, axis=1))
         line = 1.0 / (source.line[part] * course[part])
-        solve = solver(whitened((mean[:, None] * basis)[None], whiten))[0]
-        z = _product((solve if whiten is None else solve @ whiten) * mean, value) * line
+        rows = whitened(mean[:, None] * basis, whiten)
+        gram = rows.T @ rows
+        solve = np.linalg.solve(gram + RIDGE * max(np.trace(gram), 1e-300) * np.eye(len(gram)), rows.T)
+        z = ((solve if whiten is None else solve @ whiten) * mean @ real_parts(value)).view(complex) * line
         turn = np.linalg.qr(z.conj().T)[0][:, :size]
         # The beams may see no motion: its directions are noise then, and as good as any others.
         y = value @ (line[:, None] * turn)
@@ -333,9 +335,9 @@ def _gathered(
     return Packed(source, assumed, whitened(y, whiten), whitened(rest, whiten), weight, tau, ratio, whiten)
 
 
-def _product(real: Array, value: ComplexArray) -> ComplexArray:
-    """Return a real matrix times a complex one, without a complex copy of it."""
-    return np.asarray((real @ np.ascontiguousarray(value).view(float)).view(complex))
+def real_parts(value: ComplexArray) -> Array:
+    """Return real and imaginary parts (..., 2 n) of complex values (..., n), side by side for each."""
+    return np.ascontiguousarray(value).view(float)
 
 
 def _sampled(
@@ -348,9 +350,6 @@ def _sampled(
     lines = value.shape[1]
     if not samples:
         return value[:, :0]
-    if samples == lines - turn.shape[1]:
-        other = np.linalg.qr(turn, mode="complete")[0][:, turn.shape[1] :]
-        return np.asarray(value @ (line[:, None] * other))
     pick = np.linspace(0, lines - 1, samples).round().astype(int)
     # Of the unit vectors of the picked lines, made square to the columns of ``turn``, all products are
     # 1 - t t^H: the inverse root of that makes them orthonormal.
@@ -377,12 +376,3 @@ def whitening(correlation: Array, live: NDArray[np.bool_]) -> Array:
             values, vectors = np.linalg.eigh(held[np.ix_(own, own)])
             whitener[np.ix_(own, own)] = (vectors / np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
     return whitener
-
-
-def solver(rows: NDArray[Any]) -> NDArray[Any]:
-    """Return what solves for the motion (group, m, channel), of whitened rows (group, channel, m)."""
-    turned = rows.conj().swapaxes(1, 2)
-    gram = turned @ rows
-    size = gram.shape[-1]
-    ridge = RIDGE * np.maximum(np.trace(gram, axis1=1, axis2=2).real, 1e-300)
-    return np.asarray(np.linalg.solve(gram + ridge[:, None, None] * np.eye(size), turned))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import ChannelNoise
-from kinematics.faults.packed_readings import Packed
-from kinematics.faults.score_information import State, real_parts
+from kinematics.faults.packed_readings import Packed, real_parts
+from kinematics.faults.score_information import State
 from stapeskit.arrays import Array, ComplexArray
 
 # Fewer samples, or more channels at a point, than this show no correlation.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.packed_readings import RIDGE, Packed, whitened
+from kinematics.faults.packed_readings import RIDGE, Packed, real_parts, whitened
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
 from stapeskit.spatial import cross
@@ -58,11 +58,6 @@ def perpendicular_axes(directions: Array) -> Array:
     first = cross(directions, least)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, cross(directions, first)], axis=-2)
-
-
-def real_parts(value: ComplexArray) -> Array:
-    """Return real and imaginary parts (..., 2 n) of complex values (..., n)."""
-    return np.ascontiguousarray(value).view(float)
 
 
 class Sums(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
     file = ", ".join(path.name for role, path in measurement.inputs.items() if role.startswith("ldv"))
     for body in measurement.bodies:
         thing = f"the values of body {body.body}"
-        places = list(np.ndindex(body.displacement.shape[:2]))
+        places = np.ndindex(body.displacement.shape[:2])
         if not any(np.any(_usable(body, place)) for place in places):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
@@ -66,11 +67,9 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
             continue
         if body.sd is not None and not body.relative:
             continue
-        usable = np.isfinite(body.displacement)
-        if body.sd is not None:
-            usable &= np.isfinite(body.sd)
         for run, name in enumerate(measurement.runs):
-            if np.any(usable[run]) and not np.any(np.abs(body.displacement[run][usable[run]])):
+            usable = _usable(body, run)
+            if np.any(usable) and not np.any(body.displacement[run][usable]):
                 where = f"run {name}" if len(measurement.runs) > 1 else ""
                 step = "Give an sd column if the body stood still, or leave its rows out"
                 expected = "other than zero in some rows, or given with their sd"
@@ -78,8 +77,8 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
     return faults
 
 
-def _usable(body: BodyChannels, place: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return which values (freq,) of a run and channel are numbers, as are their sd."""
+def _usable(body: BodyChannels, place: Any) -> NDArray[np.bool_]:
+    """Return which values at a place, by run, channel and line, are numbers, as are their sd."""
     there = np.isfinite(body.displacement[place])
     return there if body.sd is None else np.asarray(there & np.isfinite(body.sd[place]))
 
@@ -96,43 +95,31 @@ def screen_values(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...
     texts: list[str] = []
     drop = np.zeros(value.shape, dtype=bool)
     for run, name in enumerate(runs):
-        marks: dict[int, str] = {}
         where = f" in run {name}" if len(runs) > 1 else ""
-        first = value[run, :, :1].real
-        doubtful = np.flatnonzero(np.all(zero[run, :, :1] | np.isnan(first), axis=1)).tolist()
+        # A channel whose first value is a number holds something.
+        first = _usable(body, (run, slice(None), 0)) & ~zero[run, :, 0]
+        doubtful = np.flatnonzero(~first).tolist()
+        marks = {c: "unused" for c in doubtful if not np.any(_usable(body, (run, c)))}
         dead = [c for c in doubtful if np.all(zero[run, c] | np.isnan(value[run, c].real))]
-        silent = [c for c in dead if not np.any(zero[run, c])]
-        dead = [c for c in dead if c not in silent]
+        dead = [c for c in dead if np.any(zero[run, c])]
         if dead and _moves(body, run, dead, dof):
             drop[run, dead] = True
             marks |= dict.fromkeys(dead, "zeros")
             texts.append(f"{_names(body, dead)}{where} read zero throughout while the body moves")
         elif len(dead) == value.shape[1]:
             texts.append(f"all channels of body {body.body}{where} read zero throughout")
-        marks |= dict.fromkeys(silent, "unused")
         some = zero[run] & ~drop[run]
         some[dead] = False
         if np.any(some) and not np.any(np.all(some, axis=1)):
             drop[run] |= some
             texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
-        if body.sd is not None:
-            sure = np.any(np.isfinite(body.sd[run, :, :1]) & np.isfinite(first), axis=1)
-            for c in np.flatnonzero(~sure).tolist():
-                if c not in marks and not np.any(
-                    np.isfinite(body.sd[run, c]) & np.isfinite(value[run, c].real)
-                ):
-                    marks[c] = "unused"
         unused.append(marks)
     if np.any(drop):
         body = replace(body, displacement=np.where(drop, np.nan, value))
-    notices = []
-    if texts:
-        kept = "" if np.any(drop) else "; they were kept"
-        text = "; ".join(texts) + (
-            kept or "; these values were not used (missing points are often exported as zero)"
-        )
-        notices.append(Notice("zero_rows", text + "."))
-    return Screened(body, tuple(unused), tuple(notices))
+    step = "these values were not used (missing points are often exported as zero)"
+    step = step if np.any(drop) else "they were kept"
+    notices = (Notice("zero_rows", f"{'; '.join(texts)}; {step}."),) if texts else ()
+    return Screened(body, tuple(unused), notices)
 
 
 def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:

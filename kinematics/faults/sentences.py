@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +11,9 @@ from kinematics.faults.score_information import perpendicular_axes
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
 
-if TYPE_CHECKING:
-    from kinematics.faults.findings import Finding
-
-
-Sentence = Callable[["Finding", BodyChannels], tuple[str, str]]
+# A Finding with its fault, whose entry of the catalogue names the sentence.
+Fitted = Any
+Sentence = Callable[[Fitted, BodyChannels], tuple[str, str]]
 # A factor this near to -1 is a wrong sign.
 _SIGN = 0.35
 # A coordinate is determined when its sd is below this share of the rms distance of the points, and the
@@ -32,16 +30,39 @@ def with_sd(value: float, sd: float, unit: str = "", digits: int = 3) -> str:
     return f"{value:.{digits}g} +- {sd:.2g}{unit and ' ' + unit}"
 
 
-def _sd(fit: Finding) -> Array:
+def _sd(fit: Fitted) -> Array:
     return np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+
+
+def _spread(value: Array, covariance: Array) -> float:
+    """Return the standard deviation of the length of a value."""
+    return float(np.sqrt(np.maximum(value @ covariance @ value, 0.0)) / max(np.linalg.norm(value), 1e-300))
+
+
+def _seen(fit: Fitted, body: BodyChannels, unit: float, most: float) -> tuple[Array, Array, Array]:
+    """Return parameters in axes of the file along directions whose sd is below ``most``.
+
+    Returns
+    -------
+    value, covariance : ndarray, (3,) and (3, 3)
+        Over ``unit``; zero along the other directions.
+    open : ndarray, (3, n)
+        These other directions.
+    """
+    values, vectors = np.linalg.eigh(fit.covariance / unit**2)
+    vectors = body.file_from_here @ vectors
+    seen = (values > 0.0) & (values < most**2)
+    held = vectors[:, seen]
+    value = held @ (held.T @ (body.file_from_here @ fit.parameters / unit))
+    return value, (held * values[seen]) @ held.T, vectors[:, ~seen]
 
 
 def exchange(verdict: str) -> Sentence:
     """Return what describes an exchange."""
-    return lambda fit, _body: (verdict, "" if fit.fault is None else fit.fault.text)
+    return lambda fit, _body: (verdict, fit.fault.text)
 
 
-def factor(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
+def factor(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
     """Describe a real factor, or a complex one."""
     p, sd = fit.parameters, _sd(fit)
     factor = 1.0 + p[0] + 1j * (p[1] if len(p) > 1 else 0.0)
@@ -58,14 +79,14 @@ def factor(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
 def angle(words: str, place: str = "") -> Sentence:
     """Return what describes a fault whose one parameter is an angle of the readings, rad."""
 
-    def describe(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
+    def describe(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
         size = with_sd(float(np.rad2deg(fit.parameters[0])), float(np.rad2deg(_sd(fit)[0])), "deg")
         return "gain", f"{words} {size}{place and ' ' + place}"
 
     return describe
 
 
-def drift(fit: Finding, _body: BodyChannels) -> tuple[str, str]:
+def drift(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
     """Describe a factor that runs over the lines by its ends."""
     mean = 1.0 + fit.parameters[0] + 1j * fit.parameters[1]
     half = fit.parameters[2] + 1j * fit.parameters[3]
@@ -78,11 +99,11 @@ def _written(value: complex) -> str:
     return f"{abs(value):.3f}" + (f" at {turn:.1f} deg" if abs(turn) > 0.2 else "")
 
 
-def direction(fit: Finding, body: BodyChannels) -> tuple[str, str]:
+def direction(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     """Describe the turn of parallel beams, and the direction that would be right in the user's file."""
     p, slope = fit.parameters, float(np.linalg.norm(fit.parameters))
     # Along the way it points: the other way across may be open without the angle being so.
-    spread = float(np.sqrt(np.maximum(p @ fit.covariance @ p, 0.0))) / slope if slope > 0.0 else np.inf
+    spread = _spread(p, fit.covariance) if slope > 0.0 else np.inf
     angle = float(np.rad2deg(np.arctan(slope)))
     text = f"beam off by {with_sd(angle, float(np.rad2deg(spread / (1.0 + slope**2))), 'deg')}"
     channel = fit.channels[0]
@@ -95,17 +116,12 @@ def direction(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     return "direction", text
 
 
-def axes(fit: Finding, body: BodyChannels) -> tuple[str, str]:
+def axes(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     """Describe a turn of all beams against the positions, about the axes that the data determine."""
-    values, vectors = np.linalg.eigh(fit.covariance)
-    vectors = body.file_from_here @ vectors
-    seen = (values > 0.0) & (values < _TURN_SEEN**2)
-    turn = vectors[:, seen] @ (vectors[:, seen].T @ (body.file_from_here @ fit.parameters))
+    turn, covariance, _ = _seen(fit, body, 1.0, _TURN_SEEN)
     size = float(np.linalg.norm(turn))
     turn = turn * (np.remainder(size + np.pi, 2.0 * np.pi) - np.pi) / max(size, 1e-300)
-    angle = float(np.linalg.norm(turn))
-    covariance = (vectors[:, seen] * values[seen]) @ vectors[:, seen].T
-    spread = float(np.sqrt(np.maximum(turn @ covariance @ turn, 0.0))) / max(angle, 1e-300)
+    angle, spread = float(np.linalg.norm(turn)), _spread(turn, covariance)
     if not spread < angle:
         return "direction", "all beams turned together by an angle that these data do not determine"
     written = with_sd(float(np.rad2deg(angle)), float(np.rad2deg(spread)), "deg")
@@ -113,7 +129,7 @@ def axes(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     return "direction", f"all beams turned together by {written} about ({about})"
 
 
-def position(fit: Finding, body: BodyChannels) -> tuple[str, str]:
+def position(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     """Describe the shift of a point, and the coordinates that would be right in the user's file.
 
     Notes
@@ -123,24 +139,18 @@ def position(fit: Finding, body: BodyChannels) -> tuple[str, str]:
     """
     points = np.unique(body.positions_mm, axis=0)
     reach = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
-    values, vectors = np.linalg.eigh(fit.covariance * 1e6)
-    seen = (values > 0.0) & (values < (_DETERMINED * reach) ** 2)
-    vectors = body.file_from_here @ vectors
-    shift = body.file_from_here @ fit.parameters * 1e3
-    shift = vectors[:, seen] @ (vectors[:, seen].T @ shift)
+    shift, covariance, unseen = _seen(fit, body, 1e-3, _DETERMINED * reach)
     size = float(np.linalg.norm(shift))
     if not size > 0.0:
         return "position", "point off by a distance that these data do not determine"
-    covariance = (vectors[:, seen] * values[seen]) @ vectors[:, seen].T
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    along = float(np.sqrt(np.maximum(shift @ covariance @ shift, 0.0))) / size
-    text = f"point off by {with_sd(size, along, 'mm')}"
+    text = f"point off by {with_sd(size, _spread(shift, covariance), 'mm')}"
     if "+-" not in text:
         return "position", text
     reported = body.reported_positions_mm[fit.channels[0]]
     right = []
     for axis, name in enumerate(("x_mm", "y_mm", "z_mm")):
-        if float(np.sum(vectors[axis, ~seen] ** 2)) > _OF_AXIS:
+        if float(np.sum(unseen[axis] ** 2)) > _OF_AXIS:
             right.append(f"{name} not determined")
         else:
             right.append(f"{name} {reported[axis] + shift[axis]:.4g} +- {sd[axis]:.2g}")

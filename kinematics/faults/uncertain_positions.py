@@ -10,8 +10,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.packed_readings import Packed
-from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of, real_parts
+from kinematics.faults.packed_readings import Packed, real_parts
+from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of
 from stapeskit.arrays import Array, ComplexArray
 
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
@@ -140,9 +140,10 @@ class Marginal:
 
     def gathered(self, value: Array) -> Array:
         """Sum values (h, k, ...) of the tangents for each parameter, (V, ...)."""
-        sums = np.zeros((len(self.nuisance.sd), *value.shape[2:]))
-        np.add.at(sums, self.owner, value)
-        return sums
+        first = self.owner[:, 0]
+        order = np.argsort(first, kind="stable")
+        sums = np.add.reduceat(value[order], np.flatnonzero(np.diff(first[order], prepend=-1)), axis=0)
+        return sums.reshape(len(self.nuisance.sd), *value.shape[2:])
 
     @cached_property
     def taken(self) -> Array:
@@ -160,15 +161,17 @@ class Marginal:
     @property
     def pull(self) -> Array:
         """Score (V,) with the priors: minus half the slope of the objective."""
-        return np.asarray(self.score - 0.5 * self.x / self.nuisance.sd**2)
+        sd = self.nuisance.sd
+        return np.asarray(self.score - 0.5 * self.x / sd**2) if len(sd) else sd
 
     @cached_property
     def information(self) -> Array:
         """Information (V, V), without the priors."""
         flat = _flat(self.tangents)
         own = np.real(flat.conj() @ self.products.swapaxes(1, 2))
-        information = np.asarray(-self.taken @ self.taken.T)
-        np.add.at(information, (self.owner[:, :, None], self.owner[:, None, :]), own)
+        blocks = self.gathered(own).reshape(-1, *own.shape[1:])
+        information, place = np.asarray(-self.taken @ self.taken.T), np.arange(len(blocks))
+        information.reshape(2 * blocks.shape[:2])[place, :, place] += blocks
         return information
 
     @cached_property
@@ -188,6 +191,8 @@ class Marginal:
         """Solve the information with the priors for values (V,) or (V, k)."""
         from scipy.linalg import cho_solve
 
+        if not len(self.nuisance.sd):
+            return value
         return np.asarray(cho_solve((self.root, True), value, check_finite=False))
 
     def common(self, groups: NDArray[np.intp], tangents: ComplexArray, taken: ComplexArray) -> Array:
@@ -208,7 +213,7 @@ class Marginal:
             one = _flat(member[some]).conj()
             own = np.real(one @ self.products[channels[some]].swapaxes(1, 2))
             at = some[:, None, None], np.arange(count)[:, None], self.owner[channels[some]][:, None]
-            np.add.at(shared, at, own)
+            shared[at] += own
         return shared
 
     def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from kinematics.faults.adaptation import Correction
 from kinematics.faults.catalogue import Fault
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.measurement import Measurement
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.laser_errors import channel_parts
 from kinematics.registration.shared_errors import fit_derivatives
 from stapeskit.arrays import Array, ComplexArray
@@ -67,21 +67,21 @@ def _derivatives(correction: Correction, fits: Mapping[Key, LineFit], shape: tup
     if len(correction.factor):
         part = channel_parts(fits[correction.run, correction.body], mine[None])[0]
         derivatives[:, correction.run, correction.body] = -part * correction.factor[1:, :, None]
-    elif correction.fault is not None:
+    elif correction.fault is not None and correction.before is not None:
         for run in range(shape[0]):
             fit = fits[run, correction.body]
-            rows = _row_changes(correction, correction.fault, fit.beams.lever_m)[:, mine]
+            rows = _row_changes(correction, correction.fault, correction.before, fit.beams.lever_m)[:, mine]
             derivatives[:, run, correction.body] = fit_derivatives(
                 fit, rows[:, :, dof_indices(fit.beams.dof)], mine
             )
     return derivatives
 
 
-def _row_changes(correction: Correction, fault: Fault, lever_m: float) -> Array:
+def _row_changes(correction: Correction, fault: Fault, before: BodyChannels, lever_m: float) -> Array:
     """Return the derivatives (p, channel, 6) of the observation rows at the estimate."""
 
     def rows(p: Array) -> Array:
-        return point_rows(*fault.geometry(correction.arms_m, correction.directions, p))
+        return point_rows(*fault.geometry(before.positions_mm * 1e-3, before.directions, p))
 
     steps = np.diag(_STEP * fault.scale(lever_m))
     p = correction.parameters

@@ -1,4 +1,4 @@
-"""A fault put into any one channel or point of the sample study is found, and the report names it."""
+"""A fault put into one channel or point of the sample study is found, and the report names it."""
 
 from __future__ import annotations
 
@@ -54,10 +54,11 @@ def spoiled(channels, channel, kind):
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_fault_in_any_one_channel_of_the_sample_is_found_and_named(sample, number):
+def test_a_fault_in_one_channel_of_the_sample_is_found_and_named(sample, number):
     channels = sample.bodies[number]
     kinds = ("gain", "sign", "zeros", "noise", "drift")
-    for channel in range(number, len(channels.points), 2):
+    # Every fourth channel: each beam, and each kind.
+    for channel in range(number, len(channels.points), 4):
         kind = kinds[(channel + number) % len(kinds)]
         made = points2dof(replace(sample, bodies=(spoiled(channels, channel, kind),)))
         point = channels.points[channel]

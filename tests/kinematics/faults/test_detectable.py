@@ -109,9 +109,7 @@ def test_a_gain_of_that_size_is_found_as_often_as_said():
     found, runs = 0, 20
     for seed in range(runs):
         one = scene(100 + seed, lines=30)
-        clean = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
-        alarm = 0.01 / (4.0 * 27)
-        least = detectable(clean.fits[0, 0], clean.measurement.bodies[0], one.freq_hz, alarm)
+        least = detectable(fitted(one), body("stapes", one), one.freq_hz, 0.01 / (4.0 * 27))
         one.value[7] *= 1.0 + least.gain[7]
         spoiled = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
         found += any(v.verdict != "ok" for v in spoiled.channels[6:9])
@@ -177,9 +175,7 @@ def test_turned_axes_of_that_size_are_found_as_often_as_said():
     found, runs = 0, 20
     for seed in range(runs):
         one = scene(300 + seed, lines=30)
-        data = measurement(body("stapes", one), freq_hz=one.freq_hz)
-        clean = points2dof(data)
-        size = detectable(clean.fits[0, 0], clean.measurement.bodies[0], one.freq_hz, 0.01 / 0.3).axes_rad
+        size = detectable(fitted(one), body("stapes", one), one.freq_hz, 0.01 / 0.3).axes_rad
         axis = np.random.default_rng(seed).normal(size=3)
         turn = rotation_from_vector(size * axis / np.linalg.norm(axis))
         noise = one.value - readings(one.positions_mm, one.directions, one.q)

@@ -59,12 +59,12 @@ def test_clean_files_with_few_lines_and_position_errors_seldom_raise_an_alarm(li
 @pytest.mark.parametrize("fault", ["sign", "position 200 um", "noise x4"])
 def test_faults_in_few_lines_are_named(fault):
     named = 0
-    for seed in range(820_000, 820_006):
+    for seed in range(820_000, 820_003):
         made = scene(seed, STAPES, fault, lines=12, position_sd_mm=0.02)
         found = judged(made, seed, stated=False, position_sd_mm=0.02)
         accused = {c: v.verdict for c, v in enumerate(found.channels) if v.verdict != "ok"}
         named += accused == dict.fromkeys(made.culprits, made.verdict)
-    assert named >= 5
+    assert named == 3
 
 
 @pytest.mark.parametrize("fault", ["delay 8 us", "drift 7 %", "sign", "head delay 10 us"])

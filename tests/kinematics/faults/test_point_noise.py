@@ -50,12 +50,12 @@ def test_clean_coordinates_solved_from_oblique_beams_raise_no_alarm(sd):
 @pytest.mark.parametrize("fault", ["flexible", "position", "label_swap"])
 def test_faults_are_found_in_coordinates_solved_from_oblique_beams(fault):
     for seed in (720, 721):
-        made = solved(scene(seed, fault), seed)
+        made = solved(scene(seed, fault, lines=80), seed)
         assert verdicts(made, False) == dict.fromkeys(made.culprits, fault)
 
 
 def test_faults_of_single_columns_are_found_in_them():
-    made = solved(scene(730), 730)
+    made = solved(scene(730, lines=80), 730)
     made.value[7] *= 1.05
     assert verdicts(made, False) == {7: "gain"}
     made.value[7] *= -1.0 / 1.05
