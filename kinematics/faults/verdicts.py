@@ -31,6 +31,7 @@ _CAUSES = {
     "gains_scattered": "gains_scattered",
     "drift_between_points": "drift_between_points",
     "conjugated_laser": "conjugated_laser",
+    "unit_slip": "unit_slip",
 }
 
 

@@ -12,6 +12,7 @@ from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
+from kinematics.faults.causes.ranges import ranges
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import fit_with_noise
@@ -23,7 +24,7 @@ Cause = Callable[[MisfittingBody], Iterator[Explanation]]
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
-CAUSES: tuple[Cause, ...] = (conjugated, mains, outliers, gains)
+CAUSES: tuple[Cause, ...] = (conjugated, mains, ranges, outliers, gains)
 
 
 def explain_misfit(

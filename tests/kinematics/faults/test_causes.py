@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.fault_scenes import measured, scene
 from benchmarks.points_faults import judged
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import points2dof
 
@@ -19,6 +20,7 @@ CAUSES = {
     "gains_scattered",
     "drift_between_points",
     "conjugated_laser",
+    "unit_slip",
     "flexible",
 }
 
@@ -66,12 +68,18 @@ def conjugate(made, value, rng):
     value[own] = value[own].conj()
 
 
+def another_range(made, value, rng):
+    """Let four of ten points read twice what they should, as two ranges of a vibrometer differ."""
+    value[np.isin([int(point) for point in made.points], rng.permutation(np.arange(1, 11))[:4])] *= 2.0
+
+
 SPOILED = {
     "sparse_outliers": (spikes, dropouts, multiples),
     "mains_lines": (hum,),
     "gains_scattered": (gains,),
     "drift_between_points": (drying,),
     "conjugated_laser": (conjugate,),
+    "unit_slip": (another_range,),
 }
 
 
@@ -125,6 +133,35 @@ def test_scatter_of_few_channels_is_said_beside_a_body_that_bends(stated):
     assert codes == {"flexible"}
     text = next(notice.text for notice in result.notices if notice.code == "flexible")
     assert "do not tell this from another cause: the gains of the channels scatter by about" in text
+
+
+@pytest.mark.parametrize("factor", [0.1, 2.0**0.5, 5.0])
+def test_points_in_another_range_are_named_with_their_factor_and_can_be_put_right(factor):
+    made = scene(830_007, STAPES, "")
+    value = measured(made, 7)
+    other = np.isin(made.points, ["2", "5", "9"])
+    value[other] *= factor
+    sd = np.where(other[:, None], factor, 1.0) * made.sd
+    body = BodyChannels("stapes", made.points, made.reported, made.directions, value[None], sd[None])
+    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 0)
+    result = points2dof(data)
+    wrong = np.array([channel.verdict == "gain" for channel in result.channels])
+    assert np.array_equal(wrong, other)
+    text = next(notice.text for notice in result.notices if notice.code == "unit_slip")
+    assert f"3 of 10 points read {factor:.4g} times what the others show (2, 5, 9)" in text
+    put_right = points2dof(data, options=Options(correct=True))
+    size = np.sqrt(np.mean(np.abs(made.q) ** 2, axis=0))
+    assert np.max(np.abs(put_right.motion.q[0, 0] - made.q) / size) < 0.1
+
+
+@pytest.mark.parametrize("steps", [(1.0, 3.0), (3.0, 1.0), (1.0, 8.0)])
+def test_noise_that_steps_at_one_frequency_is_no_outlier(steps):
+    for seed in range(4):
+        made = scene(830_020 + seed, STAPES, "")
+        half = len(made.freq_hz) // 2
+        made = replace(made, sd=made.sd * np.repeat(steps, [half, len(made.freq_hz) - half]))
+        result = judged(made, seed, False, 0.0, measured(made, seed))
+        assert {channel.verdict for channel in result.channels} == {"ok"}
 
 
 def test_outliers_are_counted():
