@@ -32,6 +32,7 @@ _CAUSES = {
     "drift_between_points": "drift_between_points",
     "conjugated_laser": "conjugated_laser",
     "unit_slip": "unit_slip",
+    "channel_label_swap": "channel_label_swap",
 }
 
 

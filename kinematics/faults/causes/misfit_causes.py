@@ -22,15 +22,19 @@ from stapeskit.spatial import DOF_NAMES
 
 
 def with_readings(body: BodyChannels, run: int, value: ComplexArray) -> BodyChannels:
-    """Return a body with other readings (channel, freq) in one run, and their sd in proportion."""
+    """Return a body with other readings (channel, freq) in one run, and the sd of those that were scaled."""
     displacement = body.displacement.copy()
     displacement[run] = value
     if body.sd is None:
         return replace(body, displacement=displacement)
-    before, after = np.abs(body.displacement[run]), np.abs(value)
-    scaled = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
     sd = body.sd.copy()
-    sd[run] *= np.where(scaled, after / np.where(scaled, before, 1.0), 1.0)
+    for channel, (before, after) in enumerate(
+        zip(np.abs(body.displacement[run]), np.abs(value), strict=True)
+    ):
+        both = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
+        factor = after[both] / before[both]
+        if factor.size and np.ptp(factor) < 1e-9 * factor[0]:
+            sd[run, channel] *= factor[0]
     return replace(body, displacement=displacement, sd=sd)
 
 
@@ -139,7 +143,7 @@ class MisfittingBody:
         return fit_with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
 
     def with_value(self, value: ComplexArray) -> BodyChannels:
-        """Return the body with other readings (channel, freq) in this run, and their sd in proportion."""
+        """Return the body with other readings (channel, freq) in this run; see ``with_readings``."""
         return with_readings(self.body, self.run, value)
 
 
