@@ -26,7 +26,8 @@ How a diagnosis flows, from a measurement to the verdicts:
         flexible_body     patterns that many points share
         findings          what was found: from the fit to its words and what undoes it
     causes/               what many channels share, tried before a body is called flexible (explain):
-                          outliers, mains, scattered gains, drift between points, a conjugated laser
+                          outliers, mains, scattered gains, ranges and cycles of points, drift between
+                          them, a conjugated laser
     mislabelled/          all bodies and runs together (search_all_bodies): rows under another label
                           (row_labels, a table of places), lines in another order (line_order), and whole
                           bodies (body_labels, a table of labels; body_sizes, of factors) by the ligament

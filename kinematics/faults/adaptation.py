@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
+from kinematics.faults.causes.misfit_causes import with_readings
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.fit.beams import observability
@@ -98,8 +99,7 @@ class Correction:
         if self.action == RAISED:
             return _louder(measurement, body, self.run, own, finding.size)
         if finding.remedied is not None:
-            every = list(range(len(body.points)))
-            return _with_readings(body, self.run, every, finding.remedied)
+            return with_readings(body, self.run, finding.remedied)
         if len(self.factor):
             lines = self.lines if len(self.lines) else slice(None)
             values = body.displacement[self.run, own][:, lines] / self.factor[0]

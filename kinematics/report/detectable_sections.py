@@ -133,7 +133,7 @@ def _never(result: Points2Dof) -> list[Markup]:
         if np.any(np.isfinite(errors.tilt)):
             what = f"the one beam direction tilted by {TURN_DEG:g}°, as much motion across as along"
             rows.append((body.body, what, *_shares(errors.tilt)))
-    pair = Pair.of(result.motion, "stapes", "base")
+    pair = Pair.of(result.motion, "stapes", "base", derivatives=result.measurement.order)
     shown_rms = pair is not None and rms_would_show(pair)
     if len(result.measurement.bodies) > 1 and not shown_rms:
         rms = [f"{100.0 * (1.0 - np.sqrt(0.5)):.2g} %"] * len(dof)

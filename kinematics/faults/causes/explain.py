@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.faults.causes.conjugated import conjugated
+from kinematics.faults.causes.cycles import cycles
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
+from kinematics.faults.causes.ranges import ranges
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import fit_with_noise
@@ -23,7 +25,9 @@ Cause = Callable[[MisfittingBody], Iterator[Explanation]]
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
-CAUSES: tuple[Cause, ...] = (conjugated, mains, outliers, gains)
+# Points at a wrong place that may be a cycle of names.
+_CYCLE = 3
+CAUSES: tuple[Cause, ...] = (conjugated, mains, cycles, ranges, outliers, gains)
 
 
 def explain_misfit(
@@ -48,8 +52,9 @@ def explain_misfit(
     Notes
     -----
     All causes are tried for a body that seems to bend. Outliers inflate the noise where it is estimated and
-    can pass for faults of channels: they are tried whenever there are any, and believed when fewer faults
-    remain without them. No fault is accepted next to scattered gains, which are such faults themselves.
+    can pass for faults of channels: they are tried whenever there are any, as are the names of three points
+    at a wrong place, and believed when fewer faults remain without them. No fault is accepted next to
+    scattered gains, which are such faults themselves.
     """
     bends = diagnosis.bends
     if fit.is_rounding() or (known and not diagnosis.findings):
@@ -57,11 +62,13 @@ def explain_misfit(
     # Errors of positions within their stated sd are no outliers.
     offsets = diagnosis.offsets_m if not diagnosis.findings and np.any(diagnosis.offsets_m) else None
     suspect = MisfittingBody(placed, run, body, fit.beams, known, offsets)
-    if not bends and not likely_outliers(suspect.plain, diagnosis.course):
+    moved = sum(finding.kind == "position" for finding in diagnosis.findings)
+    causes = CAUSES if bends else (cycles, outliers) if moved == _CYCLE else (outliers,)
+    if causes == (outliers,) and not likely_outliers(suspect.plain, diagnosis.course):
         return None
     suspect = with_far_values(suspect)
     p_value = min((finding.p_value for finding in diagnosis.findings), default=_CERTAIN)
-    for cause in CAUSES if bends else (outliers,):
+    for cause in causes:
         for explanation in cause(suspect):
             again, stated, _notices = fit_with_noise(placed, run, explanation.remedied, fit.beams, "none")
             remaining = diagnose(placed, explanation.remedied, again, stated)

@@ -21,6 +21,23 @@ from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import DOF_NAMES
 
 
+def with_readings(body: BodyChannels, run: int, value: ComplexArray) -> BodyChannels:
+    """Return a body with other readings (channel, freq) in one run, and the sd of those that were scaled."""
+    displacement = body.displacement.copy()
+    displacement[run] = value
+    if body.sd is None:
+        return replace(body, displacement=displacement)
+    sd = body.sd.copy()
+    for channel, (before, after) in enumerate(
+        zip(np.abs(body.displacement[run]), np.abs(value), strict=True)
+    ):
+        both = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
+        factor = after[both] / before[both]
+        if factor.size and np.ptp(factor) < 1e-9 * factor[0]:
+            sd[run, channel] *= factor[0]
+    return replace(body, displacement=displacement, sd=sd)
+
+
 @dataclass(frozen=True)
 class MisfittingBody:
     """One body in one run with a misfit on many channels.
@@ -126,10 +143,8 @@ class MisfittingBody:
         return fit_with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
 
     def with_value(self, value: ComplexArray) -> BodyChannels:
-        """Return the body with other readings (channel, freq) in this run."""
-        displacement = self.body.displacement.copy()
-        displacement[self.run] = value
-        return replace(self.body, displacement=displacement)
+        """Return the body with other readings (channel, freq) in this run; see ``with_readings``."""
+        return with_readings(self.body, self.run, value)
 
 
 @dataclass(frozen=True)

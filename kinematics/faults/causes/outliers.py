@@ -31,6 +31,8 @@ _WITH_NEIGHBOUR = 0.5
 _GAIN = 10.0
 # Rounds in which outliers and the course of the noise without them are found.
 _ROUNDS = 4
+# Lines on each side whose level counts: single loud lines, such as those of mains hum, do not move a median.
+_AROUND = 4
 # Values that are looked at to see whether there may be any.
 _SAMPLE = 200_000
 # Share of its noise that a residual holds at least, and what keeps lines solvable that do not determine
@@ -154,7 +156,23 @@ def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None, unsure: 
         usual, _ = _over_usual(size / np.maximum(1.0 - leverage, _LEAST_LEFT))
         # With gaps the residuals of loud channels spread over different ones from line to line.
         size = size / np.maximum(spread(usual) / usual[:, None], _LEAST_LEFT)
-    return _over_usual(size)[1]
+    size = _over_usual(size)[1]
+    return size if course is None else size / _louder_lines(size)
+
+
+def _louder_lines(size: Array) -> Array:
+    """Return how much louder than most the lines around each are (line,), at least 1.
+
+    Noise that is not stated may step where no smooth course follows: at a change of range or of averages.
+    """
+    from scipy.ndimage import median_filter
+
+    used = np.any(np.isfinite(size), axis=0)
+    level = np.ones(size.shape[1])
+    if np.sum(used) > 2 * _AROUND:
+        typical = np.nanmedian(size[:, used], axis=0) / np.log(2.0)
+        level[used] = np.maximum(median_filter(typical, size=2 * _AROUND + 1, mode="nearest"), 1.0)
+    return level
 
 
 def _over_usual(size: Array) -> tuple[Array, Array]:

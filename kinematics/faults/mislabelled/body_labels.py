@@ -8,9 +8,12 @@ from itertools import permutations
 
 import numpy as np
 
-from kinematics.faults.mislabelled.two_bodies import BAD, Pair, joins_better
+from kinematics.faults.mislabelled.two_bodies import BAD, BETTER, GOOD, Pair
 from stapeskit.warnings import Notice
 
+# Misfit above which shifted frequencies are tried, which disturb a smooth motion little, and what the right
+# ones leave of it: dense lines have many values and few shifts.
+_SHIFTED, _OF_SHIFTED = 0.2, 0.4
 # Runs of which all orders are tried, and the largest shift in lines: they bound the time.
 _MOST_RUNS, _REACH = 4, 5
 TURN = "check on which side the laser head was, and turn the sign or the directions of one body."
@@ -18,21 +21,21 @@ TURN = "check on which side the laser head was, and turn the sign or the directi
 Labelled = tuple[Pair, dict[str, object]]
 
 
-def _other_sign(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
+def _other_sign(pair: Pair) -> Iterator[Labelled]:
     yield replace(pair, base=-pair.base), {}
 
 
-def _other_names(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
+def _other_names(pair: Pair) -> Iterator[Labelled]:
     yield replace(pair, structure=pair.base, base=pair.structure, sd=pair.sd[:, ::-1]), {}
 
 
-def _conjugate(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
+def _conjugate(pair: Pair) -> Iterator[Labelled]:
     """Yield the conjugate, also with the sign of conjugate velocities, which are i w times displacements."""
     for sign in (1.0, -1.0):
         yield replace(pair, base=sign * pair.base.conj()), {}
 
 
-def _other_runs(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
+def _other_runs(pair: Pair) -> Iterator[Labelled]:
     given = range(len(pair.runs))
     for order in permutations(given) if len(given) <= _MOST_RUNS else ():
         if order != tuple(given):
@@ -41,19 +44,18 @@ def _other_runs(pair: Pair, _derivatives: int) -> Iterator[Labelled]:
             yield replace(pair, base=pair.base[list(order)], sd=sd), {"exchanged": ", ".join(exchanged)}
 
 
-def _other_lines(pair: Pair, derivatives: int) -> Iterator[Labelled]:
-    """Yield the readings, of which displacements are derived, at shifted frequencies."""
+def _other_lines(pair: Pair) -> Iterator[Labelled]:
+    """Yield shifted frequencies of one body."""
     freq, count = pair.freq_hz, len(pair.freq_hz)
     for shift in range(-_REACH, _REACH + 1) if count > 8 * _REACH else ():
         if shift:
             here = slice(max(shift, 0), count + min(shift, 0))
             there = slice(max(-shift, 0), count - max(shift, 0))
-            ratio = (freq[there] / freq[here])[:, None] ** derivatives
             shifted = replace(
                 pair,
                 structure=pair.structure[:, here],
-                base=pair.base[:, there] * ratio,
-                sd=np.stack([pair.sd[:, 0, here], pair.sd[:, 1, there] * ratio], axis=1),
+                base=pair.base[:, there],
+                sd=np.stack([pair.sd[:, 0, here], pair.sd[:, 1, there]], axis=1),
                 freq_hz=freq[here],
             )
             yield shifted, {"hertz": -shift * float(np.median(np.diff(freq))), "lines": abs(shift)}
@@ -66,19 +68,24 @@ class Kind:
     Attributes
     ----------
     labels : function
-        Of a pair and the derivatives in what was measured, to the motion under each other label.
+        Of a pair, to the motion under each other label.
     warning : function
         Of a text, to the warning.
     sentence : str
         What the warning says of these labels; with the names of the bodies, and of that which lags less.
-    above : float
-        Misfit of the labels as given from which on these are tried.
+    above, believed_above : float
+        Misfits of the labels as given from which on these are tried, and believed.
+    share, good : float
+        They are believed when they leave less than this share of it, and less than this.
     """
 
-    labels: Callable[[Pair, int], Iterator[Labelled]]
+    labels: Callable[[Pair], Iterator[Labelled]]
     warning: Callable[[str], Notice]
     sentence: str
     above: float = 0.0
+    believed_above: float = BAD
+    share: float = BETTER
+    good: float = GOOD
 
 
 KINDS: dict[str, Kind] = {
@@ -111,7 +118,10 @@ KINDS: dict[str, Kind] = {
         lambda text: Notice("label_swap", text),
         ": the frequencies of {base} look shifted against those of {structure} by about {hertz:.3g} Hz "
         "({lines} lines). Check freq_hz.",
-        BAD,
+        _SHIFTED,
+        _SHIFTED,
+        _OF_SHIFTED,
+        np.inf,
     ),
 }
 
@@ -145,7 +155,12 @@ class Comparison:
     @property
     def believed(self) -> bool:
         """Whether other labels explain the data to twice the noise, and what those as given do not."""
-        return bool(self.kind) and joins_better(self.given, self.misfit)
+        if not self.kind:
+            return False
+        kind = KINDS[self.kind]
+        left = min(kind.good, kind.share * self.given)
+        # The farthest shift that was tried is no minimum of the misfit.
+        return self.given > kind.believed_above and self.misfit < left and self.details.get("lines") != _REACH
 
     def rather(self, kind: str, share: float) -> bool:
         """Return whether a kind leaves less than a share of what the labels as given leave."""
@@ -168,7 +183,7 @@ class Comparison:
         return KINDS[self.kind].warning(text)
 
 
-def compare_labels(pair: Pair, derivatives: int) -> Comparison | None:
+def compare_labels(pair: Pair) -> Comparison | None:
     """Compare ways to label two bodies by the misfit of one ligament; None with too few lines."""
     as_given = pair.misfit()
     if as_given is None:
@@ -177,7 +192,7 @@ def compare_labels(pair: Pair, derivatives: int) -> Comparison | None:
     for name, kind in KINDS.items():
         if as_given < kind.above:
             continue
-        for other, details in kind.labels(pair, derivatives):
+        for other, details in kind.labels(pair):
             misfit = other.misfit()
             if misfit is not None:
                 best.least[name] = min(misfit, best.least.get(name, np.inf))

@@ -133,11 +133,11 @@ def reordered_bodies(
     right = put_in_order(motion, reordered, derivatives)
     exchanged = _exchanged(right, rate)
     if exchanged:
-        as_given = ligament_misfit(right, structure, base)
-        misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base)
+        as_given = ligament_misfit(right, structure, base, derivatives)
+        misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base, derivatives)
         if as_given is None or misfit is None or misfit <= as_given:
             reordered += exchanged
-    return reordered or _by_ligament(motion, rate, orders, (structure, base))
+    return reordered or _by_ligament(motion, derivatives, orders, (structure, base))
 
 
 def _as_text(run: int, body: int, lines: Order, what: str, freq_hz: Array, because: str) -> Reordered:
@@ -182,17 +182,16 @@ def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]
 
 
 def _by_ligament(
-    motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]], names: tuple[str, str]
+    motion: RigidMotion, derivatives: int, orders: list[tuple[Order, str]], names: tuple[str, str]
 ) -> list[Reordered]:
     """Return the bodies, all runs alike, that one ligament joins in the order of text and not as given.
 
     That takes no smooth course: lines may be few or far apart. Readings are compared, which have the same
     size in any order.
     """
-    pair = Pair.of(motion, *names) if orders else None
+    pair = Pair.of(motion, *names, derivatives=derivatives) if orders else None
     if pair is None:
         return []
-    pair = replace(pair, structure=pair.structure * rate, base=pair.base * rate, sd=pair.sd * rate)
     as_given = pair.misfit()
     if as_given is None:
         return []

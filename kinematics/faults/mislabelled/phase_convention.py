@@ -43,11 +43,11 @@ def phase_notice(
     """
     if len(motion.bodies) == 1:
         return _alone(motion)
-    pair = Pair.of(motion, structure, base, mass)
+    pair = Pair.of(motion, structure, base, mass, derivatives)
     lag = None if pair is None else pair.lag()
     if pair is None or lag is None:
         return []
-    labels = compare_labels(pair, derivatives)
+    labels = compare_labels(pair)
     signed = lag.reversed and lag.opposed
     if labels is not None and labels.believed and not (signed and labels.kind == "sign"):
         return [labels.notice()]

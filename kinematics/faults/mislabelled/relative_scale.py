@@ -40,8 +40,7 @@ def log_evidence(pair: Pair, related: bool = True) -> float:
     w^2 A q_s - i w B (q_s - q_b) - i C (q_s - q_b) + G q_b with real A = K^-1 M, B and C, and a complex G for
     what the geometry is off. All of them are normal with the stated sd and mean zero, A of (2 pi f)^-2 for a
     resonance f, of rotations over the lever: the evidence of a linear model (MacKay 1992,
-    doi:10.1162/neco.1992.4.3.415). Noise of q_s counts (1 + (w / 2 pi f)^2) times, as the mass multiplies it,
-    at most the whole motion.
+    doi:10.1162/neco.1992.4.3.415). Noise of q_s counts (1 + (w / 2 pi f)^2) times, as the mass multiplies it.
     """
     lines = _compared(pair)
     return max(_evidence(pair, lines, resonance, related) for resonance in _RESONANCES_HZ)

@@ -21,8 +21,8 @@ from stapeskit.spatial import DOF_NAMES, dof_indices
 MODEL = 0.02
 # Weighs rotations against translations: about half the length of a footplate.
 LEVER_M = 1e-3
-# Misfits, 1 of right labels: others are tried above BAD, and taken below GOOD and _BETTER of the given.
-BAD, GOOD, _BETTER = 5.0, 2.0, 0.2
+# Misfits, 1 of right labels: others are tried above BAD, and taken below GOOD and BETTER of the given.
+BAD, GOOD, BETTER = 5.0, 2.0, 0.2
 # Real values of a component beyond its unknowns in A, B and C. With 11 a wrong label is taken in 0.2 % of
 # 1200 motions that no ligament makes and in none of 800 right ones, with 7 in 0.5 %, with 3 in 2.7 %.
 _SPARE = 11
@@ -70,7 +70,9 @@ class Lag:
 
 @dataclass(frozen=True)
 class Pair:
-    """The motion of two bodies, NaN where it was not measured.
+    """The motion of two bodies, NaN where it was not measured, in the size of what was read.
+
+    That is displacements, or these times a power of the frequency; one line's ligament does not mind.
 
     Attributes
     ----------
@@ -97,18 +99,27 @@ class Pair:
 
     @classmethod
     def of(
-        cls, motion: RigidMotion, structure: str, base: str, mass: MassRecord | None = None
+        cls,
+        motion: RigidMotion,
+        structure: str,
+        base: str,
+        mass: MassRecord | None = None,
+        derivatives: int = 0,
     ) -> Pair | None:
-        """Return the motion of two bodies, absolute or per unit of a reference; None unless both exist."""
+        """Return the motion of two bodies, absolute or per unit of a reference; None unless both exist.
+
+        ``derivatives`` is the number of time derivatives in what was measured.
+        """
         if structure not in motion.bodies or base not in motion.bodies:
             return None
         both = [motion.bodies.index(structure), motion.bodies.index(base)]
-        q = motion.q[:, both]
+        rate = motion.freq_hz[:, None] ** derivatives
+        q = motion.q[:, both] * rate
         places = dof_indices(motion.dof)
         weight = np.diag([float(name in DOF_NAMES[:3]) for name in motion.dof])
         if mass is not None:
             weight = mass.mass_matrix.matrix[np.ix_(places, places)]
-        sd = standard_deviation(motion)[:, both]
+        sd = standard_deviation(motion)[:, both] * rate
         unit_m = np.where(np.array(places) < 3, 1.0, LEVER_M)
         return cls(q[:, 0], q[:, 1], sd, motion.freq_hz, weight, (structure, base), motion.runs, unit_m)
 
@@ -187,15 +198,15 @@ class Pair:
         return Lag(deviations, int(np.sum(unit.imag[sure] < 0.0)), int(np.sum(sure)), cosine)
 
 
-def ligament_misfit(motion: RigidMotion, structure: str, base: str) -> float | None:
+def ligament_misfit(motion: RigidMotion, structure: str, base: str, derivatives: int) -> float | None:
     """Return the misfit of one ligament to two bodies as they are labelled; None as of `Pair.misfit`."""
-    pair = Pair.of(motion, structure, base)
+    pair = Pair.of(motion, structure, base, derivatives=derivatives)
     return None if pair is None else pair.misfit()
 
 
 def joins_better(given: float, other: float) -> bool:
     """Return whether a ligament that explains little of the data as given explains them in another way."""
-    return given > BAD and other < min(GOOD, _BETTER * given)
+    return given > BAD and other < min(GOOD, BETTER * given)
 
 
 def _stacked(*parts: ComplexArray) -> Array:
