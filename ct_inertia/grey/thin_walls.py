@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.grid_operations import interpolated
 from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
 from stapeskit.arrays import Array
 
@@ -116,5 +115,18 @@ def _seen_thickness(
 
 def _sampled(share: NDArray[np.float32], index: Array) -> Array:
     """Return a field [z, y, x] at places (n, 3), index x, y, z, by trilinear interpolation; 0 outside."""
-    inside = np.all((index >= 0.0) & (index < np.array(share.shape[::-1]) - 1.000001), axis=1)
-    return np.where(inside, interpolated(share, index[:, ::-1]), 0.0)
+    size = np.array(share.shape[::-1])
+    inside = np.all((index >= 0.0) & (index < size - 1.000001), axis=1)
+    place = np.where(inside[:, None], index, 0.0)
+    low = place.astype(np.intp)
+    away = place - low
+    flat, rows, columns = share.ravel(), share.shape[1] * share.shape[2], share.shape[2]
+    first = low[:, 2] * rows + low[:, 1] * columns + low[:, 0]
+    total = np.zeros(len(index))
+    for k in range(8):
+        dx, dy, dz = k & 1, k >> 1 & 1, k >> 2 & 1
+        weight = np.ones(len(index))
+        for axis, d in enumerate((dx, dy, dz)):
+            weight *= away[:, axis] if d else 1.0 - away[:, axis]
+        total += weight * flat[first + dz * rows + dy * columns + dx]
+    return np.where(inside, total, 0.0)
