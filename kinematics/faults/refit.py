@@ -160,7 +160,8 @@ class Refit:
 
         The nuisance parameters are eliminated (Schur complement).
         """
-        near, pull = now.near, now.near.pull
+        near = replace(now.near)  # what is computed of it is not held with the trial
+        pull = near.pull
         free = near.solved(pull)
         if not fault.size:
             return free, np.zeros((0, 0))

@@ -224,7 +224,7 @@ class State:
             other = (inner[None, None] @ tangents).transpose(2, 0, 1, 3, 4).reshape(sets, count, -1)
         whole = np.real(flat.conj() @ other.swapaxes(1, 2))
         span = self.own_span[:, groups].conj().transpose(0, 1, 3, 2)
-        taken = (span[None] @ tangents).transpose(2, 0, 1, 3, 4)
+        taken = np.ascontiguousarray((span[None] @ tangents).transpose(2, 0, 1, 3, 4))
         real = real_parts(taken.reshape(sets, count, -1))
         return Sums(score, whole - real @ real.swapaxes(1, 2), taken)
 

@@ -141,15 +141,17 @@ class Marginal:
     def gathered(self, value: Array) -> Array:
         """Sum values (h, k, ...) of the tangents for each parameter, (V, ...)."""
         first = self.owner[:, 0]
-        order = np.argsort(first, kind="stable")
-        sums = np.add.reduceat(value[order], np.flatnonzero(np.diff(first[order], prepend=-1)), axis=0)
+        if np.any(np.diff(first) < 0):  # channels of a point are mostly next to each other already
+            order = np.argsort(first, kind="stable")
+            value, first = value[order], first[order]
+        sums = np.add.reduceat(value, np.flatnonzero(np.diff(first, prepend=-1)), axis=0)
         return sums.reshape(len(self.nuisance.sd), *value.shape[2:])
 
     @cached_property
     def taken(self) -> Array:
         """Projections (V, D) of the tangents on the motion."""
         span = self.state.own_span[: self.tangents.shape[2], self.held].conj()
-        seen = np.einsum("ghm,hkgc->hkgmc", span, self.tangents)
+        seen = np.einsum("ghm,hkgc->hkgmc", span, self.tangents, order="C")
         return self.gathered(real_parts(_flat(seen)))
 
     @cached_property
