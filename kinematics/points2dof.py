@@ -148,7 +148,9 @@ def points2dof(
         derivatives = searched.placed.order
         reordered = reordered_bodies(motion, derivatives)
         right = put_in_order(motion, reordered, derivatives)
-        notices += order_notices(motion, reordered) + phase_notice(right, mass, derivatives)
+        notices += order_notices(motion, reordered) + phase_notice(
+            right, mass, derivatives, rigid=not any(found.bends for found in diagnoses.values())
+        )
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices

@@ -134,7 +134,8 @@ def _never(result: Points2Dof) -> list[Markup]:
             what = f"the one beam direction tilted by {TURN_DEG:g}°, as much motion across as along"
             rows.append((body.body, what, *_shares(errors.tilt)))
     pair = Pair.of(result.motion, "stapes", "base", derivatives=result.measurement.order)
-    shown_rms = pair is not None and rms_would_show(pair)
+    rigid = not any(diagnosis.bends for diagnosis in result.diagnoses.values())
+    shown_rms = pair is not None and rigid and rms_would_show(pair)
     if len(result.measurement.bodies) > 1 and not shown_rms:
         rms = [f"{100.0 * (1.0 - np.sqrt(0.5)):.2g} %"] * len(dof)
         rows.append(("one of them", "readings of that body alone in rms instead of peak values", *rms))

@@ -23,6 +23,7 @@ def phase_notice(
     derivatives: int = 0,
     structure: str = "stapes",
     base: str = "base",
+    rigid: bool = True,
 ) -> list[Notice]:
     """Warn when no passive ligament could join two bodies as they are labelled, and say what would.
 
@@ -40,6 +41,8 @@ def phase_notice(
         Time derivatives in what was measured.
     structure, base : str
         Bodies that one ligament joins.
+    rigid : bool
+        All bodies move rigidly: the size of a motion that is not known well is not judged.
     """
     if len(motion.bodies) == 1:
         return _alone(motion)
@@ -51,7 +54,7 @@ def phase_notice(
     signed = lag.reversed and lag.opposed
     if labels is not None and labels.believed and not (signed and labels.kind == "sign"):
         return [labels.notice()]
-    sizes = size_notices(pair)
+    sizes = size_notices(pair) if rigid else []
     if sizes:
         return sizes
     if not lag.reversed:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.faults.mislabelled.body_sizes import rms_would_show, size_notices
+from kinematics.faults.mislabelled.phase_convention import phase_notice
 from kinematics.faults.mislabelled.two_bodies import Pair
 from kinematics.points2dof import points2dof
 from kinematics.report.detectable_sections import detectable_blocks
@@ -116,6 +117,15 @@ def test_other_errors_and_motions_without_a_ligament_are_not_taken_for_a_size():
             swapped,
         ):
             assert said(wrong) == []
+
+
+def test_the_size_of_a_body_that_bends_is_not_judged():
+    motion = points2dof(study(5, lines=12)).motion
+    q = motion.q.copy()
+    q[:, 1] /= np.sqrt(2.0)
+    slip = replace(motion, q=q)
+    assert [notice.code for notice in phase_notice(slip)] == ["unit_slip"]
+    assert phase_notice(slip, rigid=False) == []
 
 
 def test_what_a_line_far_above_the_resonance_does_not_show_is_not_claimed():
