@@ -298,8 +298,9 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
     def profile(logarithm: float) -> float:
         applied = term.apply(float(np.exp(logarithm)), lines, equations)
         wide = replace(applied[0], covariance=fit.noise * applied[0].covariance)
-        if fits:
-            begin = fits[min(fits, key=lambda tried: abs(tried - logarithm))].parameters
+        settled = [tried for tried, inner in fits.items() if inner.converged]
+        if settled:
+            begin = fits[min(settled, key=lambda tried: abs(tried - logarithm))].parameters
         else:
             begin = equation_error_start(*applied, fit.parameters)
         inner = fit_joint(wide, applied[1], begin)
