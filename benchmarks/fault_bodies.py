@@ -227,7 +227,7 @@ def _loud(world: _World) -> Made:
     return [channel], "noise"
 
 
-def _tilted(world: _World, channels: list[int], degrees: float) -> None:
+def _tilt(world: _World, channels: list[int], degrees: float) -> None:
     across = np.cross(world.beams[channels[0]], world.rng.normal(size=3))
     step = np.tan(np.radians(degrees)) * across / np.linalg.norm(across)
     world.beams[channels] += step
@@ -236,7 +236,7 @@ def _tilted(world: _World, channels: list[int], degrees: float) -> None:
 
 def _direction(world: _World) -> Made:
     channel = _channel(world)
-    _tilted(world, [channel], 4.0)
+    _tilt(world, [channel], 4.0)
     return [channel], "direction"
 
 
@@ -304,7 +304,7 @@ def _head(factor: Callable[[Array], ComplexArray], verdict: str) -> Callable[[_W
 
 def _head_direction(world: _World) -> Made:
     own = world.of_head(int(world.rng.integers(world.head.max() + 1)))
-    _tilted(world, own, 3.0)
+    _tilt(world, own, 3.0)
     return own, "direction"
 
 

@@ -38,7 +38,7 @@ def bound(case: Scene, position_sd_mm: float = 0.0) -> float:
     change = change - span @ (span.T @ change)
     energy = 2.0 * float(np.sum(np.abs(change) ** 2))
     if position_sd_mm > 0.0:
-        energy -= _taken(case, change, span, scale, position_sd_mm)
+        energy -= _explained_part(case, change, span, scale, position_sd_mm)
     return float(norm.sf(norm.isf(ALARM) - np.sqrt(max(energy, 0.0))))
 
 
@@ -153,7 +153,9 @@ def _span(case: Scene) -> Array:
     return np.asarray(u[:, s > 1e-6 * s[0]])
 
 
-def _taken(case: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float) -> float:
+def _explained_part(
+    case: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float
+) -> float:
     """Return the part of a change that position errors explain."""
     columns = []
     for point in dict.fromkeys(case.points):

@@ -89,11 +89,11 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
     grid = _Grid(scan_from_body, shape, h)
     own = grid.share(lambda p: shapes.body(anatomy, p))
     truth = _truth(own, h, anatomy, scan_from_body)
-    grey = gaussian_filter(_filled(anatomy, scene, grid, own), scene.blur, truncate=5.0)
+    grey = gaussian_filter(_fill(anatomy, scene, grid, own), scene.blur, truncate=5.0)
     if scene.motion:
         grey = gaussian_filter(grey, (0.0, 0.0, scene.motion))
     if scene.jump:
-        grey = _jumped(grey, scene.jump, rng)
+        grey = _jump(grey, scene.jump, rng)
     if scene.fringe:
         grey -= np.float32(scene.fringe) * laplace(grey)
     if scene.rings:
@@ -229,7 +229,7 @@ def _truth(own: Grey, h: float, anatomy: shapes.Anatomy, scan_from_body: Array) 
     return Truth(volume, centre, second, anatomy, scan_from_body)
 
 
-def _filled(anatomy: shapes.Anatomy, scene: Scene, grid: _Grid, own: Grey) -> Grey:
+def _fill(anatomy: shapes.Anatomy, scene: Scene, grid: _Grid, own: Grey) -> Grey:
     """Return the grey values of body and surroundings, not yet blurred."""
     grey = own.copy()
     free = 1 - own
@@ -275,7 +275,7 @@ def _pool(p: tuple[Grey, Grey, Grey]) -> Grey:
     return np.asarray(p[1] - level)
 
 
-def _jumped(grey: Grey, length: float, rng: np.random.Generator) -> Grey:
+def _jump(grey: Grey, length: float, rng: np.random.Generator) -> Grey:
     """Return the mean of two images, moved apart along a drawn direction."""
     step = rng.normal(0.0, 1.0, 3)
     step *= 0.5 * length / np.linalg.norm(step)

@@ -73,13 +73,13 @@ def draw(family: str, rng: np.random.Generator) -> Anatomy:
 
 def body(anatomy: Anatomy, points: tuple[Field, Field, Field]) -> Field:
     """Return the field of a body at points x, y, z in its axes; negative inside, in about mm."""
-    x, y, z = _bent(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
+    x, y, z = _bend(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
     if anatomy.mirror:
         x = -x
     a = anatomy
     lift = a.curl * ((x / (0.5 * a.length)) ** 2 + 0.6 * (z / (0.5 * a.width)) ** 2)
     rim = _outline(a, x, z)
-    plate = _joined(np.abs(y - lift - 0.5 * a.thickness) - 0.5 * a.thickness, rim, np.maximum)
+    plate = _join(np.abs(y - lift - 0.5 * a.thickness) - 0.5 * a.thickness, rim, np.maximum)
     if a.family == "hollow":
         middle = np.abs(y - lift - 0.5 * a.thickness) - (0.5 * a.thickness - 0.12)
         plate = np.maximum(plate, -np.maximum(middle, rim + 0.3))
@@ -99,20 +99,20 @@ def body(anatomy: Anatomy, points: tuple[Field, Field, Field]) -> Field:
     if a.family == "gutter":
         ossicle = _gutter(a, (x, y, z), ossicle, reach, top)
     head = _ellipsoid((x - a.offset, y - top, z), (a.head[0], a.head[1], 0.8 * a.head[0]))
-    solid = _joined(_joined(ossicle, plate, np.minimum), head, np.minimum)
+    solid = _join(_join(ossicle, plate, np.minimum), head, np.minimum)
     if a.family == "filled":
         web = np.maximum(
             np.abs(z) - 0.07, np.maximum(np.abs(x - 0.3 * a.offset) - reach, np.abs(y - 1.2) - 0.7)
         )
         solid = np.minimum(solid, np.maximum(web, _between(a, x, y, reach, top)))
     if a.family == "focus":
-        solid = _joined(solid, _ellipsoid((x - reach - 0.2, y - 0.2, z), (0.35, 0.3, 0.3)), np.minimum)
+        solid = _join(solid, _ellipsoid((x - reach - 0.2, y - 0.2, z), (0.35, 0.3, 0.3)), np.minimum)
     return np.asarray(solid * np.float32(a.scale), dtype=np.float32)
 
 
 def window(anatomy: Anatomy, points: tuple[Field, Field, Field], gap_mm: float) -> Field:
     """Return the field of the bone around the oval window: a slab with the footplate's outline and a gap."""
-    x, y, z = _bent(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
+    x, y, z = _bend(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
     if anatomy.mirror:
         x = -x
     hole = gap_mm - _outline(anatomy, x, z)
@@ -121,7 +121,7 @@ def window(anatomy: Anatomy, points: tuple[Field, Field, Field], gap_mm: float) 
 
 def incus(anatomy: Anatomy, points: tuple[Field, Field, Field], gap_mm: float) -> Field:
     """Return the field of the tip of an incus above the head."""
-    x, y, z = _bent(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
+    x, y, z = _bend(anatomy, tuple(p / np.float32(anatomy.scale) for p in points))
     if anatomy.mirror:
         x = -x
     start = anatomy.height + gap_mm + 0.33
@@ -179,14 +179,14 @@ def _ellipsoid(p: tuple[Field, Field, Field], radii: tuple[float, float, float])
     return np.asarray((r - 1.0) * np.float32(min(radii)))
 
 
-def _joined(a: Field, b: Field, how: np.ufunc, rounding: float = 0.08) -> Field:
+def _join(a: Field, b: Field, how: np.ufunc, rounding: float = 0.08) -> Field:
     """Join two bodies with a fillet (minimum), or cut one by the other with a rounded edge (maximum)."""
     near = np.clip(rounding - np.abs(a - b), 0.0, None)
     fillet = 0.25 * near * near / np.float32(rounding)
     return np.asarray(how(a, b) + (fillet if how is np.maximum else -fillet))
 
 
-def _bent(a: Anatomy, p: tuple[Field, ...]) -> tuple[Field, Field, Field]:
+def _bend(a: Anatomy, p: tuple[Field, ...]) -> tuple[Field, Field, Field]:
     """Displace points by quadratic polynomials through the lattice over the body's box."""
     if not np.any(a.bend):
         return p[0], p[1], p[2]

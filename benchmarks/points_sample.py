@@ -93,7 +93,7 @@ def _noisy(body: BodyChannels, own: list[int], rng: np.random.Generator) -> Body
     return replace(body, displacement=value)
 
 
-def _turned(body: BodyChannels, own: list[int], rng: np.random.Generator) -> BodyChannels:
+def _turn(body: BodyChannels, own: list[int], rng: np.random.Generator) -> BodyChannels:
     directions = body.directions.copy()
     axis = np.cross(directions[own[0]], rng.normal(size=3))
     turn = rotation_from_vector(np.radians(10.0) * axis / np.linalg.norm(axis))
@@ -101,7 +101,7 @@ def _turned(body: BodyChannels, own: list[int], rng: np.random.Generator) -> Bod
     return replace(body, directions=directions)
 
 
-def _moved(body: BodyChannels, own: list[int], rng: np.random.Generator) -> BodyChannels:
+def _move(body: BodyChannels, own: list[int], rng: np.random.Generator) -> BodyChannels:
     shift = rng.normal(size=3)
     positions = body.positions_mm.copy()
     positions[own] += 0.2 * shift / np.linalg.norm(shift)
@@ -128,12 +128,12 @@ CHANNEL: dict[str, tuple[Change, str]] = {
     "zeros": (_value(np.zeros_like), "zeros"),
     "noise x 5": (_noisy, "noise"),
     "drift 10 %": (_value(_drift), "drift"),
-    "direction 10 deg": (_turned, "direction"),
+    "direction 10 deg": (_turn, "direction"),
     "conjugate": (_value(np.conj), "sign"),
     "two lines exchanged": (_value(_two_lines), "label_swap"),
 }
 POINT: dict[str, tuple[Change, str]] = {
-    "point 200 um off": (_moved, "position"),
+    "point 200 um off": (_move, "position"),
     "point conjugated": (_value(np.conj), "sign"),
     "point one line late": (_value(_late), "label_swap"),
     "runs of a point": (_value(lambda v: v[::-1]), "label_swap"),
@@ -203,15 +203,15 @@ def _across(data: Measurement, number: int, kind: str) -> Iterator[Case]:
         else:
             rest = [c for c in range(len(first.points)) if c not in own]
             bodies = [
-                _picked([(first, rest)], first.body, ""),
-                _picked([(second, []), (first, own)], second.body, name),
+                _pick([(first, rest)], first.body, ""),
+                _pick([(second, []), (first, own)], second.body, name),
             ]
             culprits = {(1 - number, len(second.points) + c) for c in range(len(own))}
         ordered = tuple(bodies if number == 0 else bodies[::-1])
         yield Case(replace(data, bodies=ordered), frozenset(culprits), "label_swap", f"{first.body} {name}")
 
 
-def _picked(parts: list[tuple[BodyChannels, list[int]]], name: str, extra: str) -> BodyChannels:
+def _pick(parts: list[tuple[BodyChannels, list[int]]], name: str, extra: str) -> BodyChannels:
     """Join channels of bodies, all of them when none are listed; those of a second one under another name."""
     whole = [(body, own or list(range(len(body.points)))) for body, own in parts]
 

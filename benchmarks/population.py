@@ -255,7 +255,7 @@ def total(scores: list[Score]) -> str:
     )
 
 
-def _recorded(file: Path | None) -> dict[tuple[str, int], Score]:
+def _read_recorded(file: Path | None) -> dict[tuple[str, int], Score]:
     """Return the scores that a file of records holds, by row and number."""
     scores = {}
     for text in file.read_text().splitlines() if file is not None and file.exists() else ():
@@ -277,7 +277,7 @@ def main() -> None:
     parser.add_argument("--verbose", action="store_true")
     given = parser.parse_args()
     rows = [row for row in ROWS if not given.rows or any(word in row.name for word in given.rows)]
-    scores = _recorded(given.records)
+    scores = _read_recorded(given.records)
     with tempfile.TemporaryDirectory() as place:
         for number, row in ((k, r) for k in range(given.start, given.start + given.scans) for r in rows):
             if (row.name, number) in scores:

@@ -113,14 +113,14 @@ def _fiducial(recording: Recording, rng: Draw) -> Recording:
     return replace(recording, fiducials=tuple(marks))
 
 
-def _exchanged(recording: Recording, rng: Draw) -> Recording:
+def _exchange(recording: Recording, rng: Draw) -> Recording:
     marks = list(recording.fiducials)
     a, b = rng.choice(len(marks), 2, replace=False)
     marks[a], marks[b] = (marks[a][0], marks[b][1], marks[a][2]), (marks[b][0], marks[a][1], marks[b][2])
     return replace(recording, fiducials=tuple(marks))
 
 
-def _moved(recording: Recording, rng: Draw) -> Recording:
+def _move(recording: Recording, rng: Draw) -> Recording:
     """Move the plate against the bone between scan and measurement."""
     shift = rng.standard_normal(3)
     shift *= rng.uniform(0.05, 0.3) / np.linalg.norm(shift)
@@ -157,8 +157,8 @@ RECORDINGS: dict[str, Callable[[Recording, Draw], Recording] | None] = {
     "all readings rms": _all_louder,
     "stapes at another level, 3 to 20 %": _one_louder,
     "a fiducial off, 50 to 500 µm": _fiducial,
-    "two fiducials exchanged": _exchanged,
-    "plate moved since the scan, 50 to 300 µm": _moved,
+    "two fiducials exchanged": _exchange,
+    "plate moved since the scan, 50 to 300 µm": _move,
     "footplate bends by 2 to 10 %": _bends,
     "noise stated 1.5 to 3 times too small": _noise_stated_low,
     "K 5 to 30 % higher at the end of the band": None,

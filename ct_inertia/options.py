@@ -71,7 +71,7 @@ def is_mesh(scan: Path | None) -> bool:
     return scan is not None and Path(scan).suffix.lower() in SURFACE_SUFFIXES
 
 
-def _unused_with_mesh(name: str) -> Rule:
+def _refuse_with_mesh(name: str) -> Rule:
     """Return the rule that an option on grey values or voxels is not given with a surface mesh."""
 
     def breaks(values: Values) -> bool:
@@ -81,7 +81,7 @@ def _unused_with_mesh(name: str) -> Rule:
     return Rule(breaks, f"{{{name}}}", expected, next_step="It is about grey values or voxels", shows=name)
 
 
-def _unused_with_labels(name: str) -> Rule:
+def _refuse_with_labels(name: str) -> Rule:
     """Return the rule that labels exclude options which seek the stapes."""
     rule = excludes(name, "labels", "which say where the stapes is", f"Leave out {{{name}}} or {{labels}}")
     return Rule(
@@ -155,9 +155,9 @@ class MassOptions(OptionTable):
             next_step="Mucosa has 0.1 to 0.2",
             shows="coat_grey",
         ),
-        *(_unused_with_labels(name) for name in ("seed", "threshold", "box")),
+        *(_refuse_with_labels(name) for name in ("seed", "threshold", "box")),
         *(
-            _unused_with_mesh(name)
+            _refuse_with_mesh(name)
             for name in (
                 "calibration", "spacing", "shape", "labels", "threshold", "seed", "box", "mirror",
                 "nan_as_air", "coat", "scale_length", "scale_ball",

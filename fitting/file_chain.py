@@ -51,8 +51,8 @@ def check_chain(
         return []
     name = "mass" if mass_file is None else mass_file.name
     travelling = [replace(notice, text=f"mass: {notice.text}") for notice in record.notices]
-    used = _used(motion)
-    other_hash = None if used is None else _given(used, record, mass_file)
+    used = _mass_record(motion)
+    other_hash = None if used is None else _other_hash(used, record, mass_file)
     if used is None or other_hash is None:
         return travelling
     origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
@@ -69,7 +69,7 @@ def check_chain(
     return [Notice("other_mass_file", text), *travelling]
 
 
-def _given(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:
+def _other_hash(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:
     """Return the hash of the given mass where it is another one than that of the motion, else None."""
     document = used.get("document_hash")
     own = document_hash(record.raw)
@@ -79,7 +79,7 @@ def _given(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> 
     return None if content == used["hash"] or document == own else content
 
 
-def _used(motion: RigidMotion) -> dict[str, Any] | None:
+def _mass_record(motion: RigidMotion) -> dict[str, Any] | None:
     """Return the record of the mass.json in the provenance of a motion; None where there is none."""
     inputs = motion.provenance.get("inputs")
     record = inputs.get("mass") if isinstance(inputs, dict) else None

@@ -98,14 +98,12 @@ def fit_kd(
         A body is missing.
     """
     try:
-        return _fitted(motion, mass, options or KDOptions(), base_mass)
+        return _fit(motion, mass, options or KDOptions(), base_mass)
     except np.linalg.LinAlgError as fault:
         raise unsolvable() from fault
 
 
-def _fitted(
-    motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base_mass: Array | None
-) -> KDFit:
+def _fit(motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base_mass: Array | None) -> KDFit:
     if options.dof_reordered and not isinstance(mass, MassMatrix):
         step = f"Write {','.join(options.dof)} and order rows and columns of the matrix so"
         raise FittingError.of(
@@ -129,7 +127,7 @@ def _fitted(
     scale = Scale.of(observation, inertia.rows(observation.dof, ()))
     settings = EstimatorOptions(options.robust, options.constraint)
     problem = Problem(observation, inertia, scale, DampingLaw(), options.estimator, settings, base_mass)
-    measured = _measured(motion, options, problem)
+    measured = _measured_lines(motion, options, problem)
     if options.causes and measured is None:
         raise FittingError(_not_joint(options))
     plain, laws, choice, undetermined = _laws(problem, options, measured)
@@ -153,7 +151,7 @@ def _fitted(
     fit = _result(motion, options, problem, choice, laws, best, lines, known, off[:12])
     fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
     fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
-    notices = [*fit.notices, *_undetermined(undetermined), *_alike(fit)]
+    notices = [*fit.notices, *_undetermined_laws(undetermined), *_alike(fit)]
     return replace(fit, undetermined=undetermined, notices=unique(notices))
 
 
@@ -171,7 +169,7 @@ def _minima(best: LawFit) -> Array:
     return np.stack(columns, axis=1) if columns else np.zeros((24, 0))
 
 
-def _measured(motion: RigidMotion, options: KDOptions, problem: Problem) -> JointLines | None:
+def _measured_lines(motion: RigidMotion, options: KDOptions, problem: Problem) -> JointLines | None:
     """Return the motion of both bodies where the plane of the ligament is to be estimated."""
     if options.inplane != AUTO:
         return None
@@ -302,7 +300,7 @@ def _alike(fit: KDFit) -> list[Notice]:
     return [Notice("law_ambiguous", text)]
 
 
-def _undetermined(laws: Mapping[str, str]) -> list[Notice]:
+def _undetermined_laws(laws: Mapping[str, str]) -> list[Notice]:
     """Return a warning about damping laws that could not be fitted."""
     if not laws:
         return []

@@ -90,26 +90,26 @@ def choose_fluid(
         )
         if options.damping == COMPARE and not asked:
             size = MASS.of(first.terms[FLUID][0])
-            best, compared = _joined(compared, _with_fluid(best, plain, measured, options, size))
-        diagnosis = _diagnosed(best, plain, measured, options, compared)
-        return best, diagnosis, _used(best, options, reason, asked), compared
+            best, compared = _join(compared, _with_fluid(best, plain, measured, options, size))
+        diagnosis = _diagnose(best, plain, measured, options, compared)
+        return best, diagnosis, _use_fluid(best, options, reason, asked), compared
     with_fluid: tuple[LawFit, ...] = ()
     if options.fluid == "auto" and not is_explained(first.joint):  # a refit may end beside the mass
         with_fluid = _with_fluid(best, plain, measured, options)
     known = [_refit_with_fluid(best, fit) for fit in with_fluid]
-    diagnosis = _diagnosed(best, plain, measured, options, compared, known)
+    diagnosis = _diagnose(best, plain, measured, options, compared, known)
     refit, reason, notices = decide_on_fluid(diagnosis, options)
     if reason or refit is None:
-        return best, diagnosis, _unused(options, reason, notices), compared
+        return best, diagnosis, _leave_out_fluid(options, reason, notices), compared
     with_fluid = with_fluid or _with_fluid(best, plain, measured, options, refit.size)
     if not with_fluid:
-        return best, diagnosis, _unused(options, "the fit with it did not settle"), compared
-    chosen, compared = _joined(compared, with_fluid)
+        return best, diagnosis, _leave_out_fluid(options, "the fit with it did not settle"), compared
+    chosen, compared = _join(compared, with_fluid)
     others = [title_of(name) for name in diagnosis.look_alikes if name != FLUID]
     also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
     reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
-    again = _diagnosed(chosen, plain, measured, options, compared)
-    return chosen, again, _used(chosen, options, reason, False, also), compared
+    again = _diagnose(chosen, plain, measured, options, compared)
+    return chosen, again, _use_fluid(chosen, options, reason, False, also), compared
 
 
 def decide_on_fluid(diagnosis: Diagnosis, options: KDOptions) -> tuple[Refit | None, str, tuple[Notice, ...]]:
@@ -169,9 +169,7 @@ def _with_fluid(
     return best_of_each(rescale_bic(fits)) if fits else ()
 
 
-def _joined(
-    compared: tuple[LawFit, ...], with_fluid: tuple[LawFit, ...]
-) -> tuple[LawFit, tuple[LawFit, ...]]:
+def _join(compared: tuple[LawFit, ...], with_fluid: tuple[LawFit, ...]) -> tuple[LawFit, tuple[LawFit, ...]]:
     """Return the best fit with fluid, and the fits under all laws, with fluid where there is such a fit."""
     best = min(with_fluid, key=lambda fit: (not fit.law.physical, fit.bic))
     by_name = {fit.law.name: fit for fit in with_fluid}
@@ -185,7 +183,7 @@ def _starts(plain: LawFit, names: Sequence[str], options: KDOptions, fluid: bool
     return fits_of_laws(plain.problem, names, options.lower, options.upper, start)[0]
 
 
-def _diagnosed(
+def _diagnose(
     best: LawFit,
     plain: Sequence[LawFit],
     measured: JointLines,
@@ -203,7 +201,7 @@ def _diagnosed(
         laws = partial(_other_laws, best, plain[0], measured, options)
     diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws, known), best.ligament)
     if options.damping == COMPARE:
-        diagnosis = with_refits(diagnosis, _compared(best, compared))
+        diagnosis = with_refits(diagnosis, _compare(best, compared))
     return diagnosis
 
 
@@ -233,7 +231,7 @@ def _other_laws(
     return [_refit_of(best, other, 1.0) for other in best_of_each(settled)]
 
 
-def _compared(best: LawFit, laws: Iterable[LawFit]) -> list[Refit]:
+def _compare(best: LawFit, laws: Iterable[LawFit]) -> list[Refit]:
     """Return the fits under the other laws of a comparison; the law of the best one was not named before."""
     others = (law for law in laws if law.law.name != best.law.name)
     return [
@@ -273,7 +271,7 @@ def _refit_with_fluid(best: LawFit, other: LawFit) -> Refit:
     return replace(refit, name=FLUID, size=size, sd=sd)
 
 
-def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:
+def _use_fluid(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:
     assert fit.ligament is not None  # noqa: S101
     value, sd = fit.ligament.terms[FLUID]
     notices: tuple[Notice, ...] = ()
@@ -292,7 +290,7 @@ def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str =
     return FluidChoice(options.fluid, options.cochlea, True, value, sd, reason, notices)
 
 
-def _unused(options: KDOptions, reason: str, notices: tuple[Notice, ...] = ()) -> FluidChoice:
+def _leave_out_fluid(options: KDOptions, reason: str, notices: tuple[Notice, ...] = ()) -> FluidChoice:
     if options.cochlea == "closed" and options.fluid == "auto":
         notices += (_missing(),)
     return FluidChoice(options.fluid, options.cochlea, False, None, None, reason, notices)

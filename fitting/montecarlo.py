@@ -73,7 +73,7 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
     problem, rng = fit.problem, np.random.default_rng(seed)
     if fit.ligament is not None:
         return _joint_monte_carlo(fit, Repetitions(fit.ligament, problem.units), refits, rng)
-    centre = replace(problem, observation=problem.observation.shifted(_fitted(fit) - problem.observation.q))
+    centre = replace(problem, observation=problem.observation.shifted(_fit(fit) - problem.observation.q))
     root = _roots(problem.observation.covariance) * np.sqrt(fit.budget.widened)
     draw_mass, draw_motion = _common(problem)
     by_mass = problem.inertia.parameter_derivatives(problem.observation.dof)
@@ -122,7 +122,7 @@ def _solve(problem: Problem, lines: Lines, start: Array) -> Array:
     return problem.method.estimate(lines, problem.options, begin).parameters
 
 
-def _fitted(fit: KDFit) -> ComplexArray:
+def _fit(fit: KDFit) -> ComplexArray:
     """Return the motion (lines, m) nearest to the measured one that obeys the fitted equations."""
     problem, lines, observation = fit.problem, fit.lines, fit.observation
     rows = problem.mass_rows()
@@ -182,7 +182,7 @@ def monte_carlo_json(fit: KDFit, scatter: MonteCarlo) -> dict[str, Any]:
         "failed": scatter.failed,
         "sd_si": dict(zip(scatter.names, scatter.standard_deviation.tolist(), strict=True)),
         "sd_over_linear_propagation": dict(
-            zip(scatter.names, (scatter.standard_deviation / _stated(fit)).tolist(), strict=True)
+            zip(scatter.names, (scatter.standard_deviation / _linear_sd(fit)).tolist(), strict=True)
         ),
         "intervals_95_si": dict(zip(scatter.names, scatter.intervals.tolist(), strict=True)),
         "frequency_sd_hz": good.std(axis=0, ddof=1).tolist() if len(good) > 1 else None,
@@ -191,7 +191,7 @@ def monte_carlo_json(fit: KDFit, scatter: MonteCarlo) -> dict[str, Any]:
 
 def monte_carlo_section(fit: KDFit, simulated: MonteCarlo) -> Section:
     """Return the section of the page: scatter beside the linear propagation."""
-    stated, scatter = _stated(fit), simulated.standard_deviation
+    stated, scatter = _linear_sd(fit), simulated.standard_deviation
     rows = [
         (name, f"{stated[place]:.3g}", f"{scatter[place]:.3g}", f"{scatter[place] / stated[place]:.3f}")
         for place, name in enumerate(simulated.names)
@@ -206,7 +206,7 @@ def monte_carlo_section(fit: KDFit, simulated: MonteCarlo) -> Section:
     )
 
 
-def _stated(fit: KDFit) -> Array:
+def _linear_sd(fit: KDFit) -> Array:
     """Return the linearly propagated sd (p,), without the attenuation bias, which does not scatter."""
     bias = fit.budget.sources.get(ATTENUATION)
     covariance = fit.covariance if bias is None else fit.covariance - bias

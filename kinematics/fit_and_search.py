@@ -87,10 +87,10 @@ def fit_and_search(
     beams : sequence of BeamSet
         By body.
     """
-    return _explained(*_searched(placed, screens, beams, robust))
+    return _explain(*_search(placed, screens, beams, robust))
 
 
-def _searched(
+def _search(
     placed: Measurement, screens: Sequence[Screened], beams: Sequence[BeamSet], robust: str
 ) -> tuple[SearchedFits, dict[tuple[int, int], LineFit]]:
     """Return the fits of every body in every run, searched by itself, and the fits that the search made."""
@@ -109,7 +109,7 @@ def _searched(
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
 
 
-def _explained(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> SearchedFits:
+def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> SearchedFits:
     """Return the fits with wrong labels and causes in place of what they look like to one body's search."""
     placed, known, diagnoses = first.placed, first.known, dict(first.diagnoses)
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first, and
@@ -165,10 +165,10 @@ def with_lasers(
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
-    first, fitted = _searched(placed, screens, beams, robust)
+    first, fitted = _search(placed, screens, beams, robust)
     if not first.clean:  # whatever explains it, something is found
         return None
-    again = _explained(first, fitted)
+    again = _explain(first, fitted)
     return replace(again, applied=values) if again.clean else None
 
 

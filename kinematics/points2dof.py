@@ -123,7 +123,7 @@ def points2dof(
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
     ready = prepare_measurement(measurement, placement, options)
     lasers = Lasers.of(ready.placed, options.laser_priors)
-    searched, corrections = _searched(ready, lasers, options)
+    searched, corrections = _search(ready, lasers, options)
     diagnoses = searched.diagnoses
     notices = [*ready.notices, *far_away(searched.placed), *searched.notices]
     notices += [*correction_notices(searched.placed, corrections), *_notices_of_bodies(searched)]
@@ -173,7 +173,7 @@ def points2dof(
     )
 
 
-def _searched(
+def _search(
     ready: PreparedMeasurement, lasers: Lasers | None, options: Options
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
     """Return the fits with their faults, and the corrections made."""

@@ -85,12 +85,14 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
         if target in texts:
             expected = "of another subject, session or side than the others"
             faults.append(Fault(f"the study {path}", expected, stem, "", "Set subject and side in [study]"))
-        texts[target] = _copied(path, target, stem, copies)
+        texts[target] = _copy(path, target, stem, copies)
         participants[f"sub-{subject}"] = about
     files = {place: file for target, source in copies.items() for place, file in _files(source, target)}
-    faults += [_taken(target) for target, text in texts.items() if _is_other(target, text.encode())]
-    faults += [_taken(target) for target, source in files.items() if _is_other(target, source)]
-    faults += [_taken(stray) for target, source in copies.items() for stray in _strays(source, target, files)]
+    faults += [_taken_fault(target) for target, text in texts.items() if _is_other(target, text.encode())]
+    faults += [_taken_fault(target) for target, source in files.items() if _is_other(target, source)]
+    faults += [
+        _taken_fault(stray) for target, source in copies.items() for stray in _strays(source, target, files)
+    ]
     with collect_faults(faults):
         table = with_participants(dataset / PARTICIPANTS, participants)
     raise_all(PipelineError, faults)
@@ -146,7 +148,7 @@ def _strays(source: Path, target: Path, files: Mapping[Path, Path]) -> list[Path
     return [place for place, _ in _files(target, target) if place not in files]
 
 
-def _taken(path: Path) -> Fault:
+def _taken_fault(path: Path) -> Fault:
     return Fault(
         f"the file {path}", "free, or equal to the copy", "another file", "", "Choose another folder"
     )
@@ -167,7 +169,7 @@ def _plain(text: object) -> str:
     return re.sub(r"[^A-Za-z0-9]", "", str(text))
 
 
-def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
+def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     """Collect the files to copy for a study; return the text of its study file with the new paths."""
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     for table in TABLES:

@@ -57,7 +57,7 @@ class _Parts(HTMLParser):
             self._rows[-1][-1] += " "
         elif tag == "img" and (picture := _PICTURE.fullmatch(values.get("src") or "")):
             content = base64.b64decode(picture[2])
-            self.figures.append((self._numbered(self.figures), picture[1], content))
+            self.figures.append((self._number(self.figures), picture[1], content))
 
     def handle_endtag(self, tag: str) -> None:
         """End a heading or a table."""
@@ -66,7 +66,7 @@ class _Parts(HTMLParser):
         if tag == "table" and self._rows is not None:
             rows = [[" ".join(cell.split()) for cell in row] for row in self._rows if row]
             if len(rows) >= _LEAST_ROWS:
-                self.tables.append((self._numbered(self.tables), rows))
+                self.tables.append((self._number(self.tables), rows))
             self._rows = None
 
     def handle_data(self, data: str) -> None:
@@ -76,7 +76,7 @@ class _Parts(HTMLParser):
         elif self._rows and self._rows[-1]:
             self._rows[-1][-1] += data
 
-    def _numbered(self, others: Sequence[tuple[Any, ...]]) -> str:
+    def _number(self, others: Sequence[tuple[Any, ...]]) -> str:
         """Return the heading of the section as a name, with a number that counts within it."""
         words = "".join(self._titles["h2"] or self._titles["title"]).lower()
         name = re.sub(r"[^a-z0-9]+", "_", words).strip("_")[:_LONGEST_NAME] or "page"

@@ -194,15 +194,17 @@ def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], wo
     used = ", ".join(f"{package} {number}" for package, number in work.hashes.versions().items())
     return [
         page.inputs_table({"inputs": entries}),
-        page.table(("setting", "value"), [(key, _listed(value)) for key, value in settings], words=True),
+        page.table(
+            ("setting", "value"), [(key, _format_setting(value)) for key, value in settings], words=True
+        ),
         page.text(f"Report of {now}. {used}."),
     ]
 
 
-def _listed(value: object) -> str:
+def _format_setting(value: object) -> str:
     """Write a setting as a person would."""
     if isinstance(value, list | tuple):
-        return ", ".join(_listed(entry) for entry in value)
+        return ", ".join(_format_setting(entry) for entry in value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {_listed(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} = {_format_setting(entry)}" for key, entry in value.items())
     return str(value)

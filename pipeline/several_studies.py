@@ -129,7 +129,7 @@ def run_studies(
     """
     out, choices = Path(out).absolute(), choices or CohortChoices()
     named = dict(zip(folder_names(studies), (Path(path).absolute() for path in studies), strict=True))
-    outputs = _checked_outputs(named, out, force, choices.exports)
+    outputs = _check_outputs(named, out, force, choices.exports)
     with CohortLog(out, len(named), tell) as log:
         ends = _run_all(named, out, force, log, Where(jobs, scheduler or "", log.path.parent))
         faults = {name: end.fault for name, end in ends.items() if end.code}
@@ -153,9 +153,7 @@ def run_studies(
     return CohortResult(out, ears, faults, codes, tuple(files), notices)
 
 
-def _checked_outputs(
-    studies: Mapping[str, Path], out: Path, force: bool, exports: Sequence[str]
-) -> OutputSet:
+def _check_outputs(studies: Mapping[str, Path], out: Path, force: bool, exports: Sequence[str]) -> OutputSet:
     """Return the outputs of the cohort, after a look whether any study would write over what another reads.
 
     A fault of a study file itself is reported when the study runs.

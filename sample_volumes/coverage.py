@@ -52,10 +52,10 @@ class Crossings:
         step = max(1, _MOST_AT_ONCE // (nx * ny))
         for start in range(0, count, step):
             part = filled[start : start + step]
-            part[...] = self._filled(first + start, len(part)).reshape(part.shape)
+            part[...] = self._fill(first + start, len(part)).reshape(part.shape)
         return filled
 
-    def _filled(self, first: int, count: int) -> Array:
+    def _fill(self, first: int, count: int) -> Array:
         """Return the fractions as (z, y * nx + x)."""
         size = self.shape[0] * self.shape[1]
         low, high = np.searchsorted(self.layer, [first, first + count])

@@ -69,7 +69,7 @@ def faulty(recording: Recording, fault: Fault, seed: int = 1) -> Recording:
         raise ValueError(f"the beam must be one of 0 to {len(own) - 1}; got {fault.beam}.")
     channel = own[fault.beam]
     if fault.kind == "direction":
-        return replace(recording, direction=_tilted(recording, channel, fault.size, rng))
+        return replace(recording, direction=_tilt(recording, channel, fault.size, rng))
     velocity = recording.velocity_m_s.copy()
     lines = len(recording.freq_hz)
     if fault.kind == "gain":
@@ -94,7 +94,7 @@ def _channels(recording: Recording, body: str, point: str) -> list[int]:
     return numbers
 
 
-def _tilted(recording: Recording, channel: int, angle_deg: float, rng: np.random.Generator) -> Array:
+def _tilt(recording: Recording, channel: int, angle_deg: float, rng: np.random.Generator) -> Array:
     """Return the reported directions with one of them turned away from the true beam."""
     direction = recording.direction.copy()
     axis = np.cross(direction[channel], _unit(rng))

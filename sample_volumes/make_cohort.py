@@ -88,7 +88,7 @@ def make_cohort(folder: Path, population: Population | None = None) -> dict[str,
         stapes = _stapes(folder / "ears" / name, sizes[k], mirrored=side == "right")
         size = float(np.log(DENSITY * stapes.moments().volume_mm3 * 1e-9 / REFERENCE_KG))
         matrices = {
-            key: _scaled(matrix, exponents, size, scatter[k, j], entries[k, 3 * j : 3 * j + 3], side)
+            key: _scale(matrix, exponents, size, scatter[k, j], entries[k, 3 * j : 3 * j + 3], side)
             for j, (key, matrix, exponents) in enumerate(
                 (
                     ("stiffness", PAPER_STIFFNESS, STIFFNESS_EXPONENTS),
@@ -139,7 +139,7 @@ def _stapes(folder: Path, stretch: Array, mirrored: bool) -> Surface:
     return bodies.stapes_in_footplate(path or folder / "true_stapes.ply")
 
 
-def _scaled(
+def _scale(
     matrix: Array, exponents: tuple[float, ...], size: float, scatter: float, entries: Array, side: str
 ) -> Array:
     """Return a matrix whose diagonal follows the law; couplings follow their two degrees of freedom."""

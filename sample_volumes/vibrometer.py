@@ -188,7 +188,7 @@ def record(
         sd,
         marks,
     )
-    return _mirrored(recording, how.mirror)
+    return _mirror(recording, how.mirror)
 
 
 def visible_points(surface: bodies.Surface, count: int, beams: Array) -> Array:
@@ -288,7 +288,7 @@ def _fiducials(
     return tuple(rows)
 
 
-def _mirrored(recording: Recording, axis: str) -> Recording:
+def _mirror(recording: Recording, axis: str) -> Recording:
     if not axis:
         return recording
     flip = np.ones(3)

@@ -90,7 +90,7 @@ def read_apart(
         _work(read, writer, limit_s, _PACKING * size + _MEMORY if memory is None else memory)
     os.close(writer)
     try:
-        answer = _received(reader, _CLOCK * limit_s)
+        answer = _receive(reader, _CLOCK * limit_s)
     finally:
         with suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
@@ -156,7 +156,7 @@ def _send(stream: BinaryIO, answer: object) -> None:
         stream.write(part)
 
 
-def _received(reader: int, patience_s: float) -> tuple[Any, BaseException | None] | None:
+def _receive(reader: int, patience_s: float) -> tuple[Any, BaseException | None] | None:
     """Return what the child sent; None when it ended without, or sends nothing in that time."""
     with os.fdopen(reader, "rb") as stream:
         ready, _, _ = select.select([reader], [], [], patience_s)

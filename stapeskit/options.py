@@ -94,10 +94,10 @@ class OptionTable:
 
 def declared(table: type[OptionTable]) -> tuple[Option, ...]:
     """Return the options of a table in the order of their entry."""
-    return tuple(_declared(table))
+    return tuple(_iterate_options(table))
 
 
-def _declared(table: type[OptionTable]) -> Iterator[Option]:
+def _iterate_options(table: type[OptionTable]) -> Iterator[Option]:
     for entry in dataclasses.fields(table):
         if DECLARED not in entry.metadata:
             continue

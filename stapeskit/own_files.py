@@ -98,7 +98,7 @@ class OutputSet:
 
     def kept_notices(self, written: Collection[str]) -> tuple[Notice, ...]:
         """Return a notice on files of the command's names that are not its own and stay where they are."""
-        recorded, read = self._recorded(), self._files_read
+        recorded, read = self._recorded_hashes(), self._files_read
         names = [
             name
             for name in dict.fromkeys((*self.names, *self.leftovers))
@@ -111,7 +111,7 @@ class OutputSet:
             return ()
         text = (
             f"Not known as written by {self.command}, left in the output folder, and no part of this result: "
-            f"{_listed(names)}."
+            f"{_name_files(names)}."
         )
         return (Notice(FOREIGN_FILE_KEPT, text),)
 
@@ -124,7 +124,7 @@ class OutputSet:
     def _check(self, names: Collection[str]) -> None:
         """Raise what forbids to write these names."""
         names = tuple(dict.fromkeys(names))
-        read, recorded, foreign = self._files_read, self._recorded(), list[str]()
+        read, recorded, foreign = self._files_read, self._recorded_hashes(), list[str]()
         faults = self.clashes(names)
         records = self.folder / RECORDS
         if os.path.lexists(records) and (records.is_symlink() or not records.is_dir()):
@@ -164,8 +164,8 @@ class OutputSet:
     def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> Fault:
         edited = [name for name in names if name in recorded]
         others = [name for name in names if name not in recorded]
-        got = [f"{_listed(edited)}, edited since"] if edited else []
-        got += [f"{_listed(others)}, which it is not known to have written"] if others else []
+        got = [f"{_name_files(edited)}, edited since"] if edited else []
+        got += [f"{_name_files(others)}, which it is not known to have written"] if others else []
         steps = [self.hints[name] for name in edited if name in self.hints]
         steps.append(f"{self._elsewhere}, or let --force replace the files there")
         thing = f"the files in {self.folder} at the names of outputs"
@@ -198,7 +198,7 @@ class OutputSet:
             if path.is_file()
         }
         self._check((*self.names, *hashes) if not self.force else hashes)
-        recorded = self._recorded()
+        recorded = self._recorded_hashes()
         hashes = {name: digest for name, digest in hashes.items() if not name.startswith(f"{RECORDS}/")}
         after = {name: {digest} for name, digest in hashes.items()}
         if not os.path.lexists(self.folder):
@@ -246,7 +246,7 @@ class OutputSet:
             first = xxhash.xxh3_128_hexdigest(os.fsencode(first))
         return f"{RECORDS}/{self.command}-{first}.json"
 
-    def _recorded(self) -> dict[str, set[str]]:
+    def _recorded_hashes(self) -> dict[str, set[str]]:
         """Return the content hashes of what the command wrote here, by name."""
         records = {name: {known} for name, known in self.known.items()}
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -331,5 +331,5 @@ def _files_of(paths: Iterable[Path]) -> dict[_Inode | None, Path]:
     return files
 
 
-def _listed(names: list[str]) -> str:
+def _name_files(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

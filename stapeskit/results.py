@@ -68,7 +68,7 @@ class Result:
         return self.notices
 
     def __repr__(self) -> str:
-        rows = self._shown()
+        rows = self._summary_rows()
         width = max(len(name) for name, _ in rows)
         lines = [self.title, *(f"  {name:<{width}}  {text}" for name, text in rows)]
         return "\n".join(lines)
@@ -76,9 +76,11 @@ class Result:
     def _repr_html_(self) -> str:
         from stapeskit.page import page
 
-        return f"<p><b>{page.text(self.title)}</b></p>{page.table(('', ''), self._shown(), words=True)}"
+        return (
+            f"<p><b>{page.text(self.title)}</b></p>{page.table(('', ''), self._summary_rows(), words=True)}"
+        )
 
-    def _shown(self) -> list[tuple[str, str]]:
+    def _summary_rows(self) -> list[tuple[str, str]]:
         """Return the rows of the summary, at most one screen of them, and the codes of the warnings."""
         rows = [(name, shorten_line(text)) for name, text in self.summary()]
         if len(rows) > _MOST_ROWS:

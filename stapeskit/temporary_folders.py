@@ -62,7 +62,7 @@ def remove_abandoned(place: Path) -> None:
     with suppress(OSError):
         for path in [entry for entry in place.iterdir() if _OURS.fullmatch(entry.name)]:
             with suppress(OSError):
-                if _abandoned(path):
+                if _is_abandoned(path):
                     _remove(path)
 
 
@@ -76,7 +76,7 @@ def files_within(folder: Path) -> list[Path]:
     return sorted(files)
 
 
-def _abandoned(path: Path) -> bool:
+def _is_abandoned(path: Path) -> bool:
     state = path.lstat()
     age_s = time.time() - state.st_mtime
     own = not hasattr(os, "getuid") or state.st_uid == os.getuid()

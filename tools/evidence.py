@@ -86,7 +86,7 @@ def block(command: str) -> str:
     """Return the block of a command with its last result."""
     result = json.loads(result_file(command).read_text(encoding="utf-8"))
     lines = "\n".join(printed(line) for line in result["printed"])
-    return f"<!-- python {command} -->\n{lines}\n\n{_measured(result)}\n<!-- end -->"
+    return f"<!-- python {command} -->\n{lines}\n\n{_measure(result)}\n<!-- end -->"
 
 
 def with_results(text: str) -> str:
@@ -94,7 +94,7 @@ def with_results(text: str) -> str:
     return BLOCK.sub(lambda match: block(match[1]), text)
 
 
-def _measured(result: dict[str, Any]) -> str:
+def _measure(result: dict[str, Any]) -> str:
     text = f"`{result['command']}`, {result['date']}"
     if seconds := result["processor_s"]:
         spent = f"{seconds} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"

@@ -107,7 +107,7 @@ def mass_json(
         },
         "mass_known_by": result.options.mass_known_by,
         "mass_alternatives": [way.as_json(matrix) for way in result.ways[1:]],
-        "found": _found(result),
+        "found": _anatomy(result),
         "published": comparisons(measured_values(body.volume_m3, body.density_kg_m3, result.footplate)),
         "cross_check": _cross_check(result, second),
         "segmentation": _segmentation(result),
@@ -204,7 +204,7 @@ def _pose(covariance: Array, frame: str) -> dict[str, Any]:
     }
 
 
-def _found(result: MassMeasurement) -> dict[str, Any]:
+def _anatomy(result: MassMeasurement) -> dict[str, Any]:
     """Return what an anatomist compares: dimensions, and the outline of the footplate."""
     footplate = result.footplate
     outline = footplate.outline_mm

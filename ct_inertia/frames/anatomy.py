@@ -167,7 +167,7 @@ def _votes(
             raise CtInertiaError.of(
                 "{anterior}",
                 f"within {_SQUARE_DEG:.0f} degrees of the long axis of the footplate",
-                f"{angle:.0f} degrees (long axis {_listed(x_axis)} in scan axes)",
+                f"{angle:.0f} degrees (long axis {_format_vector(x_axis)} in scan axes)",
                 next_step="Give the direction from the posterior to the anterior end of the footplate",
             )
         if angle > _WEAK_DEG:
@@ -203,5 +203,5 @@ def _votes(
     return votes, notices
 
 
-def _listed(vector: Array) -> str:
+def _format_vector(vector: Array) -> str:
     return ", ".join(f"{value:.3f}" for value in vector)

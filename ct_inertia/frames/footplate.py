@@ -115,7 +115,7 @@ def footplate_frame(
     CtInertiaError
         No near-planar face at an extremity, hints that contradict each other or the surface.
     """
-    mesh, solved, anterior_from, notices = _solved(surface, hints or AnatomyHints(), blur_mm)
+    mesh, solved, anterior_from, notices = _solve(surface, hints or AnatomyHints(), blur_mm)
     frame = _frame_of(solved)
     outline = frame.inverse().points(outer_loop(solved.face.patch))
     body = frame.inverse().points(mesh.points)
@@ -136,14 +136,14 @@ def footplate_frame(
 
 def footplate_pose(surface: SurfaceLike, hints: AnatomyHints, blur_mm: float) -> RigidTransform:
     """Return scan_from_footplate alone, as `footplate_frame` finds it."""
-    return _frame_of(_solved(surface, hints, blur_mm)[1])
+    return _frame_of(_solve(surface, hints, blur_mm)[1])
 
 
 def _frame_of(solved: Solved) -> RigidTransform:
     return RigidTransform.from_parts(solved.axes, solved.origin, "scan", "footplate")
 
 
-def _solved(
+def _solve(
     surface: SurfaceLike, hints: AnatomyHints, blur_mm: float
 ) -> tuple[Mesh, Solved, str, list[Notice]]:
     """Return the surface, the solution with the sign of x, the hint that decided it, and warnings."""

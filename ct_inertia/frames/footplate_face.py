@@ -227,7 +227,7 @@ def solve(
         change = _plane_normal(face, y_axis, max(0.01 * step, 0.01 * accuracy)) - y_axis
         step = float(np.linalg.norm(change))
         tried = [*tried[-2:], (y_axis, change)]
-        y_axis = unit(_extrapolated(tried)[None])[0]
+        y_axis = unit(_extrapolate(tried)[None])[0]
         if step < accuracy:
             break
         if np.linalg.norm(y_axis - cone.y_axis) > _CONE_TURN:
@@ -242,7 +242,7 @@ def solve(
     return Solved(region, face, face.centroid, axes, float(np.sqrt(ratio)))
 
 
-def _extrapolated(tried: list[tuple[Array, Array]]) -> Array:
+def _extrapolate(tried: list[tuple[Array, Array]]) -> Array:
     """Return where the change vanishes, from the last places (3,) and the changes (3,) that they ask for.
 
     Notes

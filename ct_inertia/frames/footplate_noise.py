@@ -34,12 +34,12 @@ def height_noise(diffusion: Diffusion, vertices: NDArray[np.intp], normals: Arra
     deviation = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
     k = np.linspace(0.0, 60.0 / sigma_mm, 6001)
     low = step_response(k, sigma_mm)
-    band = low * (1.0 - low) ** 2 * _kept(k, grain_mm)
+    band = low * (1.0 - low) ** 2 * _noise_transfer(k, grain_mm)
     share = float(np.sum(k * band**2) * (k[1] - k[0]) / (2.0 * np.pi))
     return deviation**2 / share
 
 
-def _kept(wave_number: Array, grain_mm: float) -> Array:
+def _noise_transfer(wave_number: Array, grain_mm: float) -> Array:
     """Return the share of the amplitude of noise that reaches the surface through its grid and smoothing."""
     return np.asarray(np.exp(-0.5 * (grain_mm * wave_number) ** 2))
 
@@ -90,7 +90,7 @@ def boundary_covariance(
     blur_mm, grain_mm = blur_and_grain_mm
     low = step_response(k, sigma_mm)
     lifted = 1.0 + 2.0 * (blur_mm / sigma_mm) ** 2 * (1.0 - low)
-    waves = k * low**2 * lifted * _kept(k, grain_mm)
+    waves = k * low**2 * lifted * _noise_transfer(k, grain_mm)
     line_density = density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
     influence, length = rim_influence(frame, patch, areas, centres, angle_deg, weight)
     influence = influence / rim_curvature(patch, angle_deg)[:, None]

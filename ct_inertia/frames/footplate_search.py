@@ -56,7 +56,7 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
     22 degrees and lies within 8 % of the body's diameter of the extreme plane. Side views of the arch,
     the head and the lateral side of the footplate score less: narrow, small, or not at an extremity.
     """
-    centres, vectors = _pooled(mesh, _CELL * extent_mm)
+    centres, vectors = _pool(mesh, _CELL * extent_mm)
     areas = np.linalg.norm(vectors, axis=1)
     pieces = (centres, vectors / np.maximum(areas[:, None], 1e-30), areas)
     directions = sphere(_DIRECTIONS)
@@ -91,7 +91,7 @@ def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: fl
     return scores
 
 
-def _pooled(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:
+def _pool(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:
     """Pool faces by cells of space and main direction: centres (n, 3) and area vectors (n, 3).
 
     Pooling averages the noise of single normals and leaves few pieces of a fine mesh.

@@ -66,7 +66,7 @@ def read_landmarks(path: Path) -> dict[str, Array]:
             path.name,
             next_step="Save the landmarks in one of these formats",
         )
-    return _checked(reader(path), path.name)
+    return _check(reader(path), path.name)
 
 
 def normal_name(name: str) -> str:
@@ -75,7 +75,7 @@ def normal_name(name: str) -> str:
     return spelled.replace("center", "centre")
 
 
-def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]:
+def _check(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]:
     by_name: dict[str, Array] = {}
     faults = []
     for label, point in points:

@@ -111,7 +111,7 @@ def plane_faces(
     flags = np.zeros(len(mesh.points), dtype=bool) if on_border is None else on_border
     count = np.count_nonzero(flags[mesh.faces], axis=1)
     directions = sphere(_DIRECTIONS)
-    normals = _smoothed(mesh, vectors)
+    normals = _smooth(mesh, vectors)
     centres = mesh.points[mesh.faces].mean(axis=1)
     nearest = _nearest(directions, normals)
     faces: list[PlaneFace] = []
@@ -156,7 +156,7 @@ def _nearest(directions: Array, normals: Array) -> NDArray[np.intp]:
     return np.concatenate([np.zeros(0, dtype=np.intp), *nearest])
 
 
-def _smoothed(mesh: Mesh, vectors: Array) -> Array:
+def _smooth(mesh: Mesh, vectors: Array) -> Array:
     """Return unit normals (m, 3) of the faces, averaged over two rings of neighbours."""
     for _ in range(2):
         at_vertices = np.stack(

@@ -72,16 +72,14 @@ def fit_to_grey_values(
     rest = [other for other in known if all(other is not face for face in faces)]
     for place, face in enumerate(faces):
         others = [*result[:place], *result[place + 1 :], *rest]
-        fitted = None if face.at_border else _fitted(face, others, volume, sigma_mm)
+        fitted = None if face.at_border else _fit(face, others, volume, sigma_mm)
         if fitted is not None and abs(face.distance(fitted.point_mm[None])[0]) > _FAR * sigma_mm:
-            fitted = _fitted(fitted, others, volume, sigma_mm)
+            fitted = _fit(fitted, others, volume, sigma_mm)
         result[place] = face if fitted is None else fitted
     return result
 
 
-def _fitted(
-    face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float
-) -> PlaneFace | None:
+def _fit(face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float) -> PlaneFace | None:
     columns = _columns(face, others, volume, sigma_mm)
     if columns is None:
         return None
@@ -154,7 +152,7 @@ def _columns(
     points = volume.scan_points(crossing)
     first = np.round(crossing[:, axis]).astype(int) - half
     keep = (first >= low[axis]) & (first + 2 * half < high[axis])
-    keep &= _covered(face, points)
+    keep &= _is_covered(face, points)
     others = [other for other in others if _ends(face, other)]
     for other in others:
         keep &= other.distance(points) < -_CLEAR * sigma_mm
@@ -170,14 +168,14 @@ def _columns(
     grey = stack[row, column, place].astype(float)
     height = (first[keep][:, None] + np.arange(2 * half + 1) - crossing[keep, axis][:, None]) * across[axis]
     crossing[:, axis] = 0.0
-    beside_others = _left_by(
+    beside_others = _share_beyond_blur(
         others, volume.scan_points(crossing[keep]), place + low[axis], steps[:, axis], sigma_mm
     )
     finite = np.all(np.isfinite(grey), axis=1)
     return points[keep][finite], grey[finite], height[finite], beside_others[finite]
 
 
-def _left_by(
+def _share_beyond_blur(
     others: Sequence[PlaneFace], feet: Array, index: NDArray[np.int64], step: Array, sigma_mm: float
 ) -> Array:
     """Return what the blur across other faces leaves of the material, (n, k), in voxels of columns.
@@ -213,7 +211,7 @@ def _ends(face: PlaneFace, other: PlaneFace) -> bool:
     return float(np.mean(other.distance(face.samples_mm) < _OUTSIDE_MM)) > _INSIDE
 
 
-def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
+def _is_covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     """Return which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
     # The grid lies about the middle of the face, so that one sample at the rim does not shift every cell.
     cells = np.floor((face.samples_mm - face.point_mm) @ face.basis / _CELL_MM).astype(int)
@@ -221,7 +219,7 @@ def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     cells -= start
     seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
     seen[cells[:, 0], cells[:, 1]] = True
-    inner = _closed(seen)
+    inner = _close_gaps(seen)
     place = np.floor((points - face.point_mm) @ face.basis / _CELL_MM).astype(int) - start
     valid = np.all((place >= 0) & (place < np.array(seen.shape)), axis=1)
     result = np.zeros(len(points), dtype=bool)
@@ -229,7 +227,7 @@ def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     return result
 
 
-def _closed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _close_gaps(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return cells (n, m) and those between them: grown by one all round and shrunk again."""
     for joined in (np.logical_or, np.logical_and):
         for axis in range(2):

@@ -107,7 +107,7 @@ def plate_frame(
     else:
         faces = large_faces(plate, on_border)
     if volume is not None:
-        faces = [_placed_border(face, volume) for face in faces]
+        faces = [_place_border(face, volume) for face in faces]
     covered: tuple[Notice, ...] = ()
     main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))
     sides = _sides(faces, main)
@@ -118,7 +118,7 @@ def plate_frame(
     frame = _frame(main, sides)
     weights = _agreeing(main, sides, frame)
     frame = _frame(main, sides, frame.along, weights)
-    covariance = _propagated(main, sides, frame, weights)
+    covariance = _propagate(main, sides, frame, weights)
     notices = (*_notices(frame, sides), *covered)
     transform = RigidTransform.from_parts(frame.axes, frame.origin, "scan", "plate")
     return PlateFrame(
@@ -138,7 +138,7 @@ class _PlatePose:
     along: int
 
 
-def _placed_border(face: PlaneFace, volume: Volume) -> PlaneFace:
+def _place_border(face: PlaneFace, volume: Volume) -> PlaneFace:
     """Return a face at the border of the field of view where that border is: half a voxel outside."""
     if not face.at_border:
         return face
@@ -279,11 +279,11 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
     owners = np.full(4, -1)
     directions = np.array([line[0] / np.linalg.norm(line[0]) for line in lines]).reshape(-1, 2)
     for place, (across, offset) in enumerate(lines):
-        polygon, owners = _clipped(polygon, owners, across, offset, place)
+        polygon, owners = _clip(polygon, owners, across, offset, place)
     open_side = bool(np.any(owners < 0))
     for across, offset in _hull_sides(points) if open_side else ():
         if not np.any(directions @ across > _COVERED):
-            polygon, owners = _clipped(polygon, owners, across, offset, -1)
+            polygon, owners = _clip(polygon, owners, across, offset, -1)
     if len(polygon) < 3:
         raise CtInertiaError.of(
             "the sides of the plate",
@@ -301,7 +301,7 @@ def _hull_sides(points: Array) -> list[tuple[Array, float]]:
     return [(np.array(side[:2]), -float(side[2])) for side in ConvexHull(points).equations]
 
 
-def _clipped(
+def _clip(
     polygon: Array, owners: NDArray[np.int_], across: Array, offset: float, owner: int
 ) -> tuple[Array, NDArray[np.int_]]:
     """Keep the part of a convex polygon where ``across . p <= offset`` and name the new edge's line."""
@@ -331,7 +331,7 @@ def _centroid(polygon: Array) -> Array:
     return np.asarray(np.array([(x + x2) @ cross, (y + y2) @ cross]) / (3.0 * cross.sum()))
 
 
-def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose, weights: Array) -> Array:
+def _propagate(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose, weights: Array) -> Array:
     """Carry the covariance of every plane to the frame by finite differences, (6, 6), m and rad."""
     covariance = np.zeros((6, 6))
     planes = [main, *sides]

@@ -37,10 +37,10 @@ class Cupping:
 
     def at(self, places_mm: Array) -> Array:
         """Return the grey value (n,) above level and slope at places (n, 3) from the box's first voxel."""
-        return self.curvature * _left(places_mm, self.plane)
+        return self.curvature * _residual(places_mm, self.plane)
 
 
-def _left(places_mm: Array, plane: Array) -> Array:
+def _residual(places_mm: Array, plane: Array) -> Array:
     squared = places_mm[:, 0] ** 2 + places_mm[:, 1] ** 2
     return np.asarray(squared - plane[0] - places_mm @ plane[1:])
 
@@ -93,7 +93,7 @@ def find_cupping(
     shown = curvature * float(radial.std())
     if curvature < _SIGNIFICANT * sd or shown < _LEAST_RMS * contrast:
         return None
-    low, high = np.percentile(curvature * _left(places, plane), [1.0, 99.0])
+    low, high = np.percentile(curvature * _residual(places, plane), [1.0, 99.0])
     return Cupping(curvature, plane, float(high - low) / contrast)
 
 

@@ -71,7 +71,7 @@ def long_tails(edges: Profiles | None, level_sd: float) -> bool:
 
 def _cumulant(edges: Profiles, level_sd: float) -> float:
     """Return the fourth cumulant of the mean edge in its standard deviations."""
-    u = _normalised(edges.values.mean(axis=0))
+    u = _normalise(edges.values.mean(axis=0))
     factor, sd = _last_factor(-(u**3 - 3.0 * u) * _bell(u), u, edges, (_SHAPE_MODEL_SD, level_sd))
     return factor / sd
 
@@ -101,7 +101,7 @@ def skewness(
         found = seen()
         if found is None:
             return 0.0
-        u = _normalised(found.values.mean(axis=0))
+        u = _normalise(found.values.mean(axis=0))
         factor, sd = _last_factor((u**2 - 1.0) * _bell(u), u, found, (_SKEWNESS_SD, level_sd))
         factor -= _USUAL_SKEWNESS
         if abs(factor) < _SIGNIFICANT_SKEWNESS * sd:
@@ -126,7 +126,7 @@ def _last_factor(
     return float(row @ (profile - normal_cdf(u))), float(np.sqrt(variance))
 
 
-def _normalised(profile: Array) -> Array:
+def _normalise(profile: Array) -> Array:
     """Return the places from the middle of the blurred step that fits a profile, in its widths."""
     (shift, width), _ = _fit_edge(profile, 0.0)
     return np.asarray((PLACES - shift) / width)

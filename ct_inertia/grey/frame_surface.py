@@ -62,7 +62,7 @@ def frame_surface(share: NDArray[np.float32], scan_from_index: Array, sigma_mm: 
     part, transform, variance = coarse_share(share, scan_from_index)
     surface = iso_surface(straightened(part), 0.0, transform)
     shift = thin_wall_shift(surface, part, transform, float(np.sqrt(sigma_mm**2 + variance)))
-    return FrameSurface(_lifted(surface, shift), blur_on_grid(sigma_mm, transform, variance), shift)
+    return FrameSurface(_lift(surface, shift), blur_on_grid(sigma_mm, transform, variance), shift)
 
 
 def coarse_share(
@@ -99,7 +99,7 @@ def blur_on_grid(sigma_mm: float, transform: Array, variance_mm2: float) -> floa
     return float(np.sqrt(sigma_mm**2 + variance_mm2 + chords))
 
 
-def _lifted(surface: Surface, shift_mm: Array) -> Surface:
+def _lift(surface: Surface, shift_mm: Array) -> Surface:
     return Surface(surface.vertices_mm + shift_mm[:, None] * vertex_normals(surface), surface.faces)
 
 
@@ -158,7 +158,7 @@ def doubted_surface(
         known = frame_surface(share + doubt, scan_from_index, sigma_mm)
     elif float(np.mean(known.wall_shift_mm)) < _THIN_WALLS_MM:
         return None
-    return _lifted(known.surface, _WALL_SD * known.wall_shift_mm)
+    return _lift(known.surface, _WALL_SD * known.wall_shift_mm)
 
 
 def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:

@@ -117,7 +117,7 @@ def fit_bodies(
     voxels = _Voxels(filled)
     grey = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
     data = voxels.of(grey)
-    calm = voxels.of(_calmed(grey, noise / contrast, most_smoothing))
+    calm = voxels.of(_calm(grey, noise / contrast, most_smoothing))
     compared = voxels.of(own)
     one_side = None if side is None else voxels.of(np.pad(side, _PAD))
     level = np.full(data.shape, 0.5, dtype=np.float32)
@@ -143,7 +143,7 @@ def fit_bodies(
                 break
         rest = np.where(compared, share - model, np.float32(0.0))
         near = (model > 0.05) & (model < 0.95) & compared
-        shift = _smoothed(rest, near, voxels, width, one_side)
+        shift = _smooth(rest, near, voxels, width, one_side)
         level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
     core = tuple(slice(_PAD, -_PAD) for _ in range(3))
     if not fit_contrast:
@@ -173,7 +173,7 @@ class _Voxels:
         return grid
 
 
-def _smoothed(
+def _smooth(
     rest: NDArray[np.float32],
     near: NDArray[np.bool_],
     voxels: _Voxels,
@@ -192,7 +192,7 @@ def _smoothed(
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
 
 
-def _calmed(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
+def _calm(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
     """Smooth the grey values that the surface is taken from, in step with their noise."""
     width = min(_CALM_PER_NOISE * noise, most)
     return gaussian(data, width, truncate=3.0) if width > 0.2 else data

@@ -161,7 +161,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     if not (_CLIPPED < pile < _MOST_CLIPPED and least <= 0.0):
         slope = _slope(total, around.spacing_mm, noise * float(np.sqrt(correlation)))
         return Air(level, noise, sd, correlation, 0.0, least, slope=slope)
-    level, single = _censored(level, pile, least)
+    level, single = _fit_censored(level, pile, least)
     # Clipping takes the same share off the scatter of means as off that of the voxels in them.
     noise = (
         single if around.single is None else noise * single / max(float(ones[air].std(dtype=float)), 1e-12)
@@ -212,7 +212,7 @@ def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, fl
     return slope[0], slope[1], slope[2]
 
 
-def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
+def _fit_censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
     """Return level and noise of a normal distribution of which a share ``pile`` was raised to ``lowest``.
 
     With a = (level - lowest) / noise: pile = Phi(-a), mean - lowest = noise (a Phi(a) + phi(a)).

@@ -118,7 +118,7 @@ def measure_stapes(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = N
     levels = (air.level, bone.level)
     parted = separate_from_neighbours(cut, distances, bare.reach_mm, volume.spacing_mm, levels, bare.blur[0])
     share = _share(cut, parted, air, bone, bare.blur[:2])
-    moments, bone, shading = _integrated(share, bone, air, volume, cut)
+    moments, bone, shading = _integrate(share, bone, air, volume, cut)
     wall = Later(window_wall, cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD)
     through = cut_through_bone(cut, parted, (air.level, bone.level), volume, moments)
     covariance = through.covariance + _by_tails(parted, cut, volume, moments)
@@ -167,7 +167,7 @@ def _bone_and_blur(ready: Prepared, spacing_mm: Array) -> tuple[Bone, Blur, bool
     return bone, blur, fit is not None
 
 
-def _integrated(
+def _integrate(
     share: Share, bone: Bone, air: Air, volume: Volume, cut: Cut
 ) -> tuple[Moments, Bone, list[Notice]]:
     """Integrate grey values, with what their changes across bone and air leave uncertain.

@@ -128,7 +128,7 @@ def separate_from_neighbours(
     if np.any(cut.stapes & (away < _SHIFTED_SIGMAS * sigma_mm)):
         off = np.abs(distance_mm - away) / np.float32(0.5 * _CLOSE_SIGMAS * sigma_mm)
         off[~tight] = 1.0
-    return _modelled(cut, (own, off), reach, close, reach_mm, spacing_mm, levels, sigma_mm)
+    return _model(cut, (own, off), reach, close, reach_mm, spacing_mm, levels, sigma_mm)
 
 
 def neighbour_share(cut: Cut, levels: tuple[float, float]) -> float:
@@ -151,7 +151,7 @@ def _exchanging(sigma_mm: float) -> float:
     return 2.0 * sigma_mm * float(z[layer > _THIN_LAYER_MM].max(initial=0.0))
 
 
-def _modelled(
+def _model(
     cut: Cut,
     border: tuple[NDArray[np.bool_], NDArray[np.float32] | None],
     reach: NDArray[np.bool_],
@@ -189,7 +189,7 @@ def _modelled(
     alike, body = fitted(own[box])
     if off is not None:
         share = np.where(known, alike / np.float32(bone - air), blurred(body, sigma_mm, spacing))
-        sharp = _sharpened(body, share, sigma_mm, spacing)
+        sharp = _sharpen(body, share, sigma_mm, spacing)
         free = off[box] < 1.0
         markers = np.where(free, 0, np.where(own[box], 1, 2 * (reach | cut.others)[box])).astype(np.int32)
         basins = flood_from_markers(sharp + np.float32(_HELD) * off[box], markers, free | (markers > 0))
@@ -203,7 +203,7 @@ def _modelled(
     return NeighbourSeparation(own, foreign, behind)
 
 
-def _sharpened(
+def _sharpen(
     body: NDArray[np.float32], share: NDArray[np.float32], sigma_mm: float, spacing: Array
 ) -> NDArray[np.float32]:
     """Undo part of the blur of shares [z, y, x], from a body of about their shape on.

@@ -102,7 +102,7 @@ def _raw(share: Share, axes: Array, middle: Array) -> Array:
     """Return the sums of w p p^T with p = (1, place about the middle), (4, 4)."""
     kernels, contrast, raw = compiled(), share.bone - share.air, np.zeros((4, 4))
     if kernels is not None:
-        index, grey, turn = _kept(share.index, share.grey, axes)
+        index, grey, turn = _select(share.index, share.grey, axes)
         given = (index.ctypes.data, grey.ctypes.data, len(grey), turn.ctypes.data, middle.ctypes.data)
         kernels.raw_moments(*given, share.air, contrast, raw.ctypes.data)
         return raw
@@ -123,7 +123,7 @@ def _answers(
     noise, to_air, to_bone = np.zeros((10, 10)), np.zeros(10), np.zeros(10)
     step = max(1, len(share.grey) // _ENOUGH) | 1
     if kernels is not None:
-        index, grey, own, turn = _kept(share.index, share.grey, share.noise, axes)
+        index, grey, own, turn = _select(share.index, share.grey, share.noise, axes)
         kernels.answers(
             *(index.ctypes.data, grey.ctypes.data, own.ctypes.data, len(grey), step),
             *(turn.ctypes.data, middle.ctypes.data, centroid.ctypes.data),
@@ -142,7 +142,7 @@ def _answers(
     return to_air, to_bone, noise
 
 
-def _kept(*arrays: Array) -> list[Array]:
+def _select(*arrays: Array) -> list[Array]:
     return [np.ascontiguousarray(array, dtype=float) for array in arrays]
 
 

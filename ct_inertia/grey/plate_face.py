@@ -111,7 +111,7 @@ def face_near(
     plane = _agreed_plane(points, normals, body, _AGREED_VOXELS * voxel)
     if plane is None or _flatness(points, normals, plane, voxel) < _FLAT:
         return None
-    return _refined(volume, cut, free, plane, (air, plastic, sigma), points)
+    return _refine(volume, cut, free, plane, (air, plastic, sigma), points)
 
 
 def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.bool_]) -> Array:
@@ -259,7 +259,7 @@ def _flatness(points: Array, normals: Array, plane: tuple[Array, float], voxel_m
     return float(np.mean(np.abs(away[alike]) < max(_AGREED_VOXELS * voxel_mm, 3.0 * scatter)))
 
 
-def _refined(
+def _refine(
     volume: Volume,
     cut: Cut,
     free: NDArray[np.bool_],

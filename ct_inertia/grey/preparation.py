@@ -76,7 +76,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     spacing_mm : ndarray, (3,)
     """
     rim = grow_mask(grow_mask(cut.stapes))
-    first = _located(cut, rim, (guess.air, guess.bone), spacing_mm, guess.air)
+    first = _locate(cut, rim, (guess.air, guess.bone), spacing_mm, guess.air)
     cut, air, sigma = first.cut, first.air, first.sigma_mm
     own = first.distance_mm <= first.reach_mm
     stored = clipped_levels(first.around, air, first.shell, sigma)
@@ -88,7 +88,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
             sigma = blur_of(replace(cut, grey=now), rim, (air.level, bone), spacing_mm, air.noise)[0]
         cut = replace(cut, grey=now)
     elif air.clipped:
-        cut = replace(cut, grey=_unclipped(cut, first.around, own, air, bone, sigma))
+        cut = replace(cut, grey=_unclip(cut, first.around, own, air, bone, sigma))
     around = replace(first.around, grey=cut.grey)
     foreign = cut.others | cut.plate
     noise = air.noise / (bone - air.level)
@@ -111,7 +111,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     if grey is cut.grey:
         reach, distance = first.reach_mm, first.distance_mm
         return Prepared(cut, around, air, stored, 0.0, sigma, reach, distance, edges, ())
-    again = _located(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
+    again = _locate(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
     air = replace(again.air, clipped=air.clipped, sd=max(air.sd, again.air.sd))
     long = spacing_mm.max() > _LONG_VOXELS * spacing_mm.min()
     notices = [] if uneven is None or long else [uneven_notice(uneven)]
@@ -142,7 +142,7 @@ class _Located:
     distance_mm: NDArray[np.float32]
 
 
-def _located(
+def _locate(
     cut: Cut,
     rim: NDArray[np.bool_],
     levels: tuple[float, float],
@@ -178,7 +178,7 @@ def blur_of(
     return edge[0], edge[1], "edges of the stapes"
 
 
-def _unclipped(
+def _unclip(
     cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
 ) -> NDArray[np.float32]:
     """Subtract the bias of clipping, estimated from each voxel's surroundings, then from the body found."""

@@ -231,14 +231,14 @@ def _smooth_gradient(
     for o, h in zip(offsets, spacing, strict=True):
         k = np.exp(-0.5 * (o * h / width) ** 2)
         pairs.append(np.column_stack([k / k.sum(), k * (o * h) / (k @ (o * h) ** 2)]))
-    every = _smoothed(grey, index, pairs, reach)
+    every = _smooth(grey, index, pairs, reach)
     w, gradient = (every[:, 0] - air) / (bone - air), every[:, 1:] / (bone - air)
     square = [(pair**2).sum(axis=0) for pair in pairs]
     spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
     return w, gradient, spread
 
 
-def _smoothed(
+def _smooth(
     grey: NDArray[np.float32], index: NDArray[np.int64], pairs: list[Array], reach: NDArray[np.int_]
 ) -> Array:
     """Return the value and its slopes along z, y, x at places, (n, 4), by weights (k, 2) for each axis."""

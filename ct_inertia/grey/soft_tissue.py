@@ -102,7 +102,7 @@ def subtract_soft_tissue(
     then m = (w - b) / (1 - b) takes the place of w. Inside bone that changes nothing. Where fluid lies around
     the stapes, its level is the 0, and b is negative in bubbles.
     """
-    if not _seen(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
+    if not _sees_soft_tissue(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
         return None
     soft = taken_off(cut, distances_mm, reach_mm, spacing_mm, levels[:2], sigma_mm)
     return soft if np.any(soft.taken) else None
@@ -172,7 +172,7 @@ def taken_off(
     return SoftTissue(grey, whole, level)
 
 
-def _seen(
+def _sees_soft_tissue(
     cut: Cut,
     distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
     reach_mm: float,

@@ -100,7 +100,7 @@ def _seen_thickness(
     open_ = np.arange(len(points_mm))
     before, most = np.full(len(points_mm), 0.5), np.zeros(len(points_mm))
     for k in range(1, int((_THICK + 1.0) / _STEP)):
-        now = _sampled(share, start[open_] + (k * step) * along[open_])
+        now = _sample(share, start[open_] + (k * step) * along[open_])
         # Noise right behind the surface is no second face.
         ends = (now < 0.5) & (k * step > 0.5 * blur_mm)
         which = open_[ends]
@@ -113,7 +113,7 @@ def _seen_thickness(
     return seen, most
 
 
-def _sampled(share: NDArray[np.float32], index: Array) -> Array:
+def _sample(share: NDArray[np.float32], index: Array) -> Array:
     """Return a field [z, y, x] at places (n, 3), index x, y, z, by trilinear interpolation; 0 outside."""
     size = np.array(share.shape[::-1])
     inside = np.all((index >= 0.0) & (index < size - 1.000001), axis=1)

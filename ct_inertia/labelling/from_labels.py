@@ -61,12 +61,12 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions, coat: Coat
     numbers = body_numbers(labels, options.stapes_label, options.plate_label)
     _check_labels(labels, numbers[0])
     stapes, islands = without_islands(labels, numbers[0])
-    labels = _renumbered(labels, stapes, numbers)
+    labels = _renumber(labels, stapes, numbers)
     bodies = _labels_alone(labels, options) if volume is None else _with_grey(volume, labels, options, coat)
     return replace(bodies, notices=(*bodies.notices, *islands))
 
 
-def _renumbered(labels: Volume, stapes: NDArray[np.bool_], numbers: tuple[int, int | None]) -> Volume:
+def _renumber(labels: Volume, stapes: NDArray[np.bool_], numbers: tuple[int, int | None]) -> Volume:
     """Return labels with the numbers of the results: stapes, plate, other bone; islands are background."""
     array = np.where(labels.array != 0, np.uint8(OTHER_BONE), np.uint8(0))
     array[np.asarray(labels.array == numbers[0])] = 0
@@ -116,7 +116,7 @@ def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
     )
     return Bodies(
         volume=labels,
-        labels=_labelled(stapes, plate, rest, labels),
+        labels=_label(stapes, plate, rest, labels),
         stapes=surface,
         frame_surface=surface,
         plate=plate_mesh,
@@ -173,7 +173,7 @@ def label_surface(mask: NDArray[np.bool_], grid: Volume, moments: Moments | None
     return moment_matched(field, moments, transform)[0]
 
 
-def _labelled(
+def _label(
     stapes: NDArray[np.bool_], plate: NDArray[np.bool_], rest: NDArray[np.bool_], grid: Volume
 ) -> LabelledVolume:
     index = np.nonzero(stapes | plate | rest)
@@ -287,7 +287,9 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         guess = replace(guess, plastic=unlabelled.sight.plastic)
         plate = unlabelled.mask(first, grey) & ~stapes & ~rest
     ends = _cut_by_labels(volume, labels, offset, 0.5 * (guess.air + guess.bone))
-    cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
+    cut = _cut_by_grey_values(
+        Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm
+    )
     measured = measure_stapes(volume, cut, guess, coat)
     moments = measured.moments
     if options.voxel_size_sd is not None:
@@ -306,7 +308,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         plate_all = unlabelled.mask(offset, replace_non_finite(volume.array[part], volume)) & (every == 0)
         plate_mesh = surface_with_planes(volume, unlabelled.sight, unlabelled.region)
     mask = every == STAPES
-    labelled = _labelled(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
+    labelled = _label(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
     bare = (
         () if coat is not None else (bare_bone_notice(coarse.surface, moments.volume_mm3, measured.sigma_mm),)
     )
@@ -366,7 +368,7 @@ def _guess(
     return Guess(air, bone)
 
 
-def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
+def _cut_by_grey_values(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
     """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
 
     Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between

@@ -84,10 +84,10 @@ def find_bodies(
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
     progress("measuring the stapes")
-    return _assembled(volume, sight, plate, plate_mesh, cut, options, coat)
+    return _assemble(volume, sight, plate, plate_mesh, cut, options, coat)
 
 
-def _assembled(
+def _assemble(
     volume: Volume,
     sight: CoarseSegmentation,
     plate: PlateRegion | None,

@@ -41,7 +41,7 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
     names = labels.segment_names
     where = "" if labels.source is None else Path(labels.source).name
     if stapes is None:
-        stapes = _named(names, r"stapes|stapedi", where)
+        stapes = _number_by_name(names, r"stapes|stapedi", where)
         if stapes is None and not _silent(names.get(STAPES_NUMBER, "")):
             listed = ", ".join(f"{number} {name}" for number, name in sorted(names.items()))
             raise CtInertiaError.of(
@@ -53,7 +53,7 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
             )
         stapes = STAPES_NUMBER if stapes is None else stapes
     if plate is None:
-        plate = _named(names, r"(?<!foot)(?<!foot[ _-])plate", where, stapes)
+        plate = _number_by_name(names, r"(?<!foot)(?<!foot[ _-])plate", where, stapes)
         if plate is None and stapes != PLATE_NUMBER and _silent(names.get(PLATE_NUMBER, "")):
             plate = PLATE_NUMBER
     if plate == stapes:
@@ -67,7 +67,9 @@ def _silent(name: str) -> bool:
     return _AUTOMATIC.fullmatch(name.strip()) is not None
 
 
-def _named(names: Mapping[int, str], pattern: str, where: str, other: int | None = None) -> int | None:
+def _number_by_name(
+    names: Mapping[int, str], pattern: str, where: str, other: int | None = None
+) -> int | None:
     """Return the number of the segment whose name holds a pattern."""
     matching = [n for n, name in names.items() if n != other and re.search(pattern, name, re.IGNORECASE)]
     exact = [n for n in matching if re.fullmatch(pattern, names[n].strip(), re.IGNORECASE)]

@@ -48,7 +48,7 @@ class PointMass:
         """Return its ten inertial parameters about a point (3,) in scan mm, scan axes, SI."""
         arm = (self.position_mm - about_mm) * (1e-3 * length_scale)
         tensor = self.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return np.concatenate([[self.mass_kg], self.mass_kg * arm, _packed(tensor)])
+        return np.concatenate([[self.mass_kg], self.mass_kg * arm, _pack(tensor)])
 
 
 def point_masses(rows: Iterable[Sequence[float]]) -> tuple[PointMass, ...]:
@@ -285,7 +285,7 @@ def plate_axes_mass_matrix(
     return MassMatrix(moved.about, moved.axes, moved.parameters, contributions)
 
 
-def _packed(tensor: Array) -> Array:
+def _pack(tensor: Array) -> Array:
     """Return the six numbers of a symmetric tensor in the order xx, yy, zz, xy, yz, xz."""
     return np.array([tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]])
 
@@ -293,7 +293,7 @@ def _packed(tensor: Array) -> Array:
 def unit_parameters(moments: Moments) -> Array:
     """Return the inertial parameters about the centroid per unit density (kg/m3), SI."""
     tensor = moments.inertia_mm5 * 1e-15
-    return np.concatenate([[moments.volume_mm3 * 1e-9], np.zeros(3), _packed(tensor)])
+    return np.concatenate([[moments.volume_mm3 * 1e-9], np.zeros(3), _pack(tensor)])
 
 
 def _by_moments(moments: Moments) -> Array:

@@ -47,7 +47,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     end = re.search(rb"^@1[ \t]*\r?\n", start, re.M)
     if end is None:
         raise header_fault(path, "Amira lattice", "a header without data @1")
-    text = _decoded(start[: end.start()])
+    text = _decode(start[: end.start()])
     size = _sizes(text, path)
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
     if field is None or field[1] not in _TYPES or field[2] not in (None, "[1]"):
@@ -80,7 +80,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     return replace(grid_volume(grid, path, options), segment_names=_materials(text))
 
 
-def _decoded(header: bytes) -> str:
+def _decode(header: bytes) -> str:
     try:
         return header.decode("utf-8")
     except UnicodeDecodeError:

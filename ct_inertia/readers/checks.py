@@ -73,7 +73,7 @@ def settle_spacing(
         spacing = np.broadcast_to(values, 3).copy()
         if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
             text = (
-                f"{name} says voxels of {_listed(from_file)} mm; the given {_listed(spacing)} mm were used."
+                f"{name} says voxels of {_numbers(from_file)} mm; the given {_numbers(spacing)} mm were used."
             )
             return spacing, (Notice("spacing_overridden", text),)
         return spacing, ()
@@ -285,5 +285,5 @@ def amount(count: int) -> str:
     return f"{count} bytes"
 
 
-def _listed(values: Array) -> str:
+def _numbers(values: Array) -> str:
     return " x ".join(f"{v:.6g}" for v in values)

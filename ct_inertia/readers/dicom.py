@@ -138,7 +138,7 @@ def _read_folder(folder: Path, options: ReadOptions) -> Volume:
         raise CtInertiaError.of(
             "the folder",
             "one DICOM series",
-            f"{len(series)} series{_listed(folder, series)}",
+            f"{len(series)} series{_describe_series(folder, series)}",
             folder.name,
             "Put the slices of one scan into a folder of their own",
         )
@@ -277,7 +277,7 @@ def _array(slices: Sequence[_Slice]) -> NDArray[Any]:
     return BlockArray((len(slices), ny, nx), dtype, (1, ny, nx), plane).as_array()
 
 
-def _listed(folder: Path, series: Sequence[str]) -> str:
+def _describe_series(folder: Path, series: Sequence[str]) -> str:
     """Return what the series of a folder are called and how many slices each has."""
     import SimpleITK as sitk
 

@@ -124,11 +124,11 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
         if not file.is_file():
             raise no_data_file(path, file)
     if len(grid.files) > 1:
-        return _stacked(grid, path)
+        return _stack(grid, path)
     file, offset = grid.files[0]
     if grid.packing == "raw":
         return mapped(file, grid.dtype, offset, shape, path.name)
-    return _unpacked(file, offset, grid, shape, path)
+    return _unpack(file, offset, grid, shape, path)
 
 
 def check_dimensions(size: Sequence[int], name: str) -> None:
@@ -137,7 +137,7 @@ def check_dimensions(size: Sequence[int], name: str) -> None:
         raise not_three_dimensional(name, size)
 
 
-def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
+def _stack(grid: Grid, path: Path) -> NDArray[Any]:
     """Return slabs of a volume that lie in a file each, mapped when they are asked for."""
     nx, ny, nz = grid.size
     count = len(grid.files)
@@ -160,12 +160,12 @@ def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
         file, offset = grid.files[z]
         if grid.packing == "raw":
             return mapped(file, grid.dtype, offset, shapes[z], file.name)
-        return _unpacked(file, offset, grid, shapes[z], path)
+        return _unpack(file, offset, grid, shapes[z], path)
 
     return BlockArray((nz, ny, nx), grid.dtype, (depth, ny, nx), slab).as_array()
 
 
-def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: Path) -> NDArray[Any]:
+def _unpack(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: Path) -> NDArray[Any]:
     if grid.skip > _MOST_SKIPPED:
         raise header_fault(path, "header", f"voxels at byte {grid.skip}")
     stored = file.stat().st_size - max(offset, 0)

@@ -68,7 +68,7 @@ def mapped(
     if length <= 2 * _PIECE_BYTES:  # not worth a map
         data = _read(file, offset, needed)
         return np.ndarray(tuple(shape), dtype, data, 0, _strides(shape, dtype, step))
-    pages = _guarded_map(file, length, offset - start) if len(shape) == 3 or compiled() is not None else None
+    pages = _guard_map(file, length, offset - start) if len(shape) == 3 or compiled() is not None else None
     if pages is None:
         return _pieces(file, dtype, offset, shape, step)
     return np.ndarray(tuple(shape), dtype, pages, start, _strides(shape, dtype, step))
@@ -91,7 +91,7 @@ def read_at(file: Path, offset: int, count: int) -> bytes:
     return bytes(_read(file, offset, count))
 
 
-def _guarded_map(file: Path, length: int, offset: int) -> mmap.mmap | None:
+def _guard_map(file: Path, length: int, offset: int) -> mmap.mmap | None:
     kernels = compiled()
     if kernels is None:
         return None

@@ -74,7 +74,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
         raise several_values(path, f"{count} (a colour, vector or time image)")
-    labels, notice = _flattened(grid_array(grid, path), segments)
+    labels, notice = _flatten(grid_array(grid, path), segments)
     volume = grid_volume(grid, path, options, labels)
     names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
     return replace(volume, notices=(*volume.notices, notice), segment_names=names)
@@ -295,7 +295,7 @@ def _segments(keys: dict[str, str], path: Path) -> list[tuple[int, int, str]]:
     return segments
 
 
-def _flattened(layered: NDArray[Any], segments: list[tuple[int, int, str]]) -> tuple[NDArray[Any], Notice]:
+def _flatten(layered: NDArray[Any], segments: list[tuple[int, int, str]]) -> tuple[NDArray[Any], Notice]:
     """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
     labels = np.zeros(layered.shape[:3], dtype=np.uint8 if len(segments) < 256 else np.uint16)
     for number, (layer, value, _) in enumerate(segments, start=1):

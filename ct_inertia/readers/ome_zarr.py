@@ -49,7 +49,7 @@ def read(folder: Path, options: ReadOptions) -> Volume:
         axes = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in scales["axes"]]
         levels = scales["datasets"]
         array = zarr_array(_level_folder(where, levels[0], options.follow))
-        placed = _placed(scales, levels[0], axes)
+        placed = _place(scales, levels[0], axes)
         voxels = _spatial(array, axes, folder)
         voxels.levels = tuple(_levels(where, scales, axes, folder, voxels.shape, options.follow))
     absent, total = array.missing()
@@ -106,7 +106,7 @@ def _attributes(folder: Path) -> Meta:
     return metadata(folder / ".zattrs") if (folder / ".zattrs").is_file() else {}
 
 
-def _placed(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, Array, str]:
+def _place(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, Array, str]:
     """Return spacing and origin x, y, z in mm, or None and what is known of the spacing."""
     scale, shift = np.ones(len(axes)), np.zeros(len(axes))
     has_scale = False

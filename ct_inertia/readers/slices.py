@@ -93,7 +93,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
         for p in folder.iterdir()
         if p.is_file() and p.suffix.lower() in SLICE_SUFFIXES and not _PREVIEW.search(p.stem)
     ]
-    for (number, name), path in zip(_numbered([path.stem for path in images]), images, strict=True):
+    for (number, name), path in zip(_number([path.stem for path in images]), images, strict=True):
         if number is not None:
             series[name, path.suffix.lower()].append((number, path))
     if not series or max(len(v) for v in series.values()) < 2:
@@ -134,7 +134,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     return [path for _, path in chosen], notices
 
 
-def _numbered(stems: Sequence[str]) -> list[tuple[int | None, str]]:
+def _number(stems: Sequence[str]) -> list[tuple[int | None, str]]:
     """Return of each name the number that counts slices, and the name with ``#`` in its place.
 
     Notes

@@ -75,13 +75,13 @@ def _text(stream: BinaryIO, _skip: int, array: NDArray[Any]) -> int:
     while filled < array.size and (piece := stream.read(_TEXT_BYTES)):
         words = (rest + piece).split()
         rest = b"" if piece[-1:] in _BLANKS else words.pop()
-        filled += _put(words, array[filled:])
+        filled += _store(words, array[filled:])
     if filled < array.size and rest:
-        filled += _put([rest], array[filled:])
+        filled += _store([rest], array[filled:])
     return filled * array.itemsize
 
 
-def _put(words: list[bytes], room: NDArray[Any]) -> int:
+def _store(words: list[bytes], room: NDArray[Any]) -> int:
     values = np.array([float(word) for word in words[: room.size]])
     part = room[: values.size]
     with np.errstate(invalid="ignore", over="ignore"):

@@ -43,7 +43,7 @@ def listening(path: Path, kind: str) -> Iterator[None]:
         yield
     except CtInertiaError as fault:
         if listener.damage:
-            raise _damaged(path, kind) from fault
+            raise _damage_error(path, kind) from fault
         raise
     except Exception as fault:
         raise not_readable(path, kind, fault) from fault
@@ -51,10 +51,10 @@ def listening(path: Path, kind: str) -> Iterator[None]:
         logger.removeHandler(listener)
         logger.propagate = propagate
     if listener.damage:
-        raise _damaged(path, kind)
+        raise _damage_error(path, kind)
 
 
-def _damaged(path: Path, kind: str) -> CtInertiaError:
+def _damage_error(path: Path, kind: str) -> CtInertiaError:
     return CtInertiaError.of(
         f"the {kind}",
         "complete",

@@ -55,7 +55,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     grid = Grid(
         (sizes[0][0], sizes[0][1], sum(size[2] for size in sizes)),
         _dtype(first, sections, path),
-        tuple((_beside(path, part), _skipped(part, path)) for part in files),
+        tuple((_beside(path, part), _header_length(part, path)) for part in files),
         *_spacing(sections),
         slab=sizes[0][2],
         notices=tuple(_notices(sections, path)),
@@ -98,7 +98,7 @@ def _number(name: str) -> int:
     return int(digits) if digits else 0
 
 
-def _required(key: str, part: dict[str, str], sections: Sections, path: Path) -> str:
+def _require(key: str, part: dict[str, str], sections: Sections, path: Path) -> str:
     value = part.get(key, sections.get("representation", {}).get(key))
     if value is None:
         raise header_fault(path, "VGI header", f"no {key}")
@@ -106,7 +106,7 @@ def _required(key: str, part: dict[str, str], sections: Sections, path: Path) ->
 
 
 def _size(part: dict[str, str], sections: Sections, path: Path) -> tuple[int, int, int]:
-    words = _required("size", part, sections, path).split()
+    words = _require("size", part, sections, path).split()
     try:
         x, y, z = (int(word) for word in words)
     except ValueError as fault:
@@ -115,8 +115,8 @@ def _size(part: dict[str, str], sections: Sections, path: Path) -> tuple[int, in
 
 
 def _dtype(part: dict[str, str], sections: Sections, path: Path) -> np.dtype:
-    kind = _KINDS.get(_required("datatype", part, sections, path).lower())
-    bits = _required("bitsperelement", part, sections, path)
+    kind = _KINDS.get(_require("datatype", part, sections, path).lower())
+    bits = _require("bitsperelement", part, sections, path)
     if (kind, bits) not in _STORED:
         raise header_fault(path, "VGI header", f"Datatype = {part.get('datatype')}, BitsPerElement = {bits}")
     order = ">" if part.get("byteorder", "").lower().startswith("big") else "<"
@@ -128,7 +128,7 @@ def _beside(path: Path, part: dict[str, str]) -> Path:
     return path.parent / name.replace("\\", "/").rsplit("/", 1)[-1]
 
 
-def _skipped(part: dict[str, str], path: Path) -> int:
+def _header_length(part: dict[str, str], path: Path) -> int:
     text = part.get("skipheader", "0")
     if not text.isdigit():
         raise header_fault(path, "VGI header", f"SkipHeader = {text}")

@@ -150,7 +150,7 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
     if meta.get("filters"):
         raise _unknown("filter", str(meta["filters"][0].get("id")), folder)
     compressor = meta.get("compressor")
-    steps = [] if compressor is None else [_known(str(compressor["id"]), folder)]
+    steps = [] if compressor is None else [_check_codec(str(compressor["id"]), folder)]
     order = meta.get("order", "C")
     if order not in ("C", "F"):
         raise header_fault(folder, "Zarr array", f"the order {str(order)[:40]!r}")
@@ -159,7 +159,7 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
 
     def read(at: Sequence[int]) -> NDArray[Any]:
         file = files.path(at)
-        return _unpacked(steps, _content(file), dtype, chunks, file).reshape(chunks, order=order)
+        return _unpack(steps, _content(file), dtype, chunks, file).reshape(chunks, order=order)
 
     return ZarrArray(folder, shape, chunks, dtype, meta.get("fill_value") or 0, read, files)
 
@@ -258,16 +258,16 @@ def _decoder(
             if sorted(axes) != list(range(len(chunks))):
                 raise header_fault(folder, "Zarr array", f"the order of axes {axes}")
         else:
-            steps.insert(0, _known(name.removeprefix("numcodecs."), folder))
+            steps.insert(0, _check_codec(name.removeprefix("numcodecs."), folder))
 
     def decode(data: bytes, file: Path) -> NDArray[Any]:
-        flat = _unpacked(steps, data, dtype, chunks, file)
+        flat = _unpack(steps, data, dtype, chunks, file)
         return flat.reshape([chunks[axis] for axis in axes]).transpose(np.argsort(axes))
 
     return decode, dtype
 
 
-def _unpacked(
+def _unpack(
     steps: Sequence[str], data: bytes, dtype: np.dtype, chunks: tuple[int, ...], file: Path
 ) -> NDArray[Any]:
     """Return the voxels (n,) of a chunk, unpacked into no more memory than they need."""
@@ -289,7 +289,7 @@ def _unpacked(
     return np.frombuffer(data, dtype)
 
 
-def _known(name: str, folder: Path) -> str:
+def _check_codec(name: str, folder: Path) -> str:
     if name not in CODECS:
         raise _unknown("codec", name, folder)
     return name

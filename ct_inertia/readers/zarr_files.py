@@ -63,11 +63,11 @@ class ZarrFiles:
             size = " x ".join(map(str, reversed(self.shape)))
             raise header_fault(self.folder, "Zarr array", f"a claim of {size} voxels")
         there = np.zeros(counts, dtype=np.bool_)
-        for at in self._found(counts):
+        for at in self._existing_chunks(counts):
             there[at] = True
         return there
 
-    def _found(self, counts: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    def _existing_chunks(self, counts: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         """Yield the numbers of the files that are there; folders that are not there hold none."""
         nested = self.separator == "/"
         folders: list[tuple[Path, tuple[int, ...]]] = [

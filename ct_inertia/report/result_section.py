@@ -64,7 +64,7 @@ def found_section(content: Mapping[str, Any]) -> page.Section:
         blocks += [
             page.subheading("Next to published human stapedes"),
             page.table(
-                ("", "found", "published", "z", "reference"), [_compared(row) for row in compared], words=True
+                ("", "found", "published", "z", "reference"), [_compare(row) for row in compared], words=True
             ),
         ]
     return page.Section("What was found", blocks, "literature")
@@ -81,7 +81,7 @@ def gap_words(evidence: Mapping[str, Any]) -> str:
     )
 
 
-def _compared(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _compare(row: Mapping[str, Any]) -> tuple[str, ...]:
     name, unit = NAMES[row["quantity"]]
     value, mean = (shown(row["quantity"], row[key]) for key in ("value", "mean"))
     sd = "" if row["sd"] is None else f" ± {shown(row['quantity'], row['sd']):.3g}"

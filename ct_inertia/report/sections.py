@@ -112,7 +112,9 @@ def write_report(
 def inputs_section(content: Mapping[str, Any]) -> page.Section:
     """Return inputs with hashes, options and versions."""
     provenance = content["provenance"]
-    options = [(key.replace("_", " "), _given(key, value)) for key, value in provenance["parameters"].items()]
+    options = [
+        (key.replace("_", " "), _option_text(key, value)) for key, value in provenance["parameters"].items()
+    ]
     versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
     return page.Section(
         "Inputs",
@@ -125,12 +127,12 @@ def inputs_section(content: Mapping[str, Any]) -> page.Section:
     )
 
 
-def _given(key: str, value: Any) -> str:
+def _option_text(key: str, value: Any) -> str:
     """Return the words for the value of an option."""
     if key in ("density", "mass_mg") and isinstance(value, list | tuple):
         return f"{value[0]:g}" if value[1] is None else f"{value[0]:g} ± {value[1]:g}"
     if isinstance(value, list | tuple):
-        return ", ".join(_given("", entry) for entry in value)
+        return ", ".join(_option_text("", entry) for entry in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -177,8 +179,8 @@ def _frames_table(content: Mapping[str, Any]) -> Any:
             continue
         sd = np.sqrt(np.diag(np.array(poses[f"scan_from_{key}"]["matrix_si"], dtype=float)))
         columns[f"{key} frame"] = [
-            _listed(frame.translation_mm, 4),
-            *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
+            _format_numbers(frame.translation_mm, 4),
+            *(_format_numbers(frame.rotation[:, axis], 4) for axis in range(3)),
             ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in sd[:3]),
             ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
         ]
@@ -194,7 +196,7 @@ def _frames_table(content: Mapping[str, Any]) -> Any:
     return page.table(("", *columns), rows)
 
 
-def _listed(values: Array, digits: int) -> str:
+def _format_numbers(values: Array, digits: int) -> str:
     return ", ".join(f"{value:+.{digits}f}" for value in values)
 
 

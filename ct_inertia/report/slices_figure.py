@@ -81,7 +81,7 @@ class Crop:
         inner = self.grey[self.labels == STAPES]
         self.window = (float(np.percentile(self.grey, 1)), float(np.percentile(inner, 97)))
         self.middle = _largest_sections(self.labels == STAPES)
-        self.cut = _cut(self.labels)
+        self.cut = _voxels_at_cut(self.labels)
         if np.any(self.cut):
             self.middle = _middle_of_largest(self.cut)
 
@@ -109,7 +109,7 @@ class Crop:
         return np.asarray(grey), shares
 
 
-def _cut(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _voxels_at_cut(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the voxels on both sides of the border where the stapes was cut off other bone."""
     from scipy.ndimage import binary_dilation
 

@@ -212,10 +212,10 @@ def with_holes_of(piece: Piece, inside: NDArray[np.bool_], spacing_mm: Array) ->
     if holes < 2 or not piece.possible:
         return replace(piece, holes=holes)
     padded = np.pad(inside, int(np.ceil(_PERFORATION_BALL_MM / float(np.min(spacing_mm)))) + 1)
-    return replace(piece, holes=holes, perforated=_perforated(padded, spacing_mm))
+    return replace(piece, holes=holes, perforated=_is_perforated(padded, spacing_mm))
 
 
-def _perforated(inside: NDArray[np.bool_], spacing_mm: Array) -> bool:
+def _is_perforated(inside: NDArray[np.bool_], spacing_mm: Array) -> bool:
     if count_holes(closed(inside, spacing_mm, _PERFORATION_BALL_MM)) != 1:
         return False
     return count_holes(closed(inside, spacing_mm, HALF_GAP_MM)) > 1

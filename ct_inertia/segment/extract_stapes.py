@@ -101,7 +101,7 @@ def extract_stapes(volume: Volume, sight: CoarseSegmentation, plate: Callable[[]
     method, own, bone = sight.method, view.own, view.bone
     rest = view.rest
     if view.touching:
-        own, rest = _flooded_apart(view)
+        own, rest = _flood_apart(view)
         rest = _without_dust(rest)
         if sight.markers is None:
             method = "flooded by grey value from the cores of the pieces"
@@ -183,7 +183,7 @@ def _cores(sight: CoarseSegmentation, working: Working) -> tuple[Places, Places]
     return places(own), places(other)
 
 
-def _flooded_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _flood_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     markers = np.zeros(view.bone.shape, dtype=np.int32)
     markers[view.own_cores] = 1
     markers[view.other_cores] = 2

@@ -71,7 +71,7 @@ def find_stapes(
             scan, pieces, candidates[0], tuple(candidates[1:]), air, bone, plastic, between
         )
         tried.append(sight)
-        chosen = _picked(volume, sight, options, alone=False)
+        chosen = _pick(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)
         if chosen is not None and usual and chosen.stapes.arched:
             cut = _without_grown(volume, chosen, options)
@@ -79,7 +79,7 @@ def find_stapes(
                 return cut
         # What ends at the border of the scan may be another bone that touches a whole stapes.
         if not usual or (chosen is not None and chosen.stapes.at_border):
-            parted = _parted(volume, sight, options)
+            parted = _part(volume, sight, options)
             better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
             soft = parted is not None and options.threshold is None and takes_soft_for_bone(parted)
             if parted is not None and better and not soft and _takes_in(parted, doubtful):
@@ -91,7 +91,7 @@ def find_stapes(
         if usual and chosen.stapes.arched and _takes_in(chosen, doubtful):
             if chosen.stapes.at_border:
                 _refuse_two_ends(volume, chosen, options)
-            own = _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
+            own = _at_own_level(volume, _pick(volume, sight, options) or chosen, options)
             if own is not None:
                 return own
         # Bone whose density changes along it can look like two materials: the next reading takes both.
@@ -101,7 +101,7 @@ def find_stapes(
     ):
         return without_hole
     if doubtful is not None:
-        return _picked(volume, doubtful[0], options) or doubtful[1]
+        return _pick(volume, doubtful[0], options) or doubtful[1]
     if tried and options.seed_mm is not None:
         raise CtInertiaError(
             Fault(
@@ -188,7 +188,7 @@ def _trial(
         neck=way.neck,
         cropped=way.cropped,
     )
-    return _picked(volume, trial, options, alone=False)
+    return _pick(volume, trial, options, alone=False)
 
 
 def _at_own_level(
@@ -239,15 +239,15 @@ def _usual(piece: Piece) -> bool:
     return piece.possible and piece.oddness < USUAL and piece.surrounds < MOST_SURROUNDED
 
 
-def _picked(
+def _pick(
     volume: Volume, sight: CoarseSegmentation, options: SearchOptions, alone: bool = True
 ) -> CoarseSegmentation | None:
     if options.seed_mm is None:
         return _chosen(volume, sight, alone)
-    return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
+    return _take_seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
 
 
-def _parted(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -> CoarseSegmentation | None:
+def _part(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -> CoarseSegmentation | None:
     """Split the larger pieces where bones touch, and choose the likeliest stapes among the parts.
 
     A part without a hole, such as a stapes with one crus or a broken one, must be of usual size and shape.
@@ -256,7 +256,7 @@ def _parted(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -
     large = [classify_piece(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
     large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
     if options.seed_mm is not None and large:
-        seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm))
+        seeded = _take_seeded(sight, _coarse_index(volume, scan, options.seed_mm))
         large = [piece for piece in large if seeded is not None and piece.label == seeded.stapes.label]
     sights: list[CoarseSegmentation] = []
     for whole in large[:_MOST_WHOLES]:
@@ -337,7 +337,7 @@ def _chosen(volume: Volume, sight: CoarseSegmentation, alone: bool = True) -> Co
     return replace(sight, stapes=best, others=others, notices=ambiguity_notices(best))
 
 
-def _seeded(sight: CoarseSegmentation, seed: NDArray[np.int64]) -> CoarseSegmentation | None:
+def _take_seeded(sight: CoarseSegmentation, seed: NDArray[np.int64]) -> CoarseSegmentation | None:
     """Take the piece at the seed, or the nearest within a few coarse voxels; None where there is none."""
     reach = 3
     low = np.maximum(seed - reach, 0)

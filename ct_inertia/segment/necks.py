@@ -101,7 +101,7 @@ def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list
         near = points[height > height.max() - _FROM_END_MM]
         every = [_along(normal, near, grain) for normal in _around(axis, _LEAN_DEG)]
         best = _apart(sorted((neck for some in every for neck in some), key=lambda neck: neck.share))
-        candidates += [_settled(neck, near, grain) for neck in best]
+        candidates += [_settle(neck, near, grain) for neck in best]
     candidates = [
         replace(neck, height_mm=neck.height_mm + float(neck.normal @ middle)) for neck in candidates
     ]
@@ -134,7 +134,7 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     voxel, step = grain.voxel_mm3, grain.step_mm
     height = near @ normal
     low = float(height.min())
-    counts = _counted((height - low) / step, grain.cubes)
+    counts = _count((height - low) / step, grain.cubes)
     area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step
     beyond = np.cumsum(counts[::-1])[::-1] * voxel
     reach = max(2, round(_WIDENS_WITHIN_MM / step))
@@ -151,7 +151,7 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     return minima
 
 
-def _counted(place: Array, cubes: bool) -> Array:
+def _count(place: Array, cubes: bool) -> Array:
     """Return how many points lie in each bin; each is shared by two bins where voxels are no cubes.
 
     Layers of voxels that are farther apart than a bin beat with it: by a fifth of a section at 0.036 mm along
@@ -178,7 +178,7 @@ def _apart(necks: list[Neck]) -> list[Neck]:
     return kept[:_MOST]
 
 
-def _settled(neck: Neck, near: Array, grain: _Grain) -> Neck:
+def _settle(neck: Neck, near: Array, grain: _Grain) -> Neck:
     """Lean the plane until its cross-section is least."""
     start = neck.height_mm
     for _ in range(2):

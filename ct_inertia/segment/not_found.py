@@ -27,7 +27,7 @@ def not_found_error(scan: CoarseScan, tried: Sequence[CoarseSegmentation], seede
     wrong_size = _by_size(tried)
     if wrong_size:
         return wrong_size
-    if not seeded and _inverted(scan):
+    if not seeded and _is_inverted(scan):
         return Fault(
             "the grey values",
             "brighter in bone than in air",
@@ -66,7 +66,7 @@ def _by_size(tried: Sequence[CoarseSegmentation]) -> Fault | None:
     return None
 
 
-def _inverted(scan: CoarseScan) -> bool:
+def _is_inverted(scan: CoarseScan) -> bool:
     turned = replace(scan, grey=-scan.grey)
     try:
         levels = material_levels(turned)

@@ -64,7 +64,7 @@ def find_plate(sight: CoarseSegmentation) -> PlateRegion | None:
     thin = max(1, int(_GRID_MM / float(scan.spacing_mm.mean())))
     rim = max(1, int(np.ceil(_RIM_MM / (thin * float(scan.spacing_mm.mean())))))
     coarse = thinned(scan.grey, thin)
-    box = _crowded(coarse > middle, 3 * rim + 4)
+    box = _box_of(coarse > middle, 3 * rim + 4)
     grey = coarse[box]
     bone = smooth_noise(grey, scan.noise / (sight.bone - sight.air)) > sight.between
     near_bone = dilated(bone, rim)
@@ -106,7 +106,7 @@ def thinned(grey: NDArray[Any], thin: int) -> NDArray[Any]:
     return grey[start, start, start]
 
 
-def _crowded(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
+def _box_of(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
     """Return a box (z, y, x) around the layers that hold more of a mask than stray voxels of noise."""
     flat = np.count_nonzero(mask, axis=0)
     counts = (np.count_nonzero(mask, axis=(1, 2)), flat.sum(axis=1), flat.sum(axis=0))

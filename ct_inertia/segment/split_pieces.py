@@ -157,7 +157,7 @@ def split_piece(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Sp
         # A small part is a part only at the border of the scan, which may have cropped a larger bone.
         placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
         kept = [(p, q) for p, q in placed if p.volume_mm3 > _LEAST_PART_MM3 or q.at_border]
-        counted = ((_counted(way.labels, p, spacing) if p.possible else p, q) for p, q in kept)
+        counted = ((_count(way.labels, p, spacing) if p.possible else p, q) for p, q in kept)
         parts = tuple(
             replace(q, label=p.label + free, holes=p.holes, perforated=p.perforated) for p, q in counted
         )
@@ -197,13 +197,13 @@ def _every_way(
         if cut is not None:
             yield cut
         yield from neck_separations(bone, spacing_mm)
-    yield from _refined(separate_bones(held, bone, spacing_mm), spacing_mm)
+    yield from _refine(separate_bones(held, bone, spacing_mm), spacing_mm)
 
 
 def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
     """Cut the parts that have one hole, the likeliest stapes first, at their necks."""
     for piece in sorted((p for p in way.pieces if p.possible), key=lambda p: p.oddness):
-        if piece.oddness > _NECK_ODDNESS or not _counted(way.labels, piece, spacing_mm).arched:
+        if piece.oddness > _NECK_ODDNESS or not _count(way.labels, piece, spacing_mm).arched:
             continue
         name = int(way.labels.max()) + 1
         for cut in neck_separations(way.labels == piece.label, spacing_mm):
@@ -242,7 +242,7 @@ def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Sep
             yield Separation(0.0, labels, bone, pieces, neck)
 
 
-def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
+def _refine(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
     """Cut a part at its neck, or put two or three together, where none is a stapes by itself and that is.
 
     A distance from the gaps that parts wide bridges may part the footplate from the crura too.
@@ -250,8 +250,7 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
     for way in ways:
         yield way
         if any(
-            p.possible and p.oddness < USUAL and _counted(way.labels, p, spacing_mm).arched
-            for p in way.pieces
+            p.possible and p.oddness < USUAL and _count(way.labels, p, spacing_mm).arched for p in way.pieces
         ):
             continue
         yield from _cut_at_necks(way, spacing_mm)
@@ -259,7 +258,7 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
         best: tuple[Piece, NDArray[np.int32]] | None = None
         for count in (2, 3):
             for some in combinations(parts, count):
-                united = _united(way.labels, some, spacing_mm)
+                united = _unite(way.labels, some, spacing_mm)
                 if united is not None and (best is None or united[0].score > best[0].score):
                     best = united
         if best is not None:
@@ -276,7 +275,7 @@ def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array
     """
     small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < MOST_WALL_MM3]
     usual = sorted((p for p in way.pieces if p.possible and p.oddness < USUAL), key=lambda p: p.oddness)
-    stapes = next((p for p in usual if _counted(way.labels, p, spacing_mm).arched), None)
+    stapes = next((p for p in usual if _count(way.labels, p, spacing_mm).arched), None)
     if not small or stapes is None or way.neck is not None:
         return way
     walls = [
@@ -294,7 +293,7 @@ def _with_own_walls(way: Separation, solid: NDArray[np.bool_], spacing_mm: Array
     high = np.max([p.high for p in (stapes, *walls)], axis=0)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
     united = describe(labels, stapes.label, box, spacing_mm)
-    if not united.possible or not _counted(labels, united, spacing_mm).arched:
+    if not united.possible or not _count(labels, united, spacing_mm).arched:
         return way
     kept = [p for p in way.pieces if p.label != stapes.label and all(p is not wall for wall in walls)]
     return replace(way, labels=labels, pieces=[united, *kept])
@@ -318,7 +317,7 @@ def _contact_mm2(
     return area
 
 
-def _united(
+def _unite(
     labels: NDArray[np.int32], some: tuple[Piece, ...], spacing_mm: Array
 ) -> tuple[Piece, NDArray[np.int32]] | None:
     """Return the union of parts when it hangs together and can be a stapes, and the labels with it."""
@@ -336,7 +335,7 @@ def _united(
     piece = describe(joined, name, box, spacing_mm)
     if not piece.possible or piece.oddness > USUAL:
         return None
-    piece = _counted(joined, piece, spacing_mm)
+    piece = _count(joined, piece, spacing_mm)
     return (piece, joined) if piece.arched else None
 
 
@@ -345,7 +344,7 @@ def _largest_share(mask: NDArray[np.bool_]) -> float:
     return float(sizes.max() / sizes.sum())
 
 
-def _counted(labels: NDArray[np.int32], piece: Piece, spacing_mm: Array) -> Piece:
+def _count(labels: NDArray[np.int32], piece: Piece, spacing_mm: Array) -> Piece:
     box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
     return with_holes_of(piece, labels[box] == piece.label, spacing_mm)
 

@@ -30,12 +30,12 @@ def contoured(field: NDArray[np.float32], level: float) -> tuple[Array, Indices]
     results = [ctypes.addressof(part) for part in (points, n_points, faces, n_faces)]
     checked(kernels.contoured(values.ctypes.data, shape_of(values), level, *results))
     return (
-        _taken(kernels, points, n_points.value, np.dtype(np.float64)),
-        _taken(kernels, faces, n_faces.value, np.dtype(np.int64)),
+        _copy_and_free(kernels, points, n_points.value, np.dtype(np.float64)),
+        _copy_and_free(kernels, faces, n_faces.value, np.dtype(np.int64)),
     )
 
 
-def _taken(kernels: Any, memory: ctypes.c_void_p, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+def _copy_and_free(kernels: Any, memory: ctypes.c_void_p, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return a copy of rows of three in the memory of a kernel, and free it."""
     out = np.empty((count, 3), dtype=dtype)
     if memory.value:

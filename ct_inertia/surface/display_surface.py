@@ -108,13 +108,13 @@ def display_mesh(surface: Surface, smooth: int | None = None, faces: int | None 
     steps = []
     thinned = surface
     if smooth:
-        thinned = _filtered(
+        thinned = _filter(
             thinned, "{smooth}", "apply_coord_taubin_smoothing", lambda_=_LAMBDA, mu=_MU, stepsmoothnum=smooth
         )
         steps.append(_step("smooth", smooth, surface, thinned))
     if faces is not None and faces < len(thinned.faces):
         before = thinned
-        thinned = _filtered(
+        thinned = _filter(
             thinned,
             "{faces}",
             "meshing_decimation_quadric_edge_collapse",
@@ -161,7 +161,7 @@ def _pymeshlab(option: str) -> Any:
     return pymeshlab
 
 
-def _filtered(surface: Surface, option: str, name: str, **values: Any) -> Surface:
+def _filter(surface: Surface, option: str, name: str, **values: Any) -> Surface:
     """Apply one filter about the middle of the surface, where single precision loses nothing."""
     pymeshlab = _pymeshlab(option)
     middle = 0.5 * (surface.vertices_mm.min(axis=0) + surface.vertices_mm.max(axis=0))

@@ -182,7 +182,7 @@ def read_surface(path: Path | str) -> Surface:
     notices: list[Notice] = []
     try:
         _check_arrays(vertices, faces)
-        vertices, faces = _joined(vertices, faces)
+        vertices, faces = _join(vertices, faces)
         if len(faces) and count_open_edges(faces) == 0 and enclosed_volume(vertices, faces) < 0.0:
             faces = np.ascontiguousarray(faces[:, ::-1])
             notices.append(
@@ -273,7 +273,7 @@ def _load(path: Path) -> tuple[Array, NDArray[np.int64]]:
     return vertices, faces
 
 
-def _joined(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+def _join(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     unique, place = np.unique(vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[faces]
     a, b, c = faces.T

@@ -164,11 +164,11 @@ class BlockArray:
             at = range(len(self._ranges[axis]))[int(k)]
             slices.append(slice(at, at + 1))
             dropped.append(axis)
-        part = self.view((slices[0], slices[1], slices[2]))._gathered()
+        part = self.view((slices[0], slices[1], slices[2]))._gather()
         return part.reshape([n for axis, n in enumerate(part.shape) if axis not in dropped])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        array = self._gathered()
+        array = self._gather()
         return array if dtype is None else array.astype(dtype, copy=False)
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
@@ -179,13 +179,13 @@ class BlockArray:
         for first in range(0, len(self), depth):
             yield from self[first : first + depth]
 
-    def _gathered(self) -> NDArray[Any]:
+    def _gather(self) -> NDArray[Any]:
         out = np.empty(self.shape, dtype=self.dtype.newbyteorder("="))
         # Only a slab thinner than its blocks is likely to be followed by the next one in the same blocks.
         planes = self._ranges[0]
         thin = len(planes) > 0 and abs(planes[-1] - planes[0]) + 1 < self._block[0]
         read = self._read if thin else self._read.read
-        touched = [_touched(r, n) for r, n in zip(self._ranges, self._block, strict=True)]
+        touched = [_find_touched(r, n) for r, n in zip(self._ranges, self._block, strict=True)]
         tasks = list(product(*touched)) if self._gaps is None else self._gaps.stored(touched)
         if self._gaps is not None:
             out.fill(self._gaps.fill)
@@ -207,7 +207,7 @@ class BlockArray:
         return out
 
 
-def _touched(wanted: range, block: int) -> list[_Touch]:
+def _find_touched(wanted: range, block: int) -> list[_Touch]:
     """Return for each block that a range touches: its number, the places in the result, those inside it."""
     if not wanted:
         return []

@@ -217,15 +217,15 @@ def _level(setting: Setting) -> Array:
     return np.asarray(square / np.mean(square) - 1.0)
 
 
-def _delayed(value: float, omega: Array) -> ComplexArray:
+def _delay(value: float, omega: Array) -> ComplexArray:
     return np.asarray(np.exp(1e-6j * value * omega))
 
 
-def _turned(value: float, omega: Array) -> ComplexArray:
+def _turn(value: float, omega: Array) -> ComplexArray:
     return np.full(len(omega), np.exp(1j * np.radians(value)))
 
 
-def _gained(value: float, omega: Array) -> ComplexArray:
+def _gain(value: float, omega: Array) -> ComplexArray:
     return np.full(len(omega), 1.0 + 0.01 * value, dtype=complex)
 
 
@@ -253,15 +253,15 @@ def _elsewhere(axis: str) -> Cause:
 
 
 CAUSES: dict[str, Cause] = {
-    "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delayed)),
+    "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delay)),
     "phase": Cause(
         "a phase between stapes and base",
         "degrees",
         np.pi / 180.0,
-        _between_bodies(_turned),
+        _between_bodies(_turn),
         example=0.5,
     ),
-    "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gained)),
+    "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gain)),
     "fluid": Cause(
         "a mass of fluid that moves with the piston deflection",
         MASS.symbol,

@@ -26,7 +26,7 @@ def corrected_problem(problem: Problem, ligament: LigamentFit) -> Problem:
         return corrected
     lines = ligament.applied
     if lines.factors is not None:
-        corrected = corrected.with_observation(_multiplied(problem.observation, lines.factors))
+        corrected = corrected.with_observation(_multiply(problem.observation, lines.factors))
     matrix = lines.mass * np.outer(lines.root_mass, lines.root_mass)
     if not np.allclose(matrix, problem.inertia.matrix, rtol=1e-12, atol=0.0):
         inertia = problem.inertia
@@ -35,7 +35,7 @@ def corrected_problem(problem: Problem, ligament: LigamentFit) -> Problem:
     return corrected
 
 
-def _multiplied(observation: Observation, factors: np.ndarray) -> Observation:
+def _multiply(observation: Observation, factors: np.ndarray) -> Observation:
     """Return the lines with every motion multiplied by the factor (lines, 12) of its body and direction."""
     structure = dof_indices((*observation.dof, *observation.load_dof))
     base = [DOFS + place for place in dof_indices(observation.dof)]

@@ -38,7 +38,7 @@ def changed_inertia(change: Callable[[float, Setting], Array]) -> Callable[[Sett
     return made
 
 
-def _added(matrix: Array, setting: Setting) -> Apply:
+def _add(matrix: Array, setting: Setting) -> Apply:
     """Add a matrix (6, 6), SI, to the mass matrix."""
     scaled = matrix / np.outer(setting.lines.root_mass, setting.lines.root_mass)
 
@@ -81,7 +81,7 @@ def _head_steps() -> list[Array]:
 
 def head_moves(setting: Setting) -> tuple[Apply, ...]:
     """Move a mass of one unit at the head by one standard deviation along x, y and z."""
-    return tuple(_added(MASS.si(1.0) * step, setting) for step in _head_steps())
+    return tuple(_add(MASS.si(1.0) * step, setting) for step in _head_steps())
 
 
 def displaced(axis: int) -> Callable[[float, Setting], Array]:

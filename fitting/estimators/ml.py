@@ -125,7 +125,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     else:
         best = _descend(lines, options, begin, merit)
     if options.passive and not is_positive_definite(best.parameters, lines.n):
-        best = _held(lines, best, merit)
+        best = _minimise_within(lines, best, merit)
     weights = None
     if merit.robust:
         weights = merit.weights(distances(best.parameters, lines))
@@ -238,7 +238,7 @@ def _with_spread(
     return best, merit
 
 
-def _held(lines: Lines, free: Estimate, merit: _Merit) -> Estimate:
+def _minimise_within(lines: Lines, free: Estimate, merit: _Merit) -> Estimate:
     """Minimise within the positive semidefinite K and D."""
 
     def value(parameters: Array) -> float:

@@ -113,14 +113,14 @@ def _path(
         move, ahead = _step(cone, inverse, factor, plain, signs, n, 0.0, nothing, still)
         reach, push = _lengths(cone, ahead)
         level = cone.gap / order
-        reached = _moved(cone, ahead, reach, push).gap / order
+        reached = _move_cone(cone, ahead, reach, push).gap / order
         centre = min((reached / level) ** 3, 1.0) * level
         twist = ahead.multiplier @ ahead.slack @ inverse
         bend = ahead.bound_multiplier * ahead.bound_slack / cone.bound_slack
         move, ahead = _step(cone, inverse, factor, plain, signs, n, centre, twist, bend)
         reach, push = _lengths(cone, ahead)
         now = now + reach * move
-        cone = _moved(cone, ahead, reach, push)
+        cone = _move_cone(cone, ahead, reach, push)
     return now, max(cone.gap, 0.0), _MOST_STEPS
 
 
@@ -222,7 +222,7 @@ def _lengths(cone: _Cone, ahead: _Cone) -> tuple[float, float]:
     return float(reach), float(push)
 
 
-def _moved(cone: _Cone, ahead: _Cone, reach: float, push: float) -> _Cone:
+def _move_cone(cone: _Cone, ahead: _Cone, reach: float, push: float) -> _Cone:
     return _Cone(
         cone.slack + reach * ahead.slack,
         cone.multiplier + push * ahead.multiplier,

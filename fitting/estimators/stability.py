@@ -75,7 +75,7 @@ def wall_height(parameters: Array, problem: Objective) -> float:
     if np.any(slack <= 0.0):
         return float("inf")
     try:
-        p = _solved(_lyapunov(parameters, problem), -np.eye(problem.state_slopes.shape[1]))
+        p = _solve(_lyapunov(parameters, problem), -np.eye(problem.state_slopes.shape[1]))
         root = np.linalg.cholesky(p)
     except np.linalg.LinAlgError:
         return float("inf")
@@ -94,11 +94,11 @@ def wall_slopes(parameters: Array, problem: Objective) -> tuple[Array, Array]:
     """
     derivatives = problem.state_slopes
     operator = _lyapunov(parameters, problem)  # transposed: of the equation of the transposed S
-    p = _solved(operator, -np.eye(derivatives.shape[1]))
+    p = _solve(operator, -np.eye(derivatives.shape[1]))
     inverse = np.asarray(np.linalg.inv(p))
-    q = _solved(operator.T, -inverse)
-    p_slopes = _solved(operator, -_twice(derivatives @ p))
-    q_slopes = _solved(operator.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
+    q = _solve(operator.T, -inverse)
+    p_slopes = _solve(operator, -_twice(derivatives @ p))
+    q_slopes = _solve(operator.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
     gradient = 2.0 * np.einsum("ij,kji->k", p @ q, derivatives)
     products = p_slopes @ q + p @ q_slopes
     hessian = 2.0 * np.einsum("lij,kji->kl", products, derivatives)
@@ -124,7 +124,7 @@ def _lyapunov(parameters: Array, problem: Objective) -> Array:
     return sums.reshape(state.size, state.size)
 
 
-def _solved(operator: Array, right: Array) -> Array:
+def _solve(operator: Array, right: Array) -> Array:
     """Return the symmetric solutions of symmetric right sides (..., 2n, 2n)."""
     solution = np.linalg.solve(operator, right.reshape(-1, len(operator)).T).T
     return 0.5 * _twice(np.asarray(solution.reshape(right.shape)))

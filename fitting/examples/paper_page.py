@@ -40,7 +40,7 @@ def paper_page() -> Page:
         "The paper, recomputed",
         "Numbers printed in the paper (CURAC 2019, p. 98 ff.) beside what stapeskit computes from them.",
     )
-    report.sections.extend([_beam(), _matrices(), _printed_damping(), _modal(), _axes(), _simulated()])
+    report.sections.extend([_beam(), _matrices(), _print_cell_damping(), _modal(), _axes(), _simulate()])
     return report
 
 
@@ -115,7 +115,7 @@ def _unit(matrix: np.ndarray) -> np.ndarray:
     return np.asarray(matrix / np.outer(root, root))
 
 
-def _printed_damping() -> Section:
+def _print_cell_damping() -> Section:
     printed, corrected = paper.PAPER_DAMPING_PRINTED, paper.PAPER_DAMPING_CORRECTED
     bad = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, printed)
     good = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, corrected)
@@ -249,7 +249,7 @@ def _axes() -> Section:
     )
 
 
-def _simulated() -> Section:
+def _simulate() -> Section:
     return Section("Simulated responses: Eq. 8, Figs. 4 and 5").add(
         page.figure(
             simulated_figure(),

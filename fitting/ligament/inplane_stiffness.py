@@ -97,10 +97,10 @@ def inplane_stiffness(
     )
     begin = np.concatenate([mean / units, spare])
     used = corrected
-    fit = _solved(used, equations, begin)
+    fit = _solve(used, equations, begin)
     if fit is not None and chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):
         used = lines
-        fit = _solved(used, equations, fit.parameters)
+        fit = _solve(used, equations, fit.parameters)
     mean, sd = _inplane_prior(
         piston, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd")
     )
@@ -123,7 +123,7 @@ def inplane_stiffness(
     return InplaneStiffness(*matrices, covariance, True)
 
 
-def _solved(lines: JointLines, equations: Equations, begin: Array) -> JointFit | None:
+def _solve(lines: JointLines, equations: Equations, begin: Array) -> JointFit | None:
     """Return a converged fit of the in-plane equations, or None."""
     for share in (1.0, 0.3):
         start = np.concatenate([share * begin[: equations.entries], begin[equations.entries :]])

@@ -150,7 +150,7 @@ def joint_lines(problem: Problem, both: Observation) -> JointLines:
     unit = np.tile(root, 2) / scale.amplitude
     y = both.q * unit
     covariance = both.covariance * np.outer(unit, unit)
-    changes, slopes, sources = _shared(problem, both)
+    changes, slopes, sources = _shared_changes(problem, both)
     maps, rests = _maps(y, changes * unit)
     scaled = slopes / np.outer(root, root)
     omega = 2.0 * np.pi * both.freq_hz / scale.omega
@@ -161,7 +161,7 @@ def joint_lines(problem: Problem, both: Observation) -> JointLines:
     )
 
 
-def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, tuple[str, ...]]:
+def _shared_changes(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, tuple[str, ...]]:
     """Return changes of q (k, lines, 12) and M (k, 6, 6) by errors of unit variance, with their sources."""
     changes, slopes, sources = [], [], []
     covariance, derivatives = both.shared_covariance, both.shared_derivatives

@@ -121,11 +121,11 @@ def fit_ligament(
         others = np.concatenate([begins[len(start) :], prior, np.zeros(lines.errors)])
         fit, active = fit_held(lines, equations, start, others)
         return ligament_in_si(problem, lines, equations, fit, active)
-    known, equations = equations.prior, _pinned(equations, begins)
+    known, equations = equations.prior, _pin(equations, begins)
     fitted = None
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])
-        fitted = _prepared(lines, equations, first, terms, begun[1], within)
+        fitted = _prepare(lines, equations, first, terms, begun[1], within)
     if fitted is None or not (is_explained(fitted[2]) or (within is not None and fitted[2].chi2 < within)):
         limit = np.inf if terms and within is not None else within  # with a term chi2 can fall
         beside = within is not None and within < explained_limit(equations, lines.count)
@@ -136,7 +136,7 @@ def fit_ligament(
         elif joint is not None:
             fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
     if fitted is not None and problem.law.known:
-        fitted = _released(*fitted, known)
+        fitted = _release(*fitted, known)
     if within is not None and (fitted is None or fitted[2].chi2 > within):
         raise NotWithin
     if fitted is None:
@@ -146,7 +146,7 @@ def fit_ligament(
     return ligament_in_si(problem, *fitted)
 
 
-def _pinned(equations: Equations, begins: Array) -> Equations:
+def _pin(equations: Equations, begins: Array) -> Equations:
     """Return the equations with what is known of the law held where the start has it.
 
     Two times that are free from the start lead from most starts into one valley; held first, each ratio leads
@@ -159,13 +159,13 @@ def _pinned(equations: Equations, begins: Array) -> Equations:
     return replace(equations, prior=Prior(mean, root))
 
 
-def _released(lines: JointLines, equations: Equations, fit: JointFit, known: Prior) -> Extended | None:
+def _release(lines: JointLines, equations: Equations, fit: JointFit, known: Prior) -> Extended | None:
     """Return the fit that goes on with the law's unknowns as they are known."""
     place = slice(equations.entries + equations.law.free, equations.coupling.start)
     mean, root = equations.prior.mean.copy(), equations.prior.root.copy()
     mean[place], root[place, place] = known.mean[place], known.root[place, place]
     free = replace(equations, prior=Prior(mean, root))
-    joint = _settled(
+    joint = _settle(
         lambda: fit_with_noise(lines, free, fit.parameters, partial(descend, free), fit, FEW_ROUNDS)
     )
     return None if joint is None else (lines, free, joint)
@@ -218,7 +218,7 @@ def _from_all_starts(
                 return best
             begin = np.zeros(len(terms))
             begin[place] = value
-            best = _better(best, _prepared(lines, equations, fit.parameters, terms, begin))
+            best = _better(best, _prepare(lines, equations, fit.parameters, terms, begin))
     return best
 
 
@@ -228,7 +228,7 @@ def _better(first: Extended | None, other: Extended | None) -> Extended | None:
     return other if other[2].chi2 < first[2].chi2 - 1e-6 else first
 
 
-def _prepared(
+def _prepare(
     lines: JointLines,
     equations: Equations,
     start: Array,
@@ -269,13 +269,13 @@ def extended_fit(
     extended = equations.with_terms(terms)
     descent = partial(descend, extended, most=most, within=within)
     before = fit if rounds else replace(fit, noise=1.0)
-    joint = _settled(lambda: fit_with_noise(lines, extended, start, descent, before, rounds))
+    joint = _settle(lambda: fit_with_noise(lines, extended, start, descent, before, rounds))
     if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
-        joint = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
+        joint = _settle(lambda: _profile(lines, equations, terms[0], fit, value))
     return None if joint is None else (lines, extended, joint)
 
 
-def _settled(fit: Callable[[], JointFit]) -> JointFit | None:
+def _settle(fit: Callable[[], JointFit]) -> JointFit | None:
     """Return a fit that converges; None for others and where there is no likelihood."""
     try:
         joint = fit()
@@ -284,7 +284,7 @@ def _settled(fit: Callable[[], JointFit]) -> JointFit | None:
     return joint if joint.converged else None
 
 
-def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit, middle: float) -> JointFit:
+def _profile(lines: JointLines, equations: Equations, term: Term, fit: JointFit, middle: float) -> JointFit:
     """Minimise over the value of one term in an outer search, along a valley too curved for joint steps.
 
     With a mass at the head all of K and D grow, while its place, and with it the direction of the valley,

@@ -35,17 +35,17 @@ def fit_held(
     """
 
     def descent(wide: JointLines, start: Array, _: float = 1.0) -> JointFit:
-        return _held(wide, equations, start, minimise_near)
+        return _hold_within_limits(wide, equations, start, minimise_near)
 
     begin = np.concatenate([near, others])
-    ends = (_held(lines, equations, others, minimise), descent(lines, begin))
+    ends = (_hold_within_limits(lines, equations, others, minimise), descent(lines, begin))
     fit = min(ends, key=lambda end: end.chi2)
     if not is_explained(fit):
         fit = fit_with_noise(lines, equations, begin, descent)
     return fit, active_names(fit.parameters[: equations.entries], equations.n)
 
 
-def _held(lines: JointLines, equations: Equations, start: Array, search: Search) -> JointFit:
+def _hold_within_limits(lines: JointLines, equations: Equations, start: Array, search: Search) -> JointFit:
     """Return where a search within the limits ends."""
 
     def value(parameters: Array) -> float:

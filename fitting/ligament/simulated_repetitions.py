@@ -34,7 +34,7 @@ class Repetitions:
         factors = ligament.applied.factors
         self._factors = np.ones_like(fitted) if factors is None else factors
         rest = 0.0 if lines.rests is None else lines.rests @ errors
-        self._motion = np.concatenate(_turned(lines, errors, fitted), axis=1) + rest
+        self._motion = np.concatenate(_turn(lines, errors, fitted), axis=1) + rest
         self._errors = errors
         values, vectors = np.linalg.eigh(lines.covariance)
         self._root = vectors * np.sqrt(np.maximum(values, 0.0) * ligament.widened)[:, None, :]
@@ -71,7 +71,7 @@ class Repetitions:
         return replace(equations, prior=equations.prior.draw(self._start, rng))
 
 
-def _turned(lines: JointLines, errors: Array, motion: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _turn(lines: JointLines, errors: Array, motion: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     turn = np.eye(DOFS) + lines.maps @ errors
     return motion[:, :DOFS] @ turn[0].T, motion[:, DOFS:] @ turn[1].T
 

@@ -183,7 +183,7 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Dampin
         shapes = shapes / lengths
     tiny = 1e-9 * float(np.max(np.abs(values)))
     pairs = [
-        Mode(complex(value), _normalised(shape, complex(value), m))
+        Mode(complex(value), _normalise(shape, complex(value), m))
         for value, shape in zip(values, shapes, strict=True)
         if value.imag > tiny
     ]
@@ -251,7 +251,7 @@ def _nonlinear_modes(
     return np.array(eigenvalues), np.array(shapes)
 
 
-def _normalised(shape: ComplexArray, eigenvalue: complex, mass: Array) -> ComplexArray:
+def _normalise(shape: ComplexArray, eigenvalue: complex, mass: Array) -> ComplexArray:
     norm = np.linalg.norm(shape) * np.sqrt(1.0 + abs(eigenvalue) ** 2)
     leading = shape[int(np.argmax(np.abs(shape) * np.sqrt(np.diag(mass))))]
     return np.asarray(shape / norm * (abs(leading) / leading), dtype=complex)

@@ -27,11 +27,11 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
                 values[place, place],
                 sds[place, place],
             )
-            rows.append((f"{letter}({name})", _determined(value, sd, unit.with_sd(value, sd))))
+            rows.append((f"{letter}({name})", _format_determined(value, sd, unit.with_sd(value, sd))))
     deviations = (fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd)
     for number, (mode, sd, ratio) in enumerate(zip(fit.modes.pairs, *deviations, strict=True), 1):
-        frequency = _determined(mode.frequency_hz, sd, f"{plus_minus(mode.frequency_hz, sd)} Hz")
-        damping = _determined(mode.damping_ratio, ratio, plus_minus(mode.damping_ratio, ratio))
+        frequency = _format_determined(mode.frequency_hz, sd, f"{plus_minus(mode.frequency_hz, sd)} Hz")
+        damping = _format_determined(mode.damping_ratio, ratio, plus_minus(mode.damping_ratio, ratio))
         rows.append((f"mode {number}", f"{frequency}, damping ratio {damping}"))
     if not fit.modes.pairs:
         rows.append(("modes", "none oscillates"))
@@ -72,8 +72,8 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
 def _belief(fit: KDFit) -> str:
     """Return whether to believe K and D: by what their warnings lead to, and by what is undetermined."""
     stiffness_sd, damping_sd = (np.diag(sd) for sd in fit.standard_deviation)
-    lost = _undetermined("K", fit.dof, np.diag(fit.stiffness), stiffness_sd)
-    weak = _undetermined("D", fit.dof, np.diag(fit.damping), damping_sd)
+    lost = _undetermined_entries("K", fit.dof, np.diag(fit.stiffness), stiffness_sd)
+    weak = _undetermined_entries("D", fit.dof, np.diag(fit.damping), damping_sd)
     if lost:
         return f"{VERDICTS[-1]}: {', '.join([*lost, *weak])} undetermined"
     entries = table()
@@ -93,14 +93,14 @@ def _belief(fit: KDFit) -> str:
     return "yes: no warning speaks against them"
 
 
-def _undetermined(letter: str, dof: tuple[str, ...], values: Array, sds: Array) -> list[str]:
+def _undetermined_entries(letter: str, dof: tuple[str, ...], values: Array, sds: Array) -> list[str]:
     """Name the entries of a diagonal that are not above their standard deviation."""
     return [
         f"{letter}({name})" for name, value, sd in zip(dof, values, sds, strict=True) if not sd <= abs(value)
     ]
 
 
-def _determined(value: float, sd: float | None, text: str) -> str:
+def _format_determined(value: float, sd: float | None, text: str) -> str:
     """Return the text of a positive value; one below its standard deviation is undetermined."""
     return f"undetermined ({text})" if sd is not None and sd > abs(value) else text
 

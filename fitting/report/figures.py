@@ -89,7 +89,7 @@ def _amplitude(
 
 
 def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: int) -> None:
-    simulated = _unwrapped(responses.simulated[chosen, place], responses.measured_sd[chosen, place])
+    simulated = _unwrap(responses.simulated[chosen, place], responses.measured_sd[chosen, place])
     measured = np.angle(responses.measured[chosen, place] * np.exp(-1j * simulated)) + simulated
     spread = responses.amplitude_sd[chosen, place] / np.maximum(
         np.abs(responses.simulated[chosen, place]), 1e-300
@@ -102,7 +102,7 @@ def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: 
     _tidy(axis, freq)
 
 
-def _unwrapped(response: NDArray[np.complex128], noise: Array) -> Array:
+def _unwrap(response: NDArray[np.complex128], noise: Array) -> Array:
     """Return the phase (lines,), rad, unwrapped over lines well above their noise.
 
     A line within its noise takes the turn of the clear line before it, so that noise cannot add turns.

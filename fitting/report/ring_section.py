@@ -64,14 +64,14 @@ def ring_json(test: RingTest | None) -> dict[str, Any] | None:
         "expected_angle_deg": float(np.degrees(test.expected.angle_rad)),
         "rocking_over_expected": list(test.rocking_ratio),
         "thickness_over_width_for_published_shear": list(test.thickness_over_width),
-        **_known("gap", "mm", test.gap_m, 1e3),
-        **_known("shear_modulus_times_thickness", "pa_m", test.shear_times_thickness, 1.0),
-        **_known("thickness", "mm", test.thickness_m, 1e3),
-        **_known("shear_modulus", "pa", test.modulus_pa, 1.0),
+        **_number_keys("gap", "mm", test.gap_m, 1e3),
+        **_number_keys("shear_modulus_times_thickness", "pa_m", test.shear_times_thickness, 1.0),
+        **_number_keys("thickness", "mm", test.thickness_m, 1e3),
+        **_number_keys("shear_modulus", "pa", test.modulus_pa, 1.0),
     }
 
 
-def _known(name: str, unit: str, number: Value | None, factor: float) -> dict[str, float | None]:
+def _number_keys(name: str, unit: str, number: Value | None, factor: float) -> dict[str, float | None]:
     """Return the keys of a number and its standard deviation; none where it is not known."""
     if number is None:
         return {}

@@ -171,7 +171,7 @@ def corrections_of(
                 continue
             same = [k for k, chosen in enumerate(corrections) if _same_geometry(chosen, correction)]
             if same:
-                corrections[same[0]] = _pooled(corrections[same[0]], correction)
+                corrections[same[0]] = _pool(corrections[same[0]], correction)
             elif not any(_overlap(chosen, correction) for chosen in corrections):
                 corrections.append(correction)
     return corrections
@@ -204,7 +204,7 @@ def _same_geometry(first: Correction, second: Correction) -> bool:
     return (first.body, one.kind, first.channels) == (second.body, two.kind, second.channels)
 
 
-def _pooled(first: Correction, second: Correction) -> Correction:
+def _pool(first: Correction, second: Correction) -> Correction:
     """Return the mean of two estimates of one error, weighted by their information."""
     if not len(first.parameters):
         return first
@@ -230,7 +230,7 @@ def _correction(
         return None
     if finding.kind == "noise" and not again:
         return replace(corrected, action=RAISED)
-    if finding.fault is None or finding.rivals or again or not _determined(finding, fit.beams.lever_m):
+    if finding.fault is None or finding.rivals or again or not _is_determined(finding, fit.beams.lever_m):
         out = sorted({c for suspect in (finding, *finding.rivals) for c in suspect.channels})
         if _spares(body, fit, out):
             return replace(corrected, action=LEFT_OUT, channels=out)
@@ -246,7 +246,7 @@ def _correction(
     return replace(corrected, finding=finding, before=body, factor=finding.factor_at(placed.freq_hz))
 
 
-def _determined(finding: Finding, lever_m: float) -> bool:
+def _is_determined(finding: Finding, lever_m: float) -> bool:
     """Return whether the size of a fault is known better than by what is common."""
     if finding.fault is None or not finding.fault.size:
         return True

@@ -204,7 +204,7 @@ class _Diagnose:
         if findings and first.structure.significant and not self._explain(first, findings):
             return self._many(first, search, findings, first.flexible())
         if len(findings) > 1:
-            spread = self._scattered(first, findings)
+            spread = self._find_scattered(first, findings)
             if spread is not None:
                 return _diagnosis([spread], first, first)
             findings = self._again(_as_quiet(first.data, search.data, findings), findings)
@@ -219,8 +219,8 @@ class _Diagnose:
 
     def _many(self, first: Search, last: Search, findings: list[Finding], otherwise: Finding) -> Diagnosis:
         """Return what explains a misfit at many places."""
-        spread = self._scattered(first, findings)
-        pair = None if spread is not None else self._masked(first)
+        spread = self._find_scattered(first, findings)
+        pair = None if spread is not None else self._find_masked(first)
         if pair is not None:
             return _diagnosis(pair[0], first, pair[1], 0.0)
         return _diagnosis([spread or otherwise], first, last)
@@ -252,7 +252,7 @@ class _Diagnose:
         undone = correct_findings(first.data, findings)
         return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), _NEXT).clean()
 
-    def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
+    def _find_scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""
         if not _LEAST_POINTS <= len(first.points) <= _MOST_POINTS or first.freedom < 0.5:
             return None
@@ -271,7 +271,7 @@ class _Diagnose:
         p = min((finding.p_value for finding in [*findings, first.flexible()]), default=1.0)
         return Finding("position", list(first.live), p, size=size, text=text)
 
-    def _masked(self, first: Search) -> tuple[list[Finding], Search] | None:
+    def _find_masked(self, first: Search) -> tuple[list[Finding], Search] | None:
         """Return the faults of two channels that hide each other, and the search without them.
 
         Notes

@@ -133,10 +133,10 @@ def _statement(kind: str) -> str:
 
 def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     """Return the verdict of a finding and its estimate in words, with what the data hardly tell from it."""
-    verdict, estimate = _described(finding, body)
+    verdict, estimate = _describe(finding, body)
     others = []
     for rival in finding.rivals if verdict != "flexible" else ():
-        name, size = _described(rival, body)
+        name, size = _describe(rival, body)
         where = (
             ""
             if sorted(rival.channels) == sorted(finding.channels)
@@ -161,7 +161,7 @@ def _parallel(body: BodyChannels) -> bool:
     return bool(np.all(np.abs(body.directions @ body.directions[0]) > _ALONG))
 
 
-def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
+def _describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     """Return verdict and estimate of a finding without its rivals."""
     if finding.text:
         return finding.kind, finding.text

@@ -96,7 +96,7 @@ def structure_of(state: State, scale: float = 1.0) -> Structure:
     gain = float(lines * np.sum(above - edge * level))
     begins = _begins(state, both, level) if p < _LIKELY else float("nan")
     size = np.abs(pattern) * np.sqrt(max(float(values[0]), 0.0))
-    return Structure(p, _concentrated(state, pattern), gain, size, begins)
+    return Structure(p, _is_concentrated(state, pattern), gain, size, begins)
 
 
 def _begins(state: State, both: ComplexArray, level: float) -> float:
@@ -136,7 +136,7 @@ def _median_factor(free: float, lines: int) -> float:
     return float(grid[np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
-def _concentrated(state: State, pattern: ComplexArray) -> bool:
+def _is_concentrated(state: State, pattern: ComplexArray) -> bool:
     """Return whether faults at one point, or at two, could make a unit pattern (channel,) alone."""
     alone = replace(state, span=state.span[:1], e=pattern[None, :, None])
     points = state.data.by_point

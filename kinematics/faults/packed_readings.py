@@ -271,7 +271,7 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
     # Noise that neighbouring lines have in common shows only where lines are gathered.
     few = source.spread == 1.0 and len(source.lines) < 2 * LEAST_SEGMENTS * len(source.beams.dof)
     if source.sd is None and not few and not (fine and len(source.value) * len(source.lines) < _FINE_VALUES):
-        return _gathered(source, assumed, live / (source.share * loud), course, whiten, fine)
+        return _gather(source, assumed, live / (source.share * loud), course, whiten, fine)
     sd = source.share[:, None] if source.sd is None else source.sd
     # The course of the noise over the lines is in the motion.
     course = course * source.line if source.sd is None else course
@@ -296,7 +296,7 @@ def whitened(y: NDArray[Any], whiten: Array | None) -> NDArray[Any]:
     return y if whiten is None else np.asarray(whiten @ y)
 
 
-def _gathered(
+def _gather(
     source: Source, assumed: Assumed, scale: Array, course: Array, whiten: Array | None, fine: bool
 ) -> Packed:
     """Gather the motion of each segment of lines; ``scale`` (channel,) is one over the noise."""
@@ -323,7 +323,7 @@ def _gathered(
         turn = np.linalg.qr(z.conj().T)[0][:, :size]
         # The beams may see no motion: its directions are noise then, and as good as any others.
         y = value @ (line[:, None] * turn)
-        rest = _sampled(value, line, turn, y, samples)
+        rest = _sample(value, line, turn, y, samples)
         # The course of the noise over the lines is in the motion of the columns.
         power = np.mean(np.abs(z) ** 2, axis=0)
         share = power / max(float(np.sum(power)), 1e-300)
@@ -340,7 +340,7 @@ def real_parts(value: ComplexArray) -> Array:
     return np.ascontiguousarray(value).view(float)
 
 
-def _sampled(
+def _sample(
     value: ComplexArray, line: Array, turn: ComplexArray, y: ComplexArray, samples: int
 ) -> ComplexArray:
     """Return evenly spread columns of ``value * line`` square to those of ``turn`` (line, column).

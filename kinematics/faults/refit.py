@@ -79,12 +79,12 @@ class Refit:
         judge = null.state.data
         data = judge if fault.entry.varies else self.flat
         trials = (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault))
-        now, inverse = self._improved(data, fault, min(trials, key=lambda trial: trial.value))
+        now, inverse = self._improve(data, fault, min(trials, key=lambda trial: trial.value))
         if data is not judge:
             now = self._try(judge, fault, now.theta, now.near.x)
             if many or not judge.rest.size:
                 # What is gathered without it holds a large fault only in part.
-                now, inverse = self._improved(judge, fault, now)
+                now, inverse = self._improve(judge, fault, now)
         return Finding(
             fault.kind,
             list(fault.channels),
@@ -102,10 +102,10 @@ class Refit:
             return fit
         data = self.fine.state.data
         start = self._try(data, fault, fit.parameters, self.start)
-        now, inverse = self._improved(data, fault, start)
+        now, inverse = self._improve(data, fault, start)
         return replace(fit, parameters=now.theta, covariance=0.5 * inverse)
 
-    def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
+    def _improve(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
         """Take steps until they help no more; return the inverse of the information on the fault too."""
         inverse = np.zeros((0, 0))
         for _ in range(_ROUNDS if fault.size + len(self.start) else 0):

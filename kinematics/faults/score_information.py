@@ -195,7 +195,7 @@ class State:
             weight = data.weight[:, channels]
             factor = None if model.factor is None else model.factor[:, channels]
             size = weight if factor is None else weight * factor
-            rows = _turned(data, changed, arms, beams, beam)
+            rows = _turn(data, changed, arms, beams, beam)
             moved = (rows[:, None] @ self.z[None]) * size[None, :, :, None]
         for place, k in enumerate(which):
             tangents[place] = moved[changed.index(k)] if k in changed else read * simple[k]
@@ -279,7 +279,7 @@ def _root(gram: NDArray[Any]) -> NDArray[Any]:
     raise np.linalg.LinAlgError("normal matrices of no definite sign")
 
 
-def _turned(data: Packed, which: Sequence[int], arms: Array, beams: Array, beam: Array | None) -> Array:
+def _turn(data: Packed, which: Sequence[int], arms: Array, beams: Array, beam: Array | None) -> Array:
     """Return derivatives (p, n, m) of rows by turns of beams and shifts of points."""
     turns = dict(zip((*SHIFTS, *AXES), 2 * [beams @ turn for turn in _ABOUT], strict=True))
     if set(TURNS) & set(which):

@@ -213,7 +213,7 @@ class Search:
             if p_value < self.alarm and not self._credible(fit):
                 strange = True
             elif p_value < self.alarm:
-                scored.append((self._evidence(fit, scale), self._scaled(fit, p_value)))
+                scored.append((self._evidence(fit, scale), self._scale(fit, p_value)))
         if self.bending:
             scored.append((self.structure.gain / scale, self.flexible()))
         if not scored and strange:
@@ -226,7 +226,7 @@ class Search:
         near = [other for value, other in scored[1:] if value > least and differ(finding, other)]
         finding = replace(finding, rivals=tuple(near[:2]))
         fit = self.refit.refined(finding)
-        return finding if fit is finding else self._scaled(fit, finding.p_value)
+        return finding if fit is finding else self._scale(fit, finding.p_value)
 
     def _scale_without(self, drops: list[float]) -> float:
         """Return the noise variance by which explanations are compared.
@@ -365,5 +365,5 @@ class Search:
         chance = self.chance(np.array([2.0 * fit.drop]), np.array([len(fit.parameters)]))
         return min(1.0, float(chance[0]) * number)
 
-    def _scaled(self, fit: Finding, p_value: float) -> Finding:
+    def _scale(self, fit: Finding, p_value: float) -> Finding:
         return replace(fit, p_value=p_value, covariance=fit.covariance * self.scale)

@@ -107,7 +107,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             text = f"body {body.body}{where}: {estimate}.{step}"
         elif verdict == "flexible":
             text = f"body {body.body}{where} does not move as a rigid body: {estimate}"
-            text += f"{_bent(body, diagnosis)}.{step}"
+            text += f"{_describe_bend(body, diagnosis)}.{step}"
         elif finding.owner == "laser":
             text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
         elif finding.kind == "position" and finding.fault is None:
@@ -126,7 +126,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
     return notices
 
 
-def _bent(body: BodyChannels, diagnosis: Diagnosis) -> str:
+def _describe_bend(body: BodyChannels, diagnosis: Diagnosis) -> str:
     """Describe from which frequency on a body is not rigid, and where it bends most."""
     structure = diagnosis.structure
     text = "" if np.isnan(structure.begins_hz) else f", from about {structure.begins_hz:.3g} Hz on"

@@ -98,7 +98,7 @@ def beam_set(body: str, positions_mm: Array, directions: Array, dof: Sequence[st
     u, s, vt = np.linalg.svd(rows / scale, full_matrices=False)
     weak = ""
     if strength[-1] < WEAK:
-        weak = "; ".join(_described(vector, names) for vector in _blind(arms, directions, names, WEAK))
+        weak = "; ".join(_describe(vector, names) for vector in _blind(arms, directions, names, WEAK))
     return BeamSet(names, rows, all_rows, u, (vt.T / s) / scale[:, None], lever, strength, weak)
 
 
@@ -108,7 +108,7 @@ def _lever(arms: Array) -> float:
     return spread if spread > 1e-9 * max(far, 1e-9) else (far or 1.0)
 
 
-def _scaled(arms: Array, directions: Array, dof: Sequence[str]) -> tuple[Array, Array, Array]:
+def _scale(arms: Array, directions: Array, dof: Sequence[str]) -> tuple[Array, Array, Array]:
     """Return the dimensionless matrix (channel, m), its column scales, and the point it refers to.
 
     All six degrees of freedom are referred to the centroid of the points, where distant reference points
@@ -125,7 +125,7 @@ def _scaled(arms: Array, directions: Array, dof: Sequence[str]) -> tuple[Array, 
 
 def observability(arms: Array, directions: Array, dof: Sequence[str]) -> Array:
     """Return the relative singular values (m,) of the dimensionless observation matrix, largest first."""
-    matrix, _, _ = _scaled(arms, directions, dof)
+    matrix, _, _ = _scale(arms, directions, dof)
     values = np.zeros(len(dof))
     if len(matrix):
         singular = np.linalg.svd(matrix, compute_uv=False)
@@ -146,7 +146,7 @@ def observable_subset(arms: Array, directions: Array) -> tuple[str, ...]:
 
 def _blind(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> list[Array]:
     """Return the motions (6,) about the reference point, SI, that move no beam (or hardly any)."""
-    matrix, scale, centre = _scaled(arms, directions, dof)
+    matrix, scale, centre = _scale(arms, directions, dof)
     # The triangle has the same right singular vectors, without a square matrix of the channels.
     _, s, vt = np.linalg.svd(np.linalg.qr(matrix, mode="r"), full_matrices=True)
     values = np.zeros(vt.shape[0])
@@ -186,7 +186,7 @@ def _axis_name(vector: Array) -> str:
     return f"({', '.join(f'{value:.3f}' for value in unit)})"
 
 
-def _described(motion: Array, dof: Sequence[str]) -> str:
+def _describe(motion: Array, dof: Sequence[str]) -> str:
     """Describe what a small motion (6,) about the reference point is."""
     v, omega = motion[:3], motion[3:]
     turn = float(np.linalg.norm(omega))
@@ -205,11 +205,11 @@ def _described(motion: Array, dof: Sequence[str]) -> str:
 def unseen_motions(positions_mm: Array, directions: Array) -> list[str]:
     """Name the rigid motions (of all six) that the beams of a body do not see."""
     arms = np.asarray(positions_mm, dtype=float) * 1e-3
-    return [_described(motion, DOF_NAMES) for motion in _blind(arms, directions, DOF_NAMES, UNOBSERVABLE)]
+    return [_describe(motion, DOF_NAMES) for motion in _blind(arms, directions, DOF_NAMES, UNOBSERVABLE)]
 
 
 def _refuse(body: str, arms: Array, directions: Array, dof: tuple[str, ...]) -> None:
-    blind = "; ".join(_described(vector, dof) for vector in _blind(arms, directions, dof, UNOBSERVABLE))
+    blind = "; ".join(_describe(vector, dof) for vector in _blind(arms, directions, dof, UNOBSERVABLE))
     subset = observable_subset(arms, directions)
     step = (
         f"Choose {named('dof')} {','.join(subset)} or measure with more beams"

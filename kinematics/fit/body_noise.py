@@ -42,7 +42,7 @@ def fit_with_noise(
     value = body.displacement[run]
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
     if body.sd is not None and not body.relative:
-        fit = _known(beams, value, LineNoise(body.sd[run]), rate, robust)
+        fit = _fit_known_noise(beams, value, LineNoise(body.sd[run]), rate, robust)
         return fit, True, _unsettled(fit, measurement, run, body)
     if body.sd is None:
         relative = np.broadcast_to(1.0 / rate, value.shape)
@@ -62,7 +62,7 @@ def fit_with_noise(
         return unknown, False, [Notice("noise_unknown", text)]
     if body.sd is None:
         fit = _by_laser(fit, body.directions)
-    fit = _scaled(fit, rate, robust)
+    fit = _scale(fit, rate, robust)
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (
         f"{what} is stated for body {body.body}: its size was estimated from the residuals of the "
@@ -109,7 +109,9 @@ def _unsettled(fit: LineFit, measurement: Measurement, run: int, body: BodyChann
     return [Notice("robust_unsettled", text)]
 
 
-def _known(beams: BeamSet, value: ComplexArray, noise: LineNoise, rate: Array, robust: str) -> LineFit:
+def _fit_known_noise(
+    beams: BeamSet, value: ComplexArray, noise: LineNoise, rate: Array, robust: str
+) -> LineFit:
     """Fit with a stated noise and the floor that keeps it positive."""
     if robust == "none" and noise.common() is not None:
         fit = fit_noise(beams, value, noise)
@@ -178,7 +180,7 @@ def _unexplained_energy(fit: LineFit) -> Array | None:
     return np.asarray(np.where(own > _LEAST_OWN, energy, np.nan))
 
 
-def _scaled(fit: LineFit, rate: Array, robust: str) -> LineFit:
+def _scale(fit: LineFit, rate: Array, robust: str) -> LineFit:
     """Find the size of the noise from the residuals, and fit with it where that changes the motion."""
     beams, value, noise = fit.beams, fit.value, fit.noise
     if robust == "none":

@@ -89,7 +89,7 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
             part = slice(start, start + _LINES)
             alone = motion.covariance[run, :, part]
             covariance[run, part] = _joint(alone, ratio[run, :, part], ref[run, part], body, place)
-    shared = None if motion.shared is None else _shared(motion.shared, ratio, ref, body, place)
+    shared = None if motion.shared is None else _shared_errors(motion.shared, ratio, ref, body, place)
     notices = (*motion.notices, *_noisy(motion, ref, body, place, reference))
     ratio[~np.isfinite(ratio)] = np.nan
     return replace(
@@ -130,7 +130,7 @@ def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int,
     return joint
 
 
-def _shared(
+def _shared_errors(
     shared: SharedErrors, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
 ) -> SharedErrors:
     moved = shared.derivatives[:, :, body, :, place]

@@ -62,7 +62,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
     wide = extended_dof(body, dof)
     texts = _hidden(leak, dof, [name for name in DOF_NAMES if name not in wide], fit.beams.lever_m)
     if wide != dof:
-        texts += _measured(fit, body, leak, wide)
+        texts += _describe_measured(fit, body, leak, wide)
     if not texts:
         return []
     return [Notice("neglected_motion", f"body {body.body}{where}: {'; '.join(texts)}.")]
@@ -72,7 +72,7 @@ def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) 
     """Describe leaks of motions that cannot be separated from the fitted ones, dimensionless by the lever."""
     texts = []
     for name in unseen:
-        rows = _entered(leak, dof, name, lever)
+        rows = _affected_motions(leak, dof, name, lever)
         if not rows:
             continue
         text = f"the beams cannot tell {name} from the fitted motion, and {_entering(leak, dof, name, rows)}"
@@ -83,7 +83,7 @@ def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) 
     return texts
 
 
-def _entered(leak: Array, dof: tuple[str, ...], name: str, lever: float) -> list[int]:
+def _affected_motions(leak: Array, dof: tuple[str, ...], name: str, lever: float) -> list[int]:
     """Return the fitted motions that another enters by more than 2 %, the most first."""
     length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     column = DOF_NAMES.index(name)
@@ -110,7 +110,7 @@ def _entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> 
     return " and ".join(parts) or "little of it enters the others"
 
 
-def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]) -> list[str]:
+def _describe_measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]) -> list[str]:
     """Describe significant measured motion outside the subset, its size and its effect on the fitted motion.
 
     Notes
@@ -146,7 +146,7 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     for k, name in enumerate(extra):
         unit, scale = ("nm", 1e9) if name in DOF_NAMES[:3] else ("urad", 1e6)
         rms, sd = _size_of(others[:, k], variance[:, k])
-        entered = _entered(leak, dof, name, fit.beams.lever_m)
+        entered = _affected_motions(leak, dof, name, fit.beams.lever_m)
         rows = [row for row in entered if row in worst] or entered[:1]
         if not rows and len(extra) > 1:
             continue

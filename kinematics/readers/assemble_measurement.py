@@ -89,7 +89,7 @@ def assemble(
     raise_all(KinematicsError, value_faults(flat))
     _check(flat, points)
     notices += _per(flat)
-    places, matched, faults = _placed(flat)
+    places, matched, faults = _place(flat)
     notices += matched
     raise_all(KinematicsError, [*_twice(flat, places), *faults])
     order = Counter(recording.order for recording in flat).most_common(1)[0][0]
@@ -173,7 +173,7 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
             first, where = positions.setdefault(key, (recording.position_mm, recording.where))
             if np.any(np.abs(first - recording.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
                 step = f"Correct it; {named('length_unit')} says the unit where a file does not"
-                got = f"{_shown(first)} and {_shown(recording.position_mm)} mm"
+                got = f"{_format_position(first)} and {_format_position(recording.position_mm)} mm"
                 thing = f"the position of point {recording.point} of body {recording.body}"
                 fault = Fault(thing, "one", got, f"{where} and {recording.where}", step)
                 faults.append(fault)
@@ -195,7 +195,7 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     raise_all(KinematicsError, faults)
 
 
-def _shown(position: Array) -> str:
+def _format_position(position: Array) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in position) + ")"
 
 
@@ -230,7 +230,7 @@ def _numbers(keys: Iterable[K]) -> dict[K, int]:
     return {key: number for number, key in enumerate(dict.fromkeys(keys))}
 
 
-def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
+def _place(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; report how lines were matched."""
     takes = _numbers((recording.run, recording.repeat, _level(recording)) for recording in recordings)
     bodies = _numbers(recording.body for recording in recordings)

@@ -317,13 +317,13 @@ def write_hdf5(
             file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
             file.attrs["convention"] = "+"
             file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"
-            _put(file, "freq_hz", freq_hz)
-            _put(file, "re", numbers.real)
-            _put(file, "im", numbers.imag)
+            _store(file, "freq_hz", freq_hz)
+            _store(file, "re", numbers.real)
+            _store(file, "im", numbers.imag)
             more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
             for name, column in {"direction": direction, **more}.items():
                 if column is not None:
-                    _put(file, name, column)
+                    _store(file, name, column)
             texts = {
                 "point": point,
                 "run": run,
@@ -335,7 +335,7 @@ def write_hdf5(
         read_hdf5(stage / path.name, path.name, lambda file: _own(file, path.name))
 
 
-def _put(file: Any, name: str, values: Any) -> None:
+def _store(file: Any, name: str, values: Any) -> None:
     """Store numbers with checksums, so that a damaged file is refused instead of read."""
     array = np.asarray(values, dtype=float)
     checked = {"fletcher32": True} if array.ndim and array.size else {}

@@ -131,7 +131,7 @@ def calibrate(
     for _ in range(_ROUNDS):
         information, score = _information(model, blocks, dof, values, noise=False)
         gradient = score - prior * values
-        step = _solved(information + np.diag(prior), gradient)
+        step = _solve(information + np.diag(prior), gradient)
         size = 1.0
         while size > 1e-3:
             trial = values + size * step
@@ -188,7 +188,7 @@ def _rows(model: GeometryModel, body: int, values: Array, dof: Sequence[str]) ->
     return np.asarray(gain[:, None] * rows[:, dof_indices(tuple(dof))])
 
 
-def _fitted(block: _Block, rows: Array) -> tuple[Array, ComplexArray, ComplexArray]:
+def _fit(block: _Block, rows: Array) -> tuple[Array, ComplexArray, ComplexArray]:
     """Return orthonormal whitened columns (line, channel, m) or (channel, m), the residual, and coefficients.
 
     The coefficients (m, line) belong to the columns of ``rows`` divided by their lengths.
@@ -212,7 +212,7 @@ def _energy(
     total = 0.0
     for block in blocks:
         rows = _rows(model, block.body, values, dof[block.body])
-        total += float(np.sum(np.abs(_fitted(block, rows)[1]) ** 2))
+        total += float(np.sum(np.abs(_fit(block, rows)[1]) ** 2))
     return total
 
 
@@ -225,7 +225,7 @@ def _information(
     for block in blocks:
         rows = _rows(model, block.body, values, dof[block.body])
         scale = np.linalg.norm(rows, axis=0)
-        q, residual, z = _fitted(block, rows)
+        q, residual, z = _fit(block, rows)
         places = dof_indices(tuple(dof[block.body]))
         gain = 1.0 + model.gains(block.body, values)
         slopes = np.zeros((size, len(rows), len(places)))
@@ -293,7 +293,7 @@ def _gram(columns: ComplexArray | Array, q: Array) -> Array:
     return np.real(flat.conj().T @ flat) - np.real(inside.conj().T @ inside)
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def _solve(matrix: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(np.diag(matrix))
     return np.asarray(scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right))
 
@@ -307,7 +307,7 @@ def _inverse(matrix: Array) -> Array:
 def _notices(calibration: Calibration) -> tuple[Notice, ...]:
     notices = []
     unseen = [name for name, seen in zip(calibration.model.names, calibration.seen, strict=True) if not seen]
-    groups = _grouped(unseen)
+    groups = _group(unseen)
     seen = f"{int(np.sum(calibration.seen))} of {len(calibration.seen)}"
     text = (
         f"calibration: the data tell {seen} parameters of the geometry"
@@ -333,7 +333,7 @@ def _notices(calibration: Calibration) -> tuple[Notice, ...]:
     return tuple(notices)
 
 
-def _grouped(names: Sequence[str]) -> str:
+def _group(names: Sequence[str]) -> str:
     """Name parameters by group, a long list of points by their number."""
     places = [name.split(".")[1:-1] for name in names if name.startswith("position.")]
     points = list(dict.fromkeys(" ".join(place) for place in places))

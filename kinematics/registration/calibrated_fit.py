@@ -82,7 +82,7 @@ def calibration_errors(
     if 16 * size * int(np.prod(shape)) <= _NAMED_BYTES:
         derivatives = np.zeros((size, *shape), dtype=complex)
         for (run, number), fit in fits.items():
-            derivatives[:, run, number] = _named(calibration, fit, number)
+            derivatives[:, run, number] = _group_derivatives(calibration, fit, number)
         return calibration.names, calibration.covariance, derivatives
     values, vectors = np.linalg.eigh(calibration.covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -105,7 +105,7 @@ def _all_rows(calibration: Calibration, fit: LineFit, number: int) -> Array:
     return rows
 
 
-def _named(calibration: Calibration, fit: LineFit, number: int) -> ComplexArray:
+def _group_derivatives(calibration: Calibration, fit: LineFit, number: int) -> ComplexArray:
     """Return d q / d parameter, (k, freq, m), group by group of equal channels."""
     derivatives = np.zeros((len(calibration.names), *fit.q.shape), dtype=complex)
     places = dof_indices(fit.beams.dof)

@@ -113,7 +113,7 @@ def fit_to_surface(
         surface = replace(surface, sd_mm=surface_sd_mm)
     _check(cloud, surface, guess is None, source)
     if guess is not None:
-        return _finished(_from_guess(cloud, surface, guess, towards), cloud, surface, guess, axes, source, [])
+        return _finish(_from_guess(cloud, surface, guess, towards), cloud, surface, guess, axes, source, [])
     fits = [
         refined(cloud, surface, start, None)
         for start in candidates(cloud.points_mm, surface, towards, 0.02 * surface.diagonal_mm)[:8]
@@ -122,7 +122,7 @@ def fit_to_surface(
         fits += [refined(cloud, surface, start, None) for start in _half_turned(best.pose, surface)]
     fits = _facing(fits, towards)
     chosen, notices = _chosen(fits, cloud, witnesses, surface)
-    fit = _finished(chosen, cloud, surface, None, axes, source, notices)
+    fit = _finish(chosen, cloud, surface, None, axes, source, notices)
     _check_mirror(fit, cloud, surface, source)
     return fit
 
@@ -245,7 +245,7 @@ def _witness_miss(pose: Candidate, witnesses: Sequence[tuple[Array, TriangleSurf
     return float(np.median(away))
 
 
-def _finished(
+def _finish(
     fit: Refined,
     cloud: Cloud,
     surface: TriangleSurface,

@@ -94,7 +94,7 @@ def candidates(
     for rounds, width, keep in _STAGES:
         for step in range(rounds):
             plane = width < 0.2 or step > rounds - 2
-            rotation, shift = _stepped(
+            rotation, shift = _step(
                 local, rotation, shift, tree, samples, normals, max(width, 0.02) * size, plane
             )
         miss = _misses(local, rotation, shift, tree, samples, normals, towards)
@@ -131,7 +131,7 @@ def _starts(local: Array, samples: Array, normals: Array, towards: Array | None)
     return np.array(rotation), np.array(shift)
 
 
-def _stepped(
+def _step(
     local: Array,
     rotation: Array,
     shift: Array,

@@ -68,7 +68,7 @@ def check_surfaces(
     pairs = pair_with_surfaces(measurement, bone, to_scan, surfaces)
     _check_bone(bone, pairs)
     _check_mirror(pairs, placement, to_scan)
-    checks = tuple(_checked(cloud, surface, placement, mass, to_scan) for cloud, surface in pairs)
+    checks = tuple(_check(cloud, surface, placement, mass, to_scan) for cloud, surface in pairs)
     notices = [notice for check in checks for notice in check.notices]
     return replace(placement, checks=checks, notices=(*placement.notices, *notices))
 
@@ -150,7 +150,7 @@ def _check_mirror(
         )
 
 
-def _checked(
+def _check(
     cloud: Cloud, surface: TriangleSurface, placement: Placement, mass: MassRecord, to_scan: RigidTransform
 ) -> SurfaceCheck:
     placed = to_scan.points(cloud.points_mm)
@@ -190,7 +190,7 @@ def _checked(
         _size(shift[:3], covariance[:3, :3]),
         tuple(open_),
     )
-    return _told(
+    return _with_verdict(
         surface_check, _alone(rows @ observed, distance, joint, chi2, surface_check) if p < _UNLIKELY else []
     )
 
@@ -233,18 +233,18 @@ def _test(design: Array, distance: Array, joint: Array, own: Array, stated: bool
     if stated:
         whole = np.asarray(np.linalg.inv(joint), dtype=float)
         chi2 = float(distance @ whole @ distance)
-        moved = chi2 - _left(design, distance, whole)
+        moved = chi2 - _misfit(design, distance, whole)
         return chi2, count, min(1.0, 2.0 * float(min(chdtrc(count, chi2), chdtrc(size, moved))))
     if count <= size:
         return float("nan"), 0, 1.0
     scatter = max(_scatter(design, distance), _LEAST_SD_MM)
     around = joint + np.diag(np.maximum(scatter**2 - own**2, 0.0))
     weight = np.asarray(np.linalg.inv(around), dtype=float)
-    gain = float(distance @ weight @ distance) - _left(design, distance, weight)
+    gain = float(distance @ weight @ distance) - _misfit(design, distance, weight)
     return gain, size, float(fdtrc(size, count - size, gain / size))
 
 
-def _left(design: Array, distance: Array, weight: Array) -> float:
+def _misfit(design: Array, distance: Array, weight: Array) -> float:
     gram = design.T @ weight @ design
     score = design.T @ weight @ distance
     return float(distance @ weight @ distance - score @ np.linalg.solve(gram, score))
@@ -282,7 +282,7 @@ def _size(shift: Array, covariance: Array) -> tuple[float, float]:
     return length, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
 
 
-def _told(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
+def _with_verdict(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
     """Return the verdict in words."""
     if check.p_value >= _UNLIKELY:
         return check

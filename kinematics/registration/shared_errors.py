@@ -216,7 +216,7 @@ def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping
     lines = len(fits[0].q)
     most = int(np.clip(_SAMPLE // (18 * len(owner)), 8, 64))
     pick = np.unique(np.linspace(0, lines - 1, min(lines, most)).round().astype(int))
-    columns = [_sampled(fit, body, owner, len(sd_m), pick) for fit in fits]
+    columns = [_sample(fit, body, owner, len(sd_m), pick) for fit in fits]
     table = np.concatenate(columns, axis=2)
     table = table / np.maximum(np.sqrt(np.mean(np.abs(table) ** 2, axis=(0, 2), keepdims=True)), 1e-300)
     flat = (np.repeat(list(sd_m.values()), 3)[:, None, None] * table).reshape(3 * len(sd_m), -1)
@@ -232,7 +232,7 @@ def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping
     return shifts
 
 
-def _sampled(
+def _sample(
     fit: LineFit, body: BodyChannels, owner: NDArray[np.intp], points: int, pick: NDArray[np.intp]
 ) -> ComplexArray:
     """Return d q / d position at some lines, (3 point, m, n)."""

@@ -91,7 +91,7 @@ class RunRepeats:
     @property
     def summary(self) -> str:
         """Return one sentence for the terminal and the report."""
-        many = _counted(self.takes)
+        many = _count(self.takes)
         scatter = 100.0 * float(np.std(self.gain, ddof=1))
         turn = float(np.std(self.phase_deg, ddof=1))
         gains = f"amplitudes scatter by {scatter:.2g} %, phases by {turn:.2g} degrees"
@@ -114,14 +114,14 @@ class RunRepeats:
             "gain_outlier": f"{which} differs by {percent} in amplitude from the others ({p})",
             "gain_level": f"the amplitude grows as level to the power {1.0 + test.size:.3g} ({p})",
             "shape_trend": f"the responses change relative to each other by {percent} from the first repeat "
-            f"to the last{self._moved()} ({p})",
+            f"to the last{self._describe_shift()} ({p})",
             "shape_level": f"the responses change relative to each other by {percent} from the lowest level "
-            f"to the highest{self._moved()} ({p})",
+            f"to the highest{self._describe_shift()} ({p})",
             "shape_outlier": f"{which} differs by {percent} in its shape from the others ({p})",
             "shape_scatter": f"the repeats scatter {test.size:.2g} times as much as the stated noise ({p})",
         }[test.name]
 
-    def _moved(self) -> str:
+    def _describe_shift(self) -> str:
         """Return how far resonances seem to have moved, when that explains the differences."""
         if self.shift_share < _SHIFT_SHARE:
             return ""
@@ -137,7 +137,7 @@ class RunRepeats:
     def notices(self, several: bool) -> list[Notice]:
         """Return one warning for each finding."""
         where = f" of run {self.run}" if several else ""
-        many = _counted(self.takes)
+        many = _count(self.takes)
         notices = [
             Notice(_CODES[test.name], f"{many}{where}: {self.said(test)}. {_ADVICE[_CODES[test.name]]}")
             for test in self.found
@@ -282,7 +282,7 @@ def _verdict(alarms: list[RepeatTest]) -> list[RepeatTest]:
     return sorted(gains, key=lambda test: test.p_value)[:1] + shapes
 
 
-def _counted(takes: Sequence[Take]) -> str:
+def _count(takes: Sequence[Take]) -> str:
     levels = len({take.level for take in takes if np.isfinite(take.level)})
     repeats = len({take.repeat for take in takes})
     words = []

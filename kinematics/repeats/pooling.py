@@ -69,7 +69,7 @@ def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
             parts.append(_alone(measurement, places[0]))
             continue
         shapes = _shapes(measurement, places)
-        report = _compared(measurement, run, takes, shapes, _single(alarm, runs))
+        report = _compare(measurement, run, takes, shapes, _single(alarm, runs))
         part, from_scatter = _pool(shapes, takes, report.sd_factor)
         reports.append(replace(report, noise_from_repeats=from_scatter))
         parts.append(part)
@@ -92,13 +92,13 @@ def separate_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         notices += take_notices
         if len(places) > 1:
             shapes = _shapes(measurement, places)
-            report = _compared(measurement, run, takes, shapes, _single(alarm, runs))
+            report = _compare(measurement, run, takes, shapes, _single(alarm, runs))
             reports.append(replace(report, were_pooled=False))
             notices += report.notices(len(runs) > 1)
     return Pooled(replace(measurement, takes=(), notices=tuple(notices)), tuple(reports))
 
 
-def _compared(
+def _compare(
     measurement: Measurement, run: str, takes: Sequence[Take], shapes: Shapes, alarm: float
 ) -> RunRepeats:
     report = compare(run, takes, shapes, shapes.stack.known, alarm)
@@ -131,7 +131,7 @@ def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]
 def _shapes(measurement: Measurement, places: Sequence[int]) -> Shapes:
     """Return the shapes of the takes of a run; their scatter gives the noise where none is stated."""
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
-    stack = _believed(Stack(measurement.bodies, tuple(places), rate))
+    stack = _with_believed_noise(Stack(measurement.bodies, tuple(places), rate))
     shapes = shapes_of(stack)
     if not stack.known and (noise := scatter_noise(shapes)) is not None:
         del shapes
@@ -139,7 +139,7 @@ def _shapes(measurement: Measurement, places: Sequence[int]) -> Shapes:
     return shapes
 
 
-def _believed(stack: Stack) -> Stack:
+def _with_believed_noise(stack: Stack) -> Stack:
     """Return the takes with the noise that stated sd mean on the average, when they are estimates."""
     takes = len(stack.places)
     if not stack.known or takes < 2:
@@ -259,10 +259,10 @@ def with_gain_errors(motion: RigidMotion, repeats: Sequence[RunRepeats]) -> Rigi
     if not names:
         return motion
     added = SharedErrors(tuple(names), np.diag(variances), np.stack(derivatives))
-    return replace(motion, shared=added if motion.shared is None else _joined(motion.shared, added))
+    return replace(motion, shared=added if motion.shared is None else _join(motion.shared, added))
 
 
-def _joined(first: SharedErrors, second: SharedErrors) -> SharedErrors:
+def _join(first: SharedErrors, second: SharedErrors) -> SharedErrors:
     count = len(first.names)
     covariance = np.zeros((count + len(second.names),) * 2)
     covariance[:count, :count] = first.covariance

@@ -54,7 +54,7 @@ def frequency_shifts(shapes: Shapes, freq_hz: Array, body: NDArray[np.intp]) -> 
         stop = start + len(part)
         wide = lines[max(start - 1, 0) : stop + 1]
         inner = slice(start - max(start - 1, 0), start - max(start - 1, 0) + len(part))
-        sums = _moved(shapes, freq_hz, wide, inner, reference, others)
+        sums = _normal_equation(shapes, freq_hz, wide, inner, reference, others)
         normal, energy, moved = normal + sums[0], energy + sums[1], moved + sums[2]
         start = stop
     if normal <= 0.0:
@@ -64,7 +64,7 @@ def frequency_shifts(shapes: Shapes, freq_hz: Array, body: NDArray[np.intp]) -> 
     return shifts, min(share, 1.0)
 
 
-def _moved(
+def _normal_equation(
     shapes: Shapes,
     freq_hz: Array,
     wide: NDArray[np.intp],

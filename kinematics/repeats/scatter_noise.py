@@ -75,8 +75,8 @@ def _together(shapes: Shapes, width: int) -> float:
     for part in parts[::step]:
         residual = shapes.residual(part, shapes.data(part)).reshape(len(part), -1)
         size = residual.real**2 + residual.imag**2
-        product += _lagged(residual, width)
-        chance += _lagged(size, width).real
+        product += _lag(residual, width)
+        chance += _lag(size, width).real
         whole += float(np.sum(size))
     if whole <= 0.0:
         return 1.0
@@ -84,7 +84,7 @@ def _together(shapes: Shapes, width: int) -> float:
     return float(1.0 + 2.0 * np.sum((1.0 - np.arange(1, width) / width) * squares))
 
 
-def _lagged(values: NDArray[np.complex128] | Array, width: int) -> NDArray[np.complex128]:
+def _lag(values: NDArray[np.complex128] | Array, width: int) -> NDArray[np.complex128]:
     """Return the sums of products (width,) of lines (n, ...) 0, 1, ... apart."""
     spectrum = np.fft.fft(values, 2 * len(values), axis=0)
     sums = np.fft.ifft(np.sum(np.abs(spectrum) ** 2, axis=1))

@@ -31,10 +31,10 @@ _MOST_DEG = 60.0
 
 def detectable_blocks(result: Points2Dof) -> list[Markup]:
     """Return how large a fault would have to be to be found, per body and point, and what never shows."""
-    return [*_found(result), *_never(result)]
+    return [*_detectable_items(result), *_never(result)]
 
 
-def _found(result: Points2Dof) -> list[Markup]:
+def _detectable_items(result: Points2Dof) -> list[Markup]:
     if result.options.robust != "none" or result.motion.reference:
         return []
     rows: list[tuple[str, ...]] = []

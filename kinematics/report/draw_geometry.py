@@ -152,7 +152,7 @@ def frame(view: Axes, sight: View, scenery: Scenery, middle: Array, half: Array)
         (view.set_xlim, view.set_ylim)[place](centre - side, centre + side)
         axis = (view.xaxis, view.yaxis)[place]
         if signed[0] == "-":
-            axis.set_major_formatter(_turned_round)
+            axis.set_major_formatter(_turn_round)
         where = scenery.side("+" + signed[1])
         ticks.append(f"{signed[1]} (mm)" + (f", {where} +" if where else ""))
     view.set_aspect("equal", adjustable="box")
@@ -165,7 +165,7 @@ def frame(view: Axes, sight: View, scenery: Scenery, middle: Array, half: Array)
     view.tick_params(labelsize=8)
 
 
-def _turned_round(value: float, _place: object = None) -> str:
+def _turn_round(value: float, _place: object = None) -> str:
     return _minus(f"{0.0 - value:g}")
 
 

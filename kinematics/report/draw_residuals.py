@@ -271,7 +271,7 @@ def _margin(view: Axes, verdicts: list[ChannelVerdict], height: float) -> None:
     if len(rows) == count and len(kinds) == 1:
         _note(view, count / 2.0, count / 2.0, _words(verdicts[0]))
         return
-    shown = _joined(rows, verdicts)
+    shown = _join(rows, verdicts)
     room = int(height / _LETTER)
     if sum(1 + words.count("\n") for _, words in shown) > room:
         shown = [(row, words.replace("\n", " ")[:_LETTERS]) for row, words in shown]
@@ -293,7 +293,7 @@ def _margin(view: Axes, verdicts: list[ChannelVerdict], height: float) -> None:
         _note(view, end, end, f"and {left_out} more: see the table")
 
 
-def _joined(rows: list[int], verdicts: list[ChannelVerdict]) -> list[tuple[float, str]]:
+def _join(rows: list[int], verdicts: list[ChannelVerdict]) -> list[tuple[float, str]]:
     """Return middle and words of every stretch of neighbouring rows with the same verdict."""
     groups: list[tuple[float, str]] = []
     start = 0

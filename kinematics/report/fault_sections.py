@@ -132,7 +132,14 @@ def channel_count(result: Points2Dof) -> str:
 def _fault_row(group: Group, several: bool) -> tuple[str, ...]:
     v = group.verdict
     size = "not used" if np.isnan(group.rms) else f"{group.rms:.3g}"
-    row = (v.body, _listed(group.names), v.verdict, plus_minus(v.estimate) or "-", size, chance(v.p_value))
+    row = (
+        v.body,
+        _join_names(group.names),
+        v.verdict,
+        plus_minus(v.estimate) or "-",
+        size,
+        chance(v.p_value),
+    )
     return (*((v.run,) if several else ()), *row, _step(v))
 
 
@@ -147,7 +154,7 @@ def _step(verdict: ChannelVerdict) -> str:
     return written(ADVICE[verdict.verdict][1])
 
 
-def _listed(names: Sequence[str], most: int = 6) -> str:
+def _join_names(names: Sequence[str], most: int = 6) -> str:
     words = "; ".join(names[:most])
     return f"{words}; and {len(names) - most} more" if len(names) > most else words
 

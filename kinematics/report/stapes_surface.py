@@ -126,7 +126,7 @@ def coarse(vertices_mm: Array, faces: Faces, most: int) -> tuple[Array, Faces]:
         )
         few = owner.reshape(-1)[faces]
         keep = (few[:, 0] != few[:, 1]) & (few[:, 1] != few[:, 2]) & (few[:, 0] != few[:, 2])
-        few = np.unique(_turned(few[keep]), axis=0)
+        few = np.unique(_turn(few[keep]), axis=0)
         if len(few) <= most:
             number = np.bincount(owner.reshape(-1))
             mean = [np.bincount(owner.reshape(-1), vertices_mm[:, k]) / number for k in range(3)]
@@ -134,7 +134,7 @@ def coarse(vertices_mm: Array, faces: Faces, most: int) -> tuple[Array, Faces]:
         cell *= 1.08
 
 
-def _turned(faces: Faces) -> Faces:
+def _turn(faces: Faces) -> Faces:
     """Return every triangle with its smallest corner first, in the same sense."""
     first = np.argmin(faces, axis=1)
     return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)

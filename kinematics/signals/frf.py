@@ -206,7 +206,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         step = "Restrict the band to where the reference has power"
         raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
     tiny = np.finfo(float).tiny
-    value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
+    value, variance, coherence = _estimate(gxx, gyy, gxy, averages, how)
     unexplained = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
     own, common = split_noise(
         lambda: (y - value * x for x, y in segments()), np.maximum(unexplained, 0.0), value, float(total)
@@ -303,7 +303,7 @@ def _spectrum(signal: Array, taper: Array, lines: slice) -> ComplexArray:
     return np.asarray(np.fft.rfft((signal - level) * taper, axis=-1)[..., lines])
 
 
-def _estimated(
+def _estimate(
     gxx: Array, gyy: Array, gxy: ComplexArray, averages: float, how: Welch
 ) -> tuple[ComplexArray, Array, Array]:
     """Return H (channel, freq), E|dH|^2 and the coherence from averaged spectra."""

@@ -98,7 +98,7 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     if np.any(power == 0.0):
         step = "Restrict the band to where the reference has power"
         raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
-    value, residual, lever = _fitted(x, y)
+    value, residual, lever = _fit(x, y)
     rows = residual.reshape(len(value), count, -1)
     raw = np.sum(np.abs(rows) ** 2, axis=2) / freedom
     own, common = split_noise(
@@ -135,7 +135,7 @@ def _lines(signal: Array, samples: int, width: int, count: int) -> ComplexArray:
     return np.asarray(spectrum.reshape(*signal.shape[:-1], count, width))
 
 
-def _fitted(x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
+def _fit(x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
     """Fit every block.
 
     Parameters

@@ -133,7 +133,7 @@ def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     lines = spectrum.shape[1]
     width = min(width, lines)
     if width <= 1:
-        return spectrum * _raised(freedom)
+        return spectrum * _small_sample_factor(freedom)
     trend = np.ones_like(spectrum)
     if lines >= _TREND_FROM:
         floor = np.maximum(1e-12 * np.max(spectrum, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -145,7 +145,7 @@ def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
     start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, lines)
     mean = (total[:, stop] - total[:, start]) / (stop - start)
-    return np.asarray(mean * trend * _raised(freedom * (stop - start)))
+    return np.asarray(mean * trend * _small_sample_factor(freedom * (stop - start)))
 
 
 def steady_common(common: Array, width: int) -> Array:
@@ -158,7 +158,7 @@ def steady_common(common: Array, width: int) -> Array:
     return np.maximum(uniform_filter1d(common, width, mode="nearest"), 0.0)
 
 
-def _raised(freedom: Array | float) -> Array | float:
+def _small_sample_factor(freedom: Array | float) -> Array | float:
     """Return f / (f - 1) for f complex degrees of freedom, 2 at most; 1 for infinitely many."""
     return 1.0 / (1.0 - 1.0 / np.maximum(freedom, 2.0))
 

@@ -108,7 +108,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
         step = "Record more periods, or skip fewer"
         raise KinematicsError.of("a record", "at least two blocks of periods long", got, where, step)
     means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
-    lines = _excited(stacks, means, how.threshold, where)
+    lines = _find_excited(stacks, means, how.threshold, where)
     freq = (lines + 1) * sample_rate_hz / samples
     power = sum(n * np.abs(x[lines]) ** 2 for n, (x, _) in zip(counts, means, strict=True))
     cross = sum(n * x[lines].conj() * y[:, lines] for n, (x, y) in zip(counts, means, strict=True))
@@ -129,7 +129,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
         between = sum(
             n * np.abs(y[:, lines] - value * x[lines]) ** 2 for n, (x, y) in zip(counts, means, strict=True)
         ) / (len(stacks) - 1)
-        own, notices = _widened(own, raw, np.asarray(between), len(stacks))
+        own, notices = _widen(own, raw, np.asarray(between), len(stacks))
     if dof < 5:
         text = f"only {int(np.sum(counts))} periods were averaged: the stated noise is rough."
         notices.append(Notice("few_averages", text))
@@ -154,7 +154,7 @@ def _blocks(signal: Array, samples: int) -> ComplexArray:
     return np.asarray(lines[..., 1 : (samples + 1) // 2])
 
 
-def _excited(
+def _find_excited(
     stacks: list[tuple[ComplexArray, ComplexArray]],
     means: list[tuple[ComplexArray, ComplexArray]],
     threshold: float,
@@ -181,7 +181,7 @@ def _coherence(stacks: list[tuple[ComplexArray, ComplexArray]], lines: NDArray[n
     return np.clip(np.abs(np.asarray(xy)) ** 2 / np.maximum(np.asarray(xx * yy), tiny), 0.0, 1.0)
 
 
-def _widened(own: Array, raw: Array, between: Array, records: int) -> tuple[Array, list[Notice]]:
+def _widen(own: Array, raw: Array, between: Array, records: int) -> tuple[Array, list[Notice]]:
     """Widen the noise of channels whose records differ by more than the noise within them."""
     ratio = np.mean(between, axis=1) / np.maximum(np.mean(raw, axis=1), np.finfo(float).tiny)
     limit = 1.0 + 5.0 / np.sqrt((records - 1) * own.shape[1])

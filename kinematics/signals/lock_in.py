@@ -138,10 +138,10 @@ def fit_sine(
         step = "Record longer steps or let less settle"
         raise KinematicsError.of("a step", "four cycles and 16 samples long", got, where, step)
     if how.refine:
-        freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
+        freq_hz = _refine(signals, sample_rate_hz, freq_hz, how, where)
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
     base = _base(count, sample_rate_hz, freq_hz, how, run_hz)
-    coefficients = _solved(base, signals.T)
+    coefficients = _solve(base, signals.T)
     residual_signals = signals - (base @ coefficients).T
     orders = _orders(sample_rate_hz, freq_hz, how)
     pairs = (coefficients[0 : 2 * orders : 2] - 1j * coefficients[1 : 2 * orders : 2]).T
@@ -181,12 +181,12 @@ def _base(count: int, rate: float, freq: float, how: SteppedSine, run_hz: float 
     return np.column_stack(columns)
 
 
-def _solved(base: Array, samples: Array) -> Array:
+def _solve(base: Array, samples: Array) -> Array:
     """Return least-squares coefficients, (column, channel); the columns are far from dependent."""
     return np.asarray(np.linalg.solve(base.T @ base, base.T @ samples))
 
 
-def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
+def _refine(signals: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
     """Return the frequency of the sine near the nominal one, from the phases between two halves.
 
     All channels take part, each weighted by the inverse of what a fit leaves of it.
@@ -207,7 +207,7 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
         base = _base(half, rate, coarse, plain)
         halves, energy = [], np.full(len(level), 1e-20)
         for part in (level[:, :half].T, level[:, half : 2 * half].T):
-            fitted = _solved(base, part)
+            fitted = _solve(base, part)
             halves.append(fitted[0] - 1j * fitted[1])
             energy += np.mean((part - base @ fitted) ** 2, axis=0)
         turn = np.sum(halves[1] * np.conj(halves[0]) / energy) * np.exp(-2j * np.pi * coarse * half / rate)
@@ -242,7 +242,7 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
     parts, noise = [], np.zeros(len(signals))
     for number in range(3):
         samples = signals[:, number * third : (number + 1) * third].T
-        fitted = _solved(base, samples)
+        fitted = _solve(base, samples)
         parts.append(fitted[0] - 1j * fitted[1])
         noise += np.mean((samples - base @ fitted) ** 2, axis=0) / 3.0
     size = np.abs(parts[0] * parts[2]) * np.abs(parts[1]) ** 2

@@ -54,7 +54,7 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
         notices.append(Notice("clipped", text))
     if any(spikes.values()):
         text = (
-            f"isolated spikes rise far above the signal ({_listed(spikes, file)}), as when the laser loses "
+            f"isolated spikes rise far above the signal ({_counts(spikes, file)}), as when the laser loses "
             "its light: they are noise in the responses and counted as such. A tracking filter or a better "
             "spot removes them."
         )
@@ -62,14 +62,14 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
     if any(still.values()):
         text = (
             f"the signal is constant for {_STILL} samples or more in the midst of motion "
-            f"({_listed(still, file)}), as when a decoder holds its last value: such responses are too "
+            f"({_counts(still, file)}), as when a decoder holds its last value: such responses are too "
             "small. Measure these points again."
         )
         notices.append(Notice("dropouts", text))
     return notices
 
 
-def _listed(counts: Mapping[str, int], file: str) -> str:
+def _counts(counts: Mapping[str, int], file: str) -> str:
     return f"{', '.join(f'{name}: {n}' for name, n in counts.items() if n)}; {file}"
 
 

@@ -64,7 +64,7 @@ def stepped_frf(
     how = how or SteppedSine()
     fits: list[_Fitted] = []
     faults: list[Fault] = []
-    for step, place in _named(steps, where):
+    for step, place in _name_steps(steps, where):
         with collect_faults(faults):
             cut = int(how.settle * len(step.reference))
             check_signals(step.reference, step.responses, sample_rate_hz, place)
@@ -97,7 +97,7 @@ def stepped_amplitudes(
     how = how or SteppedSine()
     fits: list[_Fitted] = []
     faults: list[Fault] = []
-    for step, place in _named(steps, where):
+    for step, place in _name_steps(steps, where):
         with collect_faults(faults):
             signals = step.responses[:, int(how.settle * step.responses.shape[1]) :]
             lead = int(np.argmax(np.std(signals, axis=1)))
@@ -121,7 +121,7 @@ class _Fitted:
     reference: float
 
 
-def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
+def _name_steps(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
     if not steps:
         step = "Give the steps as a column freq_hz or a table"
         raise KinematicsError.of("a stepped sine", "of at least one step", "none", where, step)
@@ -149,14 +149,14 @@ def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     blocks = np.stack([part[1] for part in parts], axis=2)
     raw = np.mean(np.abs(blocks) ** 2, axis=0)
     own, common = split_noise(lambda: blocks, raw, value, float(len(blocks)))
-    own = own * np.array([_raised(group) for group in groups.values()])
+    own = own * np.array([_small_sample_factor(group) for group in groups.values()])
     common_sd = np.sqrt(0.5 * common)
     size = np.array([np.mean([fit.reference for fit in group]) for group in groups.values()])
     notices = (*common_notice(common_sd), *clock_notices, *_step_notices(pairs))
     return Frf(freq, value, np.sqrt(0.5 * own), None, float("nan"), common_sd, size, notices)
 
 
-def _raised(group: list[_Fitted]) -> float:
+def _small_sample_factor(group: list[_Fitted]) -> float:
     """Return m / (m - 1) for m independent samples of the noise of a line."""
     samples = sum(fit.error.shape[1] for fit in group) / _CORRELATED
     return samples / max(samples - 1.0, 0.5 * samples)

@@ -196,7 +196,7 @@ def grid_faults(
         common = int(np.sum(present[first] & present[number]))
         if common and common >= _SHARE * within:
             continue
-        both = " and ".join(_described(freq_hz[rows]) for rows in (grid_a, grid_b))
+        both = " and ".join(_describe(freq_hz[rows]) for rows in (grid_a, grid_b))
         faults.append(
             Fault(
                 f"the frequencies of bodies {names[first]} and {names[number]}",
@@ -209,7 +209,7 @@ def grid_faults(
     return faults
 
 
-def _described(freq_hz: Array) -> str:
+def _describe(freq_hz: Array) -> str:
     """Write a grid as its first lines, its last one, and their number."""
     if len(freq_hz) < 4:
         return ", ".join(f"{value:.8g}" for value in freq_hz) + " Hz"

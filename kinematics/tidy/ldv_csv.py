@@ -65,7 +65,7 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
         raise
     columns = column_sets[0]
     rows = rows_of(table, columns, listed, others)
-    measurement = _assembled(rows, columns, table, frame)
+    measurement = _assemble(rows, columns, table, frame)
     notices = [*rows.notices, *ignored_notice(columns, table.file), *measurement.notices]
     if table.comments:
         text = f"{table.comments} lines of {table.file} begin with # and were passed over as comments."
@@ -85,7 +85,7 @@ def _check_kind(path: Path) -> None:
         )
 
 
-def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measurement:
+def _assemble(rows: Rows, columns: Columns, table: Table, frame: str) -> Measurement:
     lines = len(rows.freq_hz)
     shape = (len(rows.runs), len(rows.body), lines)
     at = (rows.take * shape[1] + rows.channel) * lines + rows.line

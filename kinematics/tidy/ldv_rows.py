@@ -89,11 +89,11 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
     check_values(table, columns, faults)
     before = len(faults)
     blocks = _blocks(table, columns)
-    rows = _placed(table, columns, listed, blocks, usable, faults)
+    rows = _place(table, columns, listed, blocks, usable, faults)
     if len(faults) > before and len(blocks.starts) < len(table):
         del faults[before:]
         blocks = _Blocks(table, np.arange(len(table)), np.arange(len(table)))
-        rows = _placed(table, columns, listed, blocks, usable, faults)
+        rows = _place(table, columns, listed, blocks, usable, faults)
     raise_all(KinematicsError, [*faults, *others])
     if rows is None:
         raise KinematicsError(no_rows(table.file, "empty rows"))
@@ -119,7 +119,7 @@ def _blocks(table: Table, columns: Columns) -> _Blocks:
     return _Blocks(short, np.cumsum(new) - 1, starts)
 
 
-def _placed(
+def _place(
     table: Table,
     columns: Columns,
     listed: Points | None,

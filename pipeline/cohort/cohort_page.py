@@ -67,11 +67,11 @@ def _side_by_side(ears: Sequence[Ear], rows: Sequence[Quantity]) -> list[Any]:
     ]
     for heading, part in _groups(rows):
         if len(ears) <= _FEW:
-            cells = [(_headed(row), *(_cell(row, k) for k in range(len(ears)))) for row in part]
+            cells = [(_heading(row), *(_cell(row, k) for k in range(len(ears)))) for row in part]
             table = page.table(("", *labels(ears)), cells)
         else:
             cells = [(name, *(_cell(row, k) for row in part)) for k, name in enumerate(labels(ears))]
-            table = page.table(("study", *map(_headed, part)), cells)
+            table = page.table(("study", *map(_heading, part)), cells)
         blocks += [page.subheading(heading), table] if len(ears) <= _SOME else [page.folded(heading, table)]
     return blocks
 
@@ -100,7 +100,7 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
         )
         if one_unit or not quantity.name.startswith("D_"):
             panel.axhline(quantity.mean, color="#9aa5b1", lw=1, zorder=0)
-        panel.set_title(_headed(quantity), fontsize=9, loc="right")
+        panel.set_title(_heading(quantity), fontsize=9, loc="right")
         step = -(-len(ears) // _SOME)
         panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places[::step])
         few = len(ears) <= _FEW
@@ -129,7 +129,7 @@ def _title(quantity: Quantity) -> str:
     return quantity.name.replace("_", " ").replace("mode", "mode ")
 
 
-def _headed(quantity: Quantity) -> str:
+def _heading(quantity: Quantity) -> str:
     """Return the name of a quantity with its unit."""
     return f"{_title(quantity)} ({quantity.unit})" if quantity.unit else _title(quantity)
 
@@ -160,7 +160,7 @@ def _comparison(ears: Sequence[Ear], tests: Sequence[Quantity]) -> list[Any]:
         numbers = (
             f"{value:.4g}" if np.isfinite(value) else "–" for value in (compared.mean, compared.spread, own)
         )
-        rows.append((_headed(compared), *numbers, test))
+        rows.append((_heading(compared), *numbers, test))
     header = ("quantity", "mean", "sd between ears", "own sd of one ear (rms)", "Q (n − 1)")
     blocks = [
         page.table(header, rows),

@@ -72,7 +72,7 @@ def independent_parameters(
     most = min(p, n - 1)
     for k in range(most):
         between = _components_of(values, whitening, k)
-        simulated = _simulated(between, roots, whitening, k, rng)
+        simulated = _simulate(between, roots, whitening, k, rng)
         if observed[k] <= np.quantile(simulated, level):
             break
         lower = k + 1
@@ -82,7 +82,7 @@ def independent_parameters(
         direction = np.linalg.solve(whitening, _eigen(values @ whitening.T)[1][:, k])
         direction /= np.linalg.norm(direction)
         planted = between + smallest_sd**2 * np.outer(direction, direction)
-        simulated = _simulated(planted, roots, whitening, k, rng)
+        simulated = _simulate(planted, roots, whitening, k, rng)
         if observed[k] < np.quantile(simulated, 1.0 - level):
             upper = k
             break
@@ -116,7 +116,7 @@ def _components_of(values: Array, whitening: Array, k: int) -> Array:
     return np.asarray(back @ covariance @ back.T)
 
 
-def _simulated(between: Array, roots: Array, whitening: Array, k: int, rng: np.random.Generator) -> Array:
+def _simulate(between: Array, roots: Array, whitening: Array, k: int, rng: np.random.Generator) -> Array:
     """Return eigenvalue k of simulated cohorts of given variation between ears and measurement errors."""
     n, p = len(roots), len(between)
     sizes, axes = np.linalg.eigh(between)

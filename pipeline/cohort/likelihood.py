@@ -56,7 +56,7 @@ class RestrictedLikelihood:
         columns = np.concatenate([fixed, pairs.shared], axis=2)
         self._fixed = fixed.shape[2]
         self._ridge = np.diag(np.r_[np.zeros(self._fixed), np.ones(s)])
-        self._groups = list(_grouped(pairs, columns))
+        self._groups = list(_group(pairs, columns))
         self._paired = pairs.has_pairs()
 
     @property
@@ -119,7 +119,7 @@ class RestrictedLikelihood:
             log_det += logs.sum(axis=1)
         information = sums[:, : p * p].reshape(g, p, p) + self._ridge
         score, square = sums[:, p * p : -1], sums[:, -1]
-        covariance, log_information = _inverted(information)
+        covariance, log_information = _invert(information)
         solution = np.matmul(covariance, score[:, :, None])[:, :, 0]
         square = square - np.sum(score * solution, axis=1)
         return 0.5 * (log_det + log_information + square), solution, covariance
@@ -144,7 +144,7 @@ def correlation_of_pairs(parameters: Array) -> Array:
     return MOST_ALIKE / (1.0 + np.exp(-np.clip(parameters[:, 3], LOWEST, -LOWEST)))
 
 
-def _grouped(pairs: LogPairs, columns: Array) -> list[_Group]:
+def _group(pairs: LogPairs, columns: Array) -> list[_Group]:
     """Sort the ears into blocks by subject, subjects with the same number of ears together."""
     _, place, count = np.unique(pairs.subject, return_inverse=True, return_counts=True)
     groups = []
@@ -169,13 +169,13 @@ def _inverse(psi: Array, rho: Array, group: _Group) -> tuple[Array, Array]:
     """Return inverses (g, k, 2m, 2m) and logarithms of determinants (g, k) of the blocks of a group."""
     m = group.ears
     if m == 1:
-        return _inverted(psi[:, None] + group.own[None])
+        return _invert(psi[:, None] + group.own[None])
     alike = np.eye(m) + rho[:, None, None] * (1.0 - np.eye(m))
     between = np.einsum("gij,gab->giajb", alike, psi).reshape(len(psi), 2 * m, 2 * m)
-    return _inverted(between[:, None] + group.own[None])
+    return _invert(between[:, None] + group.own[None])
 
 
-def _inverted(block: Array) -> tuple[Array, Array]:
+def _invert(block: Array) -> tuple[Array, Array]:
     """Return inverses and logarithms of determinants of positive definite matrices (..., p, p)."""
     if block.shape[-1] > 2:
         return np.asarray(np.linalg.inv(block)), np.asarray(np.linalg.slogdet(block)[1])

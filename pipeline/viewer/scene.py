@@ -54,7 +54,7 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
     for name in _MOST_FACES:
         surface = surfaces.mesh(name)
         if surface is not None:
-            vertices = _mapped_back(scan_from_footplate, surface.vertices_mm)
+            vertices = _map_back(scan_from_footplate, surface.vertices_mm)
             meshes.append({"name": name, **packed_mesh(vertices, surface.faces, _MOST_FACES[name])})
     return {
         "meshes": meshes,
@@ -65,7 +65,7 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _mapped_back(a_from_b: Array, points: Array) -> Array:
+def _map_back(a_from_b: Array, points: Array) -> Array:
     """Return points given in a in the coordinates of b."""
     return np.asarray((points - a_from_b[:3, 3]) @ a_from_b[:3, :3])
 
@@ -86,7 +86,7 @@ def _lines(
     ]
     if frames.get("scan_from_plate"):
         plate = np.asarray(frames["scan_from_plate"], dtype=float)
-        origin = _mapped_back(scan_from_footplate, plate[:3, 3])
+        origin = _map_back(scan_from_footplate, plate[:3, 3])
         for name, axis in zip("xyz", plate[:3, :3].T, strict=True):
             end = origin + _AXIS_MM * (scan_from_footplate[:3, :3].T @ axis)
             lines.append(_line(f"plate {name}", origin, end, name, "plate"))

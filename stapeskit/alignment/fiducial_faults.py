@@ -86,7 +86,7 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
     ]
     energy = float(misfits(a * [1.0, 1.0, -1.0], b, weights)[0])
     suspects.append(Explanation("mirrored", (), energy, free, 1.0))
-    scale, energy = _scaled(a, b, weights)
+    scale, energy = _scale(a, b, weights)
     suspects.append(Explanation("scaled", (), energy, free - 1, 1.0, scale))
     return suspects
 
@@ -105,7 +105,7 @@ def best(suspects: Sequence[Explanation], stated: bool) -> tuple[Explanation, li
     return ordered[0], alike
 
 
-def _scaled(a: Array, b: Array, weights: Array) -> tuple[float, float]:
+def _scale(a: Array, b: Array, weights: Array) -> tuple[float, float]:
     """Return the scale that fits best (Umeyama 1991, doi:10.1109/34.88573, Eq. 42) and its energy."""
     rotation, _, _ = kabsch(a, b, weights)
     share = weights / np.sum(weights)

@@ -154,13 +154,13 @@ def fit_rigid(
     else:
         matrices = np.broadcast_to(np.eye(3), (len(a), 3, 3))
     energy = float(np.einsum("ni,nij,nj->", residuals, matrices, residuals))
-    return _checked(
+    return _check(
         a, b, RigidTransform.from_parts(rotation, shift, to, source), residuals, matrices, weights, energy,
         stated, bool(mirrored), names or tuple(str(place + 1) for place in range(len(a))),
     )  # fmt: skip
 
 
-def _checked(
+def _check(
     a: Array,
     b: Array,
     transform: RigidTransform,

@@ -49,14 +49,14 @@ def fragments(corners: Array, shape: tuple[int, int]) -> tuple[Pixels, Array, Pi
         members = shown[side[shown] == size]
         step = max(1, _TOGETHER // int(size * size))
         for start in range(0, len(members), step):
-            parts.append(_covered(corners, low, members[start : start + step], int(size), shape))
+            parts.append(_pixels_inside(corners, low, members[start : start + step], int(size), shape))
     if not parts:
         return np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3))
     place, height, face, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
     return place, height, face, shares
 
 
-def _covered(
+def _pixels_inside(
     corners: Array, low: Pixels, members: Pixels, size: int, shape: tuple[int, int]
 ) -> tuple[Pixels, Array, Pixels, Array]:
     """Return the pixels of some triangles out of squares of candidates; see `fragments`."""

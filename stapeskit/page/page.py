@@ -58,10 +58,10 @@ def _whole(cell: object) -> Markup:
     """Return the text of a cell whose numbers stay in one line."""
     from markupsafe import Markup, escape
 
-    return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(_printed(cell)))))
+    return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(_print_cell(cell)))))
 
 
-def _printed(cell: object) -> object:
+def _print_cell(cell: object) -> object:
     """Return a cell with the letters that a page has; marked-up cells and numbers as they are."""
     return printed(cell) if type(cell) is str else cell
 
@@ -76,7 +76,7 @@ def _policy() -> str:
 
 
 @cache
-def _compiled(template: str) -> Template:
+def _compile(template: str) -> Template:
     """Return a template of this program, compiled once: a page of a study has a hundred blocks of ten kinds."""
     from jinja2 import Environment
 
@@ -86,7 +86,7 @@ def _compiled(template: str) -> Template:
 def _render(template: str, **values: Any) -> Markup:
     from markupsafe import Markup
 
-    return Markup(_compiled(template).render(**values))
+    return Markup(_compile(template).render(**values))
 
 
 @dataclass
@@ -214,7 +214,7 @@ def table(
         '{% if h %}<th scope="col">{{ h }}</th>{% else %}<td></td>{% endif %}{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=[printed(name) for name in header],
-        rows=[[_whole(cell) if words else _printed(cell) for cell in row] for row in listed],
+        rows=[[_whole(cell) if words else _print_cell(cell) for cell in row] for row in listed],
         words=words,
         two=named_by == 2,
         few=len(listed) <= _FEW_ROWS,
@@ -312,7 +312,7 @@ def figure(
     stream = io.BytesIO()
     if vector:
         drawing.savefig(stream, format="svg", dpi=dpi)
-        data, kind = _shortened(stream.getvalue()), "svg"
+        data, kind = _shorten(stream.getvalue()), "svg"
     else:
         drawing.savefig(stream, format="png", dpi=dpi)
         data, kind = _few_colours(stream.getvalue()) if palette else stream.getvalue(), "png"
@@ -334,7 +334,7 @@ def _few_colours(png: bytes) -> bytes:
     return stream.getvalue()
 
 
-def _shortened(svg: bytes) -> bytes:
+def _shorten(svg: bytes) -> bytes:
     """Round the coordinates of paths to hundredths of a point, finer than any screen or printer shows."""
     path = re.compile(rb' d="[^"]*"')
     number = re.compile(rb"(\d+\.\d\d)\d+")

@@ -94,7 +94,7 @@ def shade(vertices_mm: Array, faces: Faces, view: View, pixels: int = 380) -> Sh
     tone, depth = np.full(shape, np.nan), np.full(shape, -np.inf)
     tone.flat[place] = np.sum(shares * _vertex_light(flat, faces)[faces[face]], axis=1)
     depth.flat[place] = near
-    image, depth = _halved(tone, depth)
+    image, depth = _halve(tone, depth)
     right, top = low[0] + columns * pixel, low[1] + rows * pixel
     return Shaded(image, depth, (float(low[0]), float(right), float(low[1]), float(top)))
 
@@ -156,7 +156,7 @@ def _visible(
     return place[shown], near[shown], facing[face[shown]], shares[shown]
 
 
-def _halved(tone: Array, depth: Array) -> tuple[Array, Array]:
+def _halve(tone: Array, depth: Array) -> tuple[Array, Array]:
     """Return the coloured picture at half the resolution, and its depth."""
     rows, columns = tone.shape[0] // _FINER, tone.shape[1] // _FINER
     blocks = tone.reshape(rows, _FINER, columns, _FINER)

@@ -224,7 +224,7 @@ def _frames(checked: Checked) -> None:
         checked.faults += faults
         if not faults:
             checked.transforms[name] = RigidTransform(matrix, to, source)
-    plate_poses = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(checked, name)}
+    plate_poses = {name for name in ("scan_from_plate", "plate_from_footplate") if _is_given(checked, name)}
     if len(plate_poses) == 1:
         present = plate_poses.pop()
         other = "plate_from_footplate" if present == "scan_from_plate" else "scan_from_plate"
@@ -254,7 +254,7 @@ def _frames(checked: Checked) -> None:
             checked.poses[name] = matrix
 
 
-def _given(checked: Checked, name: str) -> bool:
+def _is_given(checked: Checked, name: str) -> bool:
     frames = checked.raw.get("frames")
     return isinstance(frames, Mapping) and frames.get(name) is not None
 
@@ -383,7 +383,7 @@ def _same_body(
     checked.listed("mass_matrix_plate_axes.dof", DOF_NAMES)
     stated = checked.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
     plate = checked.transforms.get("plate_from_footplate")
-    if plate is None and not _given(checked, "plate_from_footplate"):
+    if plate is None and not _is_given(checked, "plate_from_footplate"):
         checked.fault("mass_matrix_plate_axes", "null in a file without plate_from_footplate", "a matrix")
     elif plate is not None and stated is not None:
         back = np.linalg.inv(twist_transfer(plate.rotation, np.zeros(3)))

@@ -110,15 +110,15 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
         for name in ("freq_hz", "q", "covariance", *(column.name for column in STORED), "common_sd"):
             if getattr(motion, name) is not None:
-                _put(file, name, getattr(motion, name))
+                _store(file, name, getattr(motion, name))
         if motion.shared is not None:
             group = file.create_group("shared")
             group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
-            _put(group, "covariance", motion.shared.covariance)
-            _put(group, "derivatives", motion.shared.derivatives)
+            _store(group, "covariance", motion.shared.covariance)
+            _store(group, "derivatives", motion.shared.derivatives)
 
 
-def _put(group: Any, name: str, values: NDArray[Any]) -> None:
+def _store(group: Any, name: str, values: NDArray[Any]) -> None:
     """Store an array with checksums, so that a damaged file is refused instead of read."""
     values = np.asarray(values)
     group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))

@@ -78,7 +78,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
             cells[column].append(row[place].strip())
     decimal = _decimal(sheet, cells, numbers)
     values = {
-        column: _parsed(cells[column], column, decimal, sheet.file, lines, faults)
+        column: _parse(cells[column], column, decimal, sheet.file, lines, faults)
         for column in sheet.header
         if column in numbers
     }
@@ -107,7 +107,7 @@ def _decimal(sheet: Sheet, cells: dict[str, list[str]], numbers: set[str]) -> st
     return "," if comma > point else "."
 
 
-def _parsed(
+def _parse(
     cells: Sequence[str], column: str, decimal: str, name: str, lines: Sequence[int], faults: list[Fault]
 ) -> Array:
     import pandas as pd

@@ -62,13 +62,13 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Columns | Non
     bodies = [sheet.data[start:stop] for start, stop in pairwise(_cuts(sheet))]
     threads = min(len(bodies), _processors(), _MOST_THREADS)
     if threads < 2:
-        return _joined([parse(body) for body in bodies], sheet.line)
+        return _join([parse(body) for body in bodies], sheet.line)
     from concurrent.futures import ThreadPoolExecutor
 
     import pandas  # noqa: F401  before the threads, which must not import it at the same time
 
     with ThreadPoolExecutor(threads) as pool:
-        return _joined(list(pool.map(parse, bodies)), sheet.line)
+        return _join(list(pool.map(parse, bodies)), sheet.line)
 
 
 def decimal_of(sheet: Sheet) -> str:
@@ -76,7 +76,7 @@ def decimal_of(sheet: Sheet) -> str:
     return "," if sheet.separator != "," and sheet.data.find(b",", sheet.start) >= 0 else "."
 
 
-def _joined(parts: Sequence[Columns | None], line: int) -> Columns | None:
+def _join(parts: Sequence[Columns | None], line: int) -> Columns | None:
     """Join the columns of all pieces, the first of which begins at a line, when all of them are regular."""
     regular = [part for part in parts if part is not None]
     if len(regular) < len(parts):
@@ -143,7 +143,7 @@ class _Parser:
         values = {column: np.ascontiguousarray(frame[column].to_numpy()) for column in self.numbers}
         if any(self._is_word(body, name, values[name]) for name in self.numbers):
             return None
-        texts = {column: _coded(frame[column]) for column in self.texts}
+        texts = {column: _encode(frame[column]) for column in self.texts}
         return Columns(values, texts, lines, height, comments)
 
     def _wide_enough(self, body: bytes, rows: int, quoted: bool) -> bool:
@@ -238,7 +238,7 @@ def _every_row_complete(sheet: Sheet, body: bytes, frame: Any, quoted: bool) -> 
     return bool(np.all(newline[width - 1 :: width])) and int(np.sum(newline)) == len(ends) // width
 
 
-def _coded(series: Any) -> Coded:
+def _encode(series: Any) -> Coded:
     codes = np.asarray(series.cat.codes, dtype=np.intp)
     return codes, [str(name).strip() for name in series.cat.categories]
 

@@ -103,20 +103,20 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
         raise StapeskitError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))
     read = read_fast(sheet, numbers, texts)
     if read is not None:
-        words = {name: _numbered(*column) for name, column in read.texts.items()}
+        words = {name: _number(*column) for name, column in read.texts.items()}
         return _without_empty(Table(sheet.file, read.numbers, words, read.lines, (), read.comments))
     cells = read_cells(sheet, numbers, texts)
-    words = {name: _numbered(*_coded(column)) for name, column in cells.texts.items()}
+    words = {name: _number(*_encode(column)) for name, column in cells.texts.items()}
     return Table(sheet.file, cells.numbers, words, cells.lines, cells.faults, cells.comments)
 
 
-def _coded(column: Sequence[str]) -> tuple[NDArray[np.intp], list[str]]:
+def _encode(column: Sequence[str]) -> tuple[NDArray[np.intp], list[str]]:
     """Store every text once."""
     unique = {word: place for place, word in enumerate(dict.fromkeys(column))}
     return np.array([unique[word] for word in column], dtype=np.intp), list(unique)
 
 
-def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
+def _number(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
     """Number texts in the order of first appearance, the empty one as -1."""
     first = np.full(len(names) + 1, len(codes), dtype=np.intp)
     new_text = np.ones(len(codes), dtype=bool)

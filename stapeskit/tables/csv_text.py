@@ -133,7 +133,7 @@ def _bytes(path: Path) -> bytes | mmap.mmap:
     if not path.is_file():
         raise StapeskitError.of("the table", "an existing CSV file", path, "", "Check its name and folder")
     if path.stat().st_size > _LARGE:
-        mapped = _mapped(path)
+        mapped = _map(path)
         if mapped is not None:
             return mapped
     data = path.read_bytes()
@@ -152,7 +152,7 @@ def _bytes(path: Path) -> bytes | mmap.mmap:
     return data
 
 
-def _mapped(path: Path) -> mmap.mmap | None:
+def _map(path: Path) -> mmap.mmap | None:
     """Map a large file of plain UTF-8 into memory; None for one that must be converted first."""
     with path.open("rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

@@ -131,7 +131,7 @@ def reordered_bodies(
     orders = list(text_orders(motion.freq_hz))
     reordered = _by_course(motion, rate, orders)
     right = put_in_order(motion, reordered, derivatives)
-    exchanged = _exchanged(right, rate)
+    exchanged = _exchange(right, rate)
     if exchanged:
         as_given = ligament_misfit(right, structure, base, derivatives)
         misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base, derivatives)
@@ -210,7 +210,7 @@ def _by_ligament(
     return reordered
 
 
-def _exchanged(motion: RigidMotion, rate: Array) -> list[Reordered]:
+def _exchange(motion: RigidMotion, rate: Array) -> list[Reordered]:
     """Return the bodies whose motion is smooth only when two lines are exchanged."""
     reordered, sd = [], standard_deviation(motion)
     for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):

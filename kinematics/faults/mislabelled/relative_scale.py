@@ -42,7 +42,7 @@ def log_evidence(pair: Pair, related: bool = True) -> float:
     resonance f, of rotations over the lever: the evidence of a linear model (MacKay 1992,
     doi:10.1162/neco.1992.4.3.415). Noise of q_s counts (1 + (w / 2 pi f)^2) times, as the mass multiplies it.
     """
-    lines = _compared(pair)
+    lines = _compare(pair)
     return max(_evidence(pair, lines, resonance, related) for resonance in _RESONANCES_HZ)
 
 
@@ -51,13 +51,13 @@ def unrelated_evidence(pair: Pair) -> float:
 
     Each component is complex normal noise of its own size.
     """
-    lines = _compared(pair)
+    lines = _compare(pair)
     power = 0.5 * np.mean(np.abs(pair.structure[:, lines] * pair.unit_m) ** 2, axis=(0, 1))
     power = np.maximum(power, _LEAST * np.max(power))
     return float(-len(pair.runs) * len(lines) * np.sum(np.log(power) + 1.0))
 
 
-def _compared(pair: Pair) -> NDArray[np.intp]:
+def _compare(pair: Pair) -> NDArray[np.intp]:
     """Return the lines that are compared, evenly spread."""
     lines = pair.complete_lines()
     return lines[np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).round().astype(int))]

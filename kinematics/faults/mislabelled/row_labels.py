@@ -87,7 +87,7 @@ def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> d
         if (suspect := _suspect(home, channels, motions, runs)) is not None
     ]
     findings: dict[Key, list[Finding]] = {}
-    for suspect, place, score in _paired(suspects):
+    for suspect, place, score in _pair(suspects):
         home = suspect.home
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
         kind = "sign" if place.conjugate else "label_swap"
@@ -159,7 +159,7 @@ def _places(
                 yield _Place(text, other, other.body.positions_mm[partner[0]] * 1e-3, lines, partner)
 
 
-def _expected(
+def _predict(
     home: CleanMotion, channels: tuple[int, ...], place: _Place
 ) -> tuple[Lines, ComplexArray, Array]:
     """Return which lines compare, what rows would read at a place, and its variance."""
@@ -182,7 +182,7 @@ def _expected(
 
 def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
     """Return the squared misfit of rows at a place over its variance, and how many values it sums."""
-    lines, expected, variance = _expected(home, channels, place)
+    lines, expected, variance = _predict(home, channels, place)
     own = list(channels)
     value, noise = home.value[own][:, lines], home.variance[own][:, lines]
     used = np.isfinite(noise)
@@ -193,7 +193,7 @@ def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tupl
 def _fault_of_its_own(home: CleanMotion, channels: tuple[int, ...], arms: Array) -> float:
     """Return the least misfit, with the price of its parameters, that a fault of the rows could leave."""
     place = _own(home, arms)
-    lines, expected, variance = _expected(home, channels, place)
+    lines, expected, variance = _predict(home, channels, place)
     course = np.linspace(-1.0, 1.0, len(lines))[:, None] ** np.arange(3)
     observed = np.any(np.abs(home.q) > 0.0, axis=0)
     motion = home.q[lines][:, observed]
@@ -220,7 +220,7 @@ def _left(columns: NDArray[Any], value: NDArray[Any]) -> float:
     return float(np.sum(np.abs(value - columns / scale @ coefficients) ** 2))
 
 
-def _paired(suspects: list[_Suspect]) -> list[_Entry]:
+def _pair(suspects: list[_Suspect]) -> list[_Entry]:
     """Choose where each suspect belongs: two that belong to each other's places before all others."""
     candidates: list[tuple[float, list[tuple[int, _Place, float]]]] = []
     for number, suspect in enumerate(suspects):

@@ -150,8 +150,8 @@ class Pair:
             return None
         s, b = self.structure[:, lines], self.base[:, lines]
         w, dq = 2.0 * np.pi * self.freq_hz[lines, None], s - b
-        by_mass = _stacked(w**2 * s, -1j * w * dq, -1j * dq)
-        by_spring = _stacked(dq / w**2, 1j * dq / w, 1j * dq / w**2)
+        by_mass = _stack(w**2 * s, -1j * w * dq, -1j * dq)
+        by_spring = _stack(dq / w**2, 1j * dq / w, 1j * dq / w**2)
         variance = 2.0 * sd**2
         of_dq, of_s = np.sum(variance, axis=1).reshape(-1, size), variance[:, 0].reshape(-1, size)
         moved = np.sqrt(0.5 * np.mean(np.abs(s) ** 2 + np.abs(b) ** 2, axis=(0, 1)))
@@ -159,10 +159,10 @@ class Pair:
         dq, s = dq.reshape(-1, size), s.reshape(-1, size)
         total = 0.0
         for row in range(size):
-            misfit = _left(by_mass, dq[:, row], of_dq[:, row] + (MODEL * moved[row]) ** 2)
+            misfit = _misfit(by_mass, dq[:, row], of_dq[:, row] + (MODEL * moved[row]) ** 2)
             # Noise would be explained by nothing as well: a base that hardly moves is no structure.
             if own[row] ** 2 > _MOVES * np.mean(of_s[:, row]):
-                misfit = min(misfit, _left(by_spring, s[:, row], of_s[:, row] + (MODEL * own[row]) ** 2))
+                misfit = min(misfit, _misfit(by_spring, s[:, row], of_s[:, row] + (MODEL * own[row]) ** 2))
             total += misfit
         return total / max(dq.size - 1.5 * size * size, 1.0)
 
@@ -209,7 +209,7 @@ def joins_better(given: float, other: float) -> bool:
     return given > BAD and other < min(GOOD, BETTER * given)
 
 
-def _stacked(*parts: ComplexArray) -> Array:
+def _stack(*parts: ComplexArray) -> Array:
     """Return regressors (2 n, k), real parts above imaginary ones, each of unit length."""
     columns = np.concatenate(parts, axis=-1)
     columns = columns.reshape(-1, columns.shape[-1])
@@ -217,7 +217,7 @@ def _stacked(*parts: ComplexArray) -> Array:
     return np.asarray(both / np.maximum(np.linalg.norm(both, axis=0), 1e-300))
 
 
-def _left(columns: Array, target: ComplexArray, variance: Array) -> float:
+def _misfit(columns: Array, target: ComplexArray, variance: Array) -> float:
     """Return the squared misfit of a regression over the variance (n,) of its complex targets."""
     root = np.tile(1.0 / np.sqrt(variance), 2)
     value = np.concatenate([target.real, target.imag]) * root

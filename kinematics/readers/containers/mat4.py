@@ -37,7 +37,7 @@ def read_mat4(path: Path) -> dict[str, Any]:
     while place < len(data):
         head = _head(data, place)
         if head is None:
-            raise _damaged(path, f"no head of a variable at byte {place}")
+            raise _damage_error(path, f"no head of a variable at byte {place}")
         order, number, content, rows, columns, is_complex, length = head
         place += _HEAD
         name = data[place : place + length].split(b"\0")[0].decode("latin-1")
@@ -46,7 +46,7 @@ def read_mat4(path: Path) -> dict[str, Any]:
         count = rows * columns
         needed = count * dtype.itemsize * (2 if is_complex else 1)
         if place + needed > len(data):
-            raise _damaged(path, f"{len(data)} bytes where {place + needed} are needed")
+            raise _damage_error(path, f"{len(data)} bytes where {place + needed} are needed")
         values = np.frombuffer(data, dtype, count * (2 if is_complex else 1), place)
         place += needed
         values = values.astype(dtype.newbyteorder("="))
@@ -81,6 +81,6 @@ def _head(data: bytes, place: int) -> tuple[str, int, int, int, int, bool, int] 
     return None
 
 
-def _damaged(path: Path, got: str) -> KinematicsError:
+def _damage_error(path: Path, got: str) -> KinematicsError:
     step = "It is truncated or damaged: copy or export it again"
     return KinematicsError.of(path.name, "a whole MATLAB file", got, "", step)

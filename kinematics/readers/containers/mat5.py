@@ -65,7 +65,7 @@ def read_mat5(path: Path) -> dict[str, Any]:
             if len(body) != length:
                 raise _DamageError(f"{len(data)} bytes where {place + 8 + length} are needed")
             if kind == _COMPRESSED:
-                kind, body = _unpacked(body, order)
+                kind, body = _unpack(body, order)
             if kind != _MATRIX:
                 raise _DamageError(f"an element of type {kind} at byte {place}")
             name, value = _matrix(_Elements(body, order), 0)
@@ -87,7 +87,7 @@ def _fault(path: Path, got: str) -> Fault:
     return Fault(path.name, "a whole MATLAB file", got, "", step)
 
 
-def _unpacked(body: memoryview, order: str) -> tuple[int, memoryview]:
+def _unpack(body: memoryview, order: str) -> tuple[int, memoryview]:
     """Return type and bytes of a compressed element, never more than its own tag announces."""
     packed = zlib.decompressobj()
     tag = packed.decompress(body, 8)
@@ -165,9 +165,9 @@ def _matrix(elements: _Elements, depth: int) -> tuple[str, Any]:
         return name, [_inner(elements, depth) for _ in range(_possible(count, elements))]
     if kind in (_STRUCT, _OBJECT):
         return name, _structs(elements, count, kind == _OBJECT, depth)
-    real = _sized(elements, count)
+    real = _resize(elements, count)
     if is_complex:
-        real = from_parts(real, _sized(elements, count))
+        real = from_parts(real, _resize(elements, count))
     return name, real.astype(real.dtype.newbyteorder("=")).reshape(shape, order="F")
 
 
@@ -178,7 +178,7 @@ def _possible(count: int, elements: _Elements) -> int:
     return count
 
 
-def _sized(elements: _Elements, count: int) -> np.ndarray[Any, Any]:
+def _resize(elements: _Elements, count: int) -> np.ndarray[Any, Any]:
     values = elements.numbers()
     if values.size != count:
         raise _DamageError(f"{values.size} numbers for a shape of {count}")

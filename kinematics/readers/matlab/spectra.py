@@ -59,7 +59,7 @@ def with_mapping(tree: Mapping[str, Any], path: Path, mapping: Path | None) -> R
     mapping = mapping_of(path, mapping)
     if mapping is not None:
         block = _from_layout(Variables(tree, path.name, tree), read_mapping(mapping))
-        return _joined([block], path.name)
+        return _join([block], path.name)
     return of_tree(tree, path)
 
 
@@ -71,10 +71,10 @@ def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
     KinematicsError
         None is recognised; the variables found are listed.
     """
-    blocks = _found(Variables(tree, path.name, tree))
+    blocks = _find_layouts(Variables(tree, path.name, tree))
     if not blocks:
         raise KinematicsError(_unrecognised(tree, path))
-    return _joined(blocks, path.name)
+    return _join(blocks, path.name)
 
 
 def _unrecognised(tree: Mapping[str, Any], path: Path) -> Fault:
@@ -86,7 +86,7 @@ def _unrecognised(tree: Mapping[str, Any], path: Path) -> Fault:
     return Fault(path.name, want, f"the variables {describe(dict(tree))}", "", step)
 
 
-def _joined(blocks: list[Recordings], name: str) -> Recordings:
+def _join(blocks: list[Recordings], name: str) -> Recordings:
     recordings = tuple(recording for block in blocks for recording in block.recordings)
     notices = tuple(dict.fromkeys(notice for block in blocks for notice in block.notices))
     return Recordings(
@@ -98,7 +98,7 @@ def _joined(blocks: list[Recordings], name: str) -> Recordings:
     )
 
 
-def _found(variables: Variables) -> list[Recordings]:
+def _find_layouts(variables: Variables) -> list[Recordings]:
     """Search for known layouts here, then in structs, then in struct arrays and cells of structs."""
     layout = layout_of(variables.space)
     if layout is not None:
@@ -129,7 +129,7 @@ def _found(variables: Variables) -> list[Recordings]:
             if any(layout_of(part.space) is not None for part in parts):
                 return _elements(parts, f"{variables.where}, {name}")
         if isinstance(value, dict):
-            deeper = _found(Variables(value, f"{variables.where}, {name}", variables.tree))
+            deeper = _find_layouts(Variables(value, f"{variables.where}, {name}", variables.tree))
             if deeper:
                 return deeper
     return []
@@ -166,7 +166,7 @@ def _from_layout(variables: Variables, layout: Layout, point: str = "") -> Recor
         with collect_faults(faults):
             blocks.append(_from_layout(part, inside, str(k)))
     raise_all(KinematicsError, dict.fromkeys(faults))
-    return _joined(blocks, variables.where)
+    return _join(blocks, variables.where)
 
 
 def _plain(variables: Variables, layout: Layout, point: str) -> Recordings:

@@ -97,7 +97,7 @@ class Variables:
         """
         if signal.value_re:
             parts = [self.reals(name) for name in (signal.value_re, signal.value_im)]
-            shaped = [_shaped(part, count, signal.value_re, self.where) for part in parts]
+            shaped = [_shape(part, count, signal.value_re, self.where) for part in parts]
             if shaped[0].shape != shaped[1].shape:
                 want = f"as large as {signal.value_re}"
                 raise KinematicsError.of(signal.value_im, want, "another size", self.where)
@@ -111,7 +111,7 @@ class Variables:
                 raise KinematicsError.of(
                     f"the variable {signal.value}", "complex", "real numbers", self.where, step
                 )
-        return np.asarray(_shaped(values, count, signal.value, self.where), dtype=complex)
+        return np.asarray(_shape(values, count, signal.value, self.where), dtype=complex)
 
     def unit(self, signal: Signal, name: str) -> MotionUnit:
         """Return the unit that is stated, or that the signal description names.
@@ -200,7 +200,7 @@ class Variables:
         if not name:
             return None
         values = self.reals(name)
-        shaped = _shaped(values, shape[1], name, self.where)
+        shaped = _shape(values, shape[1], name, self.where)
         if shaped.shape[0] != shape[0] or shaped.shape[2] not in (1, shape[2]):
             raise KinematicsError.of(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", self.where)
         return np.broadcast_to(shaped, shape)
@@ -251,7 +251,7 @@ class Variables:
         return [unknown_vector() if axis is None else axis] * count
 
 
-def _shaped(values: NDArray[Any], count: int, name: str, where: str) -> NDArray[Any]:
+def _shape(values: NDArray[Any], count: int, name: str, where: str) -> NDArray[Any]:
     """Return values as (point, F, beam)."""
     if values.ndim == 1:
         values = values[None]

@@ -179,7 +179,7 @@ def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[R
 
     counts = Counter(key(recording) for recording, _ in entries)
     if max(counts.values()) == 1:
-        return tuple(recording for recording, _ in entries), _joined(entries, name)
+        return tuple(recording for recording, _ in entries), _join_notices(entries, name)
     where_of: dict[tuple[object, ...], Place | str] = {}
     faults = []
     for recording, source in entries:
@@ -195,7 +195,7 @@ def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[R
     ), []
 
 
-def _joined(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
+def _join_notices(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
     """Warn that points of several measurements were joined into one run."""
     sources = list(dict.fromkeys(source for _, source in entries))
     if len(sources) < 2 or len(sources) == len({recording.where for recording, _ in entries}):

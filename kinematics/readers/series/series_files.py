@@ -107,7 +107,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
         if "time_s" not in header:
             place, step = Place(file, "line", (1,)), "Write the time of every sample, s"
             raise KinematicsError.of("a table of time series", "with a column time_s", "none", place, step)
-        columns.update(_matched(names, header, file))
+        columns.update(_match(names, header, file))
         extra = {"time_s", "freq_hz", "record"} & set(header)
         return set(columns.values()) | extra, set()
 
@@ -148,7 +148,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     )
 
 
-def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str, str]:
+def _match(names: Sequence[str], known: Sequence[str], file: str) -> dict[str, str]:
     """Return the name in the file of every channel."""
     low: dict[str, list[str]] = {}
     for name in known:
@@ -272,7 +272,7 @@ def _flat(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
 def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series:
     flat = _flat(tree)
     low = {name.lower(): name for name in reversed(list(flat))}
-    matched = _matched(names, list(flat), file)
+    matched = _match(names, list(flat), file)
     rate = next((low[name] for name in RATES if name in low and flat[low[name]].size == 1), "")
     longest = max(max(flat[name].shape, default=0) for name in matched.values())
     time = next((low[name] for name in TIMES if name in low and flat[low[name]].size == longest), "")
@@ -340,7 +340,7 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
     with np.errstate(invalid="ignore"):
         data = np.atleast_2d(data.T).astype(float) / full
     known = [str(k) for k in range(1, len(data) + 1)]
-    matched = _matched(names, known, path.name)
+    matched = _match(names, known, path.name)
     channels = {name: (data[int(key) - 1],) for name, key in matched.items()}
     check_finite(channels, path.name)
     return Series(path.name, float(rate), 0.0, channels)

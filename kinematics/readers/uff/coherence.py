@@ -51,7 +51,7 @@ class Coherences:
         key = place_of(response)
         match = self.coherence.get((*key, *reference_of(response)), self.coherence.get(key))
         if match is not None:
-            return _stated(match, response, where), False
+            return _check_stated(match, response, where), False
         computed = self._from_auto(response)
         return computed, computed is not None
 
@@ -103,7 +103,7 @@ def reference_of(function: Function) -> tuple[int, int]:
     return function.reference_node, function.reference_direction
 
 
-def _stated(coherence: Function, response: Function, where: str) -> Array:
+def _check_stated(coherence: Function, response: Function, where: str) -> Array:
     """Return a coherence function unchanged, after checks."""
     if not same_abscissa(coherence, response):
         step = "Export both with the same frequencies, or leave the coherence out"

@@ -192,7 +192,7 @@ def _vectors(text: str, count: int, thing: str, where: str) -> Array:
 def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, Node]]:
     """Return label and (position, definition system, displacement system, place) of every node."""
     nodes = []
-    lines = _numbered(dataset)
+    lines = _number(dataset)
     if dataset.number == _NODES:
         for row, line in lines:
             where = dataset.at(file, row)
@@ -210,7 +210,7 @@ def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, 
     return nodes
 
 
-def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
+def _number(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
     """Return the lines that hold something, with their numbers from 1."""
     return [(row, line) for row, line in enumerate(dataset.lines[start:], start + 1) if line.strip()]
 
@@ -220,7 +220,7 @@ def _systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     old = dataset.number == _SYSTEMS
     skip, size, read = (0, 4, _old_system) if old else (2, 6, _new_system)
     systems: list[System] = []
-    lines = _numbered(dataset, skip)
+    lines = _number(dataset, skip)
     for start in range(0, len(lines), size):
         with collect_faults(faults):
             part = [line for _, line in lines[start : start + size]]

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 from ct_inertia.frames.plane_faces import PlaneFace, large_faces
-from ct_inertia.frames.plane_fit import _covered, fit_to_grey_values
+from ct_inertia.frames.plane_fit import _is_covered, fit_to_grey_values
 from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.volume.volume import Volume
@@ -141,7 +141,7 @@ def test_a_sample_at_the_rim_covers_its_own_cell_and_no_other():
     face = PlaneFace(np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3)[:, :2], np.eye(3), 16.0, samples)
     points = np.column_stack([rng.uniform(-2.5, 2.5, (3000, 2)), np.zeros(3000)])
     rim = np.vstack([samples, [-2.13, 0.05, 0.0]])
-    changed = _covered(face, points) != _covered(replace(face, samples_mm=rim), points)
+    changed = _is_covered(face, points) != _is_covered(replace(face, samples_mm=rim), points)
     assert np.all(np.linalg.norm(points[changed] - rim[-1], axis=1) < 0.3)
 
 

@@ -54,7 +54,7 @@ def test_a_fit_next_to_errors_of_positions_ends_where_its_objective_is_least(fau
     refit = refit_of([4], 1.02)
     data = refit.data if fault.entry.varies else refit.flat
     now = refit._try(data, fault, np.zeros(fault.size), np.zeros_like(refit.start))
-    now, inverse = refit._improved(data, fault, now)
+    now, inverse = refit._improve(data, fault, now)
     rng = np.random.default_rng(1)
     scale = np.concatenate([np.sqrt(np.diag(inverse)), refit.near.nuisance.sd])
     for _ in range(20):
@@ -67,7 +67,7 @@ def test_the_covariance_of_a_fault_holds_what_errors_of_positions_add():
     refit = refit_of([4], 1.02, noisy=False)
     fault = FAULTS[0]
     now = refit._try(refit.flat, fault, np.zeros(1), np.zeros_like(refit.start))
-    now, inverse = refit._improved(refit.flat, fault, now)
+    now, inverse = refit._improve(refit.flat, fault, now)
     size = np.concatenate([[1e-4], 1e-2 * refit.near.nuisance.sd])
     count = len(size)
 
