@@ -198,11 +198,15 @@ def _installed_versions() -> dict[str, str]:
     """Return versions by package, from the folders that installers leave beside them (PEP 491)."""
     found: dict[str, str] = {}
     for folder in sys.path:
-        with suppress(OSError):
-            for entry in os.listdir(folder or "."):
+        with suppress(OSError, TypeError, ValueError):
+            where = os.fsdecode(folder) or "."
+            for entry in os.listdir(where):
                 if entry.endswith(".dist-info"):
                     name, _, version = entry.removesuffix(".dist-info").partition("-")
-                    found.setdefault(name.lower().replace("_", "-"), version)
+                    name = name.lower().replace("_", "-")
+                    # an upgrade that was broken off leaves folders that hold nothing
+                    if name in _PACKAGES and os.path.isfile(os.path.join(where, entry, "METADATA")):
+                        found.setdefault(name, version)
     return found
 
 

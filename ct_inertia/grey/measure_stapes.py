@@ -49,9 +49,6 @@ _TAIL_SD = calibrated("measure.tail_sd")
 _GOOD_INSIDE = calibrated("measure.good_inside")
 _WELL_SEEN = calibrated("measure.well_seen")
 _WEAK = calibrated("measure.weak_level")
-_SAME_BLUR = calibrated("measure.same_blur")
-_OTHER_BLUR = calibrated("measure.other_blur")
-_PLATE_DOUBT = calibrated("measure.plate_doubt")
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,6 @@ _BENT_SD = calibrated("psf.bent_sd")
 _IN_COMMON = calibrated("psf.edges_in_common")
 _MODEL_SD = calibrated("psf.model_sd")
 _TOO_SHARP, _TOO_SHARP_SD = calibrated("psf.too_sharp")
-# Rounds of the fit of widths, medians from which on an edge departs, and edges that must face each axis.
-_WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
 
 
 def edge_sigma(

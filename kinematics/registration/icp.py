@@ -286,7 +286,7 @@ def _finish(
     scale = 1.0
     if inconsistent(chi2, n_dof):
         scale = chi2 / n_dof
-        notices = [*notices, _misfit(scale, cloud.kind)]
+        notices = [*notices, _misfit_notice(scale, cloud.kind)]
     offset = np.linalg.solve(gram, rows[used].T @ (1.0 / sd[used] ** 2)) * surface_floor(surface)
     units = np.array([1e-3] * 3 + [1.0] * 3)
     back = np.linalg.inv(about(middle))
@@ -321,7 +321,7 @@ def _refuse_off(fit: Refined, cloud: Cloud, surface: TriangleSurface) -> None:
     )
 
 
-def _misfit(scale: float, kind: str) -> Notice:
+def _misfit_notice(scale: float, kind: str) -> Notice:
     return Notice(
         "surface_points_inconsistent",
         f"the {kind} points lie {np.sqrt(scale):.1f} times farther from the {kind} of the scan than their "
