@@ -69,14 +69,14 @@ def size_notices(pair: Pair) -> list[Notice]:
     A size is believed that the data make likelier than that as given, than any other size by much, and than
     no ligament: motions that have nothing to do with each other, or by any constant matrix.
     """
-    if not len(pair.complete_lines()):
+    if not len(pair.complete_lines()) or not np.isfinite(log_evidence(pair)):
         return []
     sizes = [(*size, sentence) for kind, sentence in SIZES for size in kind(pair)]
     evidence = [log_evidence(_times(pair, factors)) for factors, _details, _sentence in sizes]
     best = int(np.argmax(evidence))
     factors, details, sentence = sizes[best]
     likeliest, gain = _times(pair, factors), evidence[best] - log_evidence(pair)
-    if gain < _MARGIN + np.log(len(sizes)):
+    if not gain >= _MARGIN + np.log(len(sizes)):
         return []
     if evidence[best] < _BEYOND + max(unrelated_evidence(pair), log_evidence(likeliest, related=False)):
         return []
