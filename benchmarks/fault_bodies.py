@@ -278,6 +278,30 @@ def _names(world: _World) -> Made:
     return [*first, *second], "label_swap"
 
 
+def _cycle(world: _World) -> Made:
+    """Let the rows of three points with the same heads, apart from each other, belong to the next."""
+    heads = [tuple(world.head[world.of_point(point)]) for point in _points(world)]
+    alike = [point for point in _points(world) if heads[point] == max(heads, key=heads.count)]
+    for _ in range(1000):
+        own = [world.of_point(int(point)) for point in world.rng.permutation(alike)[:3]]
+        at = world.places[[rows[0] for rows in own]]
+        if min(np.linalg.norm(at[k] - at[k - 1]) for k in range(3)) > 0.35 * world.size:
+            break
+    for table in (world.places, world.beams):
+        table[np.concatenate(own)] = table[np.concatenate([*own[1:], own[0]])]
+    return [int(row) for rows in own for row in rows], "label_swap"
+
+
+def _range(world: _World) -> Made:
+    """Read a few points, noise and all, in another range, unit, or in rms beside peak values."""
+    count = int(world.point_of.max()) + 1
+    some = world.rng.permutation(count)[: int(world.rng.integers(2, (count - 1) // 2 + 1))]
+    factor = float(world.rng.choice([2.0, 5.0, 10.0, np.sqrt(2.0)])) ** world.rng.choice([-1.0, 1.0])
+    own = np.flatnonzero(np.isin(world.point_of, some))
+    world.factor[own], world.loud[own] = factor, factor
+    return own.tolist(), "gain"
+
+
 def _beams(world: _World) -> Made:
     own = world.of_point(int(world.rng.integers(world.point_of.max() + 1)))
     pair = world.rng.choice(own, 2, replace=False)
@@ -335,6 +359,8 @@ FAULTS: dict[str, Callable[[_World], Made]] = {
     "position": _position,
     "x and z of a point": _coordinates,
     "names of points": _names,
+    "names of three points": _cycle,
+    "range of points": _range,
     "beams of a point": _beams,
     "axes 2.5 deg": _axes,
     "head gain 5 %": _head(lambda f: np.full(len(f), 1.05 + 0j), "gain"),

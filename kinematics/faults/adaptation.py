@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
-from kinematics.faults.causes.misfit_causes import with_readings
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.fit.beams import observability
@@ -99,7 +98,7 @@ class Correction:
         if self.action == RAISED:
             return _louder(measurement, body, self.run, own, finding.size)
         if finding.remedied is not None:
-            return with_readings(body, self.run, finding.remedied)
+            return _remedied(body, self.run, finding.remedied)
         if len(self.factor):
             lines = self.lines if len(self.lines) else slice(None)
             values = body.displacement[self.run, own][:, lines] / self.factor[0]
@@ -124,6 +123,17 @@ def _with_readings(
     displacement = body.displacement.copy()
     displacement[run, channels] = values
     return replace(body, displacement=displacement)
+
+
+def _remedied(body: BodyChannels, run: int, remedied: BodyChannels) -> BodyChannels:
+    """Return a body with the readings of one run, and their sd, as they are without a cause."""
+    displacement = body.displacement.copy()
+    displacement[run] = remedied.displacement[run]
+    if body.sd is None or remedied.sd is None:
+        return replace(body, displacement=displacement)
+    sd = body.sd.copy()
+    sd[run] = remedied.sd[run]
+    return replace(body, displacement=displacement, sd=sd)
 
 
 def _louder(
@@ -158,7 +168,8 @@ def corrections_of(
     -----
     A fault is corrected where the data determine its size and tell it from other faults. Otherwise its
     channels are left out, where the others still determine the motion. Of the same change of geometry
-    found in several runs the mean is used, weighted by the information.
+    found in several runs the mean is used, weighted by the information. Readings without a cause are those of
+    all channels: what is done to single ones follows.
     """
     seen = {(earlier.body, channel) for earlier in before for channel in earlier.channels}
     corrections: list[Correction] = []
@@ -174,7 +185,7 @@ def corrections_of(
                 corrections[same[0]] = _pool(corrections[same[0]], correction)
             elif not any(_overlap(chosen, correction) for chosen in corrections):
                 corrections.append(correction)
-    return corrections
+    return sorted(corrections, key=lambda correction: correction.finding.remedied is None)
 
 
 def _general(finding: Finding) -> Finding | None:

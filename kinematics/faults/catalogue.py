@@ -110,6 +110,8 @@ def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Move
 
 # Directions that differ by less are written alike: rounding of six digits in a file.
 _SAME_BEAM = 1e-6
+# Suspected points of which three may carry each other's names: 40 cycles, tried in some milliseconds.
+_IN_CYCLES = 10
 _SETS = ("channel", "point", "laser")
 # Owners of faults of many points: to leave their channels out would leave too little.
 OF_MANY = ("laser", "lasers", "body")
@@ -289,37 +291,43 @@ class Layout:
     reported_mm: Array
     file_from_here: Array
 
-    def swap(
-        self,
-        owner: str,
-        first: list[int],
-        second: list[int],
-        places: int,
-        text: str,
-        shift: Array | float = 0.0,
-    ) -> Fault:
+    def swap(self, owner: str, first: list[int], second: list[int], places: int, text: str) -> Fault:
         """Exchange the directions of two lists of channels, one by one."""
         beams = self.data.assumed.directions
         apart = beams[second] - beams[first]
-        turn = np.vstack([apart, -apart])
-        return Fault("label_swap", owner, [*first, *second], shift, turn, places, text)
+        return Fault("label_swap", owner, [*first, *second], 0.0, np.vstack([apart, -apart]), places, text)
+
+    def renamed(self, wrong: Sequence[str], right: Sequence[str], places: int, text: str) -> Iterator[Fault]:
+        """Give the rows of some points the positions of others, and their beams where these differ."""
+        arms, beams = self.data.assumed.arms_m, self.data.assumed.directions
+        rows = [self.points[name] for name in wrong]
+        others = [self.points[name] for name in right]
+        channels = [channel for own in rows for channel in own]
+        apart = [arms[other[0]] - arms[own[0]] for own, other in zip(rows, others, strict=True)]
+        shift = np.repeat(apart, [len(own) for own in rows], axis=0)
+        yield Fault("label_swap", "points", channels, shift, places=places, text=text)
+        alike = [
+            np.argmax(beams[own] @ beams[other].T, axis=1) for own, other in zip(rows, others, strict=True)
+        ]
+        if all(sorted(k) == list(range(len(other))) for k, other in zip(alike, others, strict=True)):
+            taken = [other[c] for k, other in zip(alike, others, strict=True) for c in k]
+            turn = beams[taken] - beams[channels]
+            if np.max(np.abs(turn)) > _SAME_BEAM:
+                yield Fault("label_swap", "points", channels, shift, turn, places, f"{text} with their beams")
 
 
 def _points(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange the positions of two points, and their beams where these differ."""
-    arms, beams = layout.data.assumed.arms_m, layout.data.assumed.directions
-    places = len(layout.points) * (len(layout.points) - 1) // 2
-    for one, two in combinations(names, 2):
-        first, second = layout.points[one], layout.points[two]
-        apart, text = arms[second[0]] - arms[first[0]], f"points {one} and {two} exchanged"
-        shift = np.repeat([apart, -apart], [len(first), len(second)], axis=0)
-        yield Fault("label_swap", "points", [*first, *second], shift, places=places, text=text)
-        alike = [int(np.argmax(beams[second] @ beams[c])) for c in first]
-        if sorted(alike) == list(range(len(second))):
-            second = [second[k] for k in alike]
-            swap = layout.swap("points", first, second, places, f"{text} with their beams", shift)
-            if np.max(np.abs(swap.turn)) > _SAME_BEAM:
-                yield swap
+    """Exchange the positions of two points, or of three in a cycle, and their beams where these differ."""
+    number = len(layout.points)
+    for pair in combinations(names, 2):
+        text = f"points {pair[0]} and {pair[1]} exchanged"
+        yield from layout.renamed(pair, pair[::-1], number * (number - 1) // 2, text)
+    for three in combinations(names[:_IN_CYCLES], 3):
+        for right in (three, three[::-1]):
+            wrong = (*right[1:], right[0])
+            words = ", ".join(f"{a} are those of {b}" for a, b in zip(wrong, right, strict=True))
+            places = number * (number - 1) * (number - 2) // 3
+            yield from layout.renamed(wrong, right, places, f"three points exchanged: the rows of {words}")
 
 
 def _beams(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:

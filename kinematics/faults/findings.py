@@ -45,8 +45,8 @@ class Finding:
         The estimate in words, where it is not made from ``parameters`` or ``size``.
     code, step : str
         Code of the warning and what to do, of a cause that many channels share; empty otherwise.
-    remedied : ndarray, (channel, freq), complex, optional
-        The readings without a cause that has no size to be estimated.
+    remedied : BodyChannels, optional
+        The body with the readings, and their sd, without a cause that has no size to be estimated.
     """
 
     kind: str
@@ -62,7 +62,7 @@ class Finding:
     text: str = ""
     code: str = ""
     step: str = ""
-    remedied: ComplexArray | None = None
+    remedied: BodyChannels | None = None
 
     @property
     def owner(self) -> str:

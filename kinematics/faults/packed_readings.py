@@ -284,10 +284,13 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
 
 
 def divide(value: ComplexArray, weight: Array, assumed: Assumed, tau: Array, ratio: Array) -> None:
-    """Divide readings (channel, n) by the assumed factors, in place, and raise their weights so."""
+    """Divide readings (channel, n) by the assumed factors, in place, and raise their weights so.
+
+    What is zero times the motion shows nothing of it and keeps no weight.
+    """
     for channels, factor in assumed.factors:
         by = np.broadcast_to(factor(tau, ratio), tau.shape)
-        value[channels] /= by
+        value[channels] /= np.where(by == 0.0, 1.0, by)
         weight[channels] *= np.abs(by)
 
 

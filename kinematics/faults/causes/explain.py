@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.faults.causes.conjugated import conjugated
-from kinematics.faults.causes.cycles import cycles
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
@@ -25,9 +24,7 @@ Cause = Callable[[MisfittingBody], Iterator[Explanation]]
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
-# Points at a wrong place that may be a cycle of names.
-_CYCLE = 3
-CAUSES: tuple[Cause, ...] = (conjugated, mains, cycles, ranges, outliers, gains)
+CAUSES: tuple[Cause, ...] = (conjugated, mains, ranges, outliers, gains)
 
 
 def explain_misfit(
@@ -52,9 +49,8 @@ def explain_misfit(
     Notes
     -----
     All causes are tried for a body that seems to bend. Outliers inflate the noise where it is estimated and
-    can pass for faults of channels: they are tried whenever there are any, as are the names of three points
-    at a wrong place, and believed when fewer faults remain without them. No fault is accepted next to
-    scattered gains, which are such faults themselves.
+    can pass for faults of channels: they are tried whenever there are any, and believed when fewer faults
+    remain without them. No fault is accepted next to scattered gains, which are such faults themselves.
     """
     bends = diagnosis.bends
     if fit.is_rounding() or (known and not diagnosis.findings):
@@ -62,13 +58,11 @@ def explain_misfit(
     # Errors of positions within their stated sd are no outliers.
     offsets = diagnosis.offsets_m if not diagnosis.findings and np.any(diagnosis.offsets_m) else None
     suspect = MisfittingBody(placed, run, body, fit.beams, known, offsets)
-    moved = sum(finding.kind == "position" for finding in diagnosis.findings)
-    causes = CAUSES if bends else (cycles, outliers) if moved == _CYCLE else (outliers,)
-    if causes == (outliers,) and not likely_outliers(suspect.plain, diagnosis.course):
+    if not bends and not likely_outliers(suspect.plain, diagnosis.course):
         return None
     suspect = with_far_values(suspect)
     p_value = min((finding.p_value for finding in diagnosis.findings), default=_CERTAIN)
-    for cause in causes:
+    for cause in CAUSES if bends else (outliers,):
         for explanation in cause(suspect):
             again, stated, _notices = fit_with_noise(placed, run, explanation.remedied, fit.beams, "none")
             remaining = diagnose(placed, explanation.remedied, again, stated)
@@ -80,8 +74,8 @@ def explain_misfit(
                 return replace(diagnosis, findings=findings), fit
             if not bends and diagnosis.findings and len(remaining.findings) >= len(diagnosis.findings):
                 continue
-            readings = None if cause is gains else explanation.remedied.displacement[run]
-            finding = replace(explanation.finding, p_value=p_value, remedied=readings)
+            remedied = None if cause is gains else explanation.remedied
+            finding = replace(explanation.finding, p_value=p_value, remedied=remedied)
             return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
     return None
 

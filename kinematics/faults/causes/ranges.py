@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
+from kinematics.faults.diagnose import MOST_CHANNELS
 from kinematics.fit.neglected_motion import extended_beams
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import list_some
@@ -17,8 +18,8 @@ from stapeskit.faults import list_some
 _FACTORS = np.array([2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0])
 # How far a factor may lie off one of these: errors of positions change it.
 _NEAR = 0.04
-# Fewer points, or lines at which all are measured, show no two groups.
-_LEAST_POINTS, _LEAST_LINES = 4, 2
+# Fewer points show no two groups. Lines that are compared: they bound the time.
+_LEAST_POINTS, _LINES = 4, 200
 
 
 def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
@@ -26,24 +27,23 @@ def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
 
     Notes
     -----
-    Readings v times h, one real factor a point, of which a rigid motion leaves h' S h with
-    S = P o Re(V V^H), P the projection onto what no rigid motion makes: the h that leaves least for its
-    power is an eigenvector, whatever the size of the factors.
+    Readings v of a line times h, one real factor a point, of which a rigid motion leaves h' S h with
+    S = P o Re(v v^H), P the projection onto what no rigid motion makes of the channels that were measured
+    there: the h that leaves least for its power over all lines is an eigenvector, whatever the size of the
+    factors. Positions count as given: their most probable errors would take the factors for their own.
     """
-    value, body = suspect.value, suspect.body
-    value = value[:, np.all(np.isfinite(value), axis=0)]
-    names, owner = np.unique(body.points, return_inverse=True)
-    if len(names) < _LEAST_POINTS or value.shape[1] < _LEAST_LINES:
+    body = suspect.body
+    live = np.flatnonzero(np.any(np.nan_to_num(suspect.value) != 0.0, axis=1))
+    names, owner = np.unique([body.points[channel] for channel in live], return_inverse=True)
+    if len(names) < _LEAST_POINTS or len(live) > MOST_CHANNELS:
         return
-    # The most probable errors of the positions would take the factors for their own.
-    basis = extended_beams(body, suspect.beams.dof).basis
-    factor = _relative_sizes(value, basis, owner)
-    found = _two_groups(factor)
-    if found is None:
+    basis = extended_beams(body, suspect.beams.dof).basis[live]
+    groups = _two_groups(_relative_sizes(suspect.value[live], basis, owner))
+    if groups is None:
         return
-    ratio, other = found
+    ratio, other = groups
     number = int(np.sum(other))
-    channels = np.flatnonzero(other[owner]).tolist()
+    channels = live[other[owner]].tolist()
     points = list_some([str(name) for name in names[other]])
     text = (
         f"{number} of {len(names)} points read {ratio:.4g} times what the others show ({points}): in another "
@@ -61,11 +61,21 @@ def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
 
 def _relative_sizes(value: ComplexArray, basis: Array, owner: NDArray[np.intp]) -> Array:
     """Return how large the readings (channel, line) of each point are, relative to a rigid motion of all."""
-    rows = np.linalg.qr(basis)[0]
-    left = (np.eye(len(rows)) - rows @ rows.T) * np.real(value @ value.conj().T)
-    of_point = (owner == np.arange(owner.max() + 1)[:, None]).astype(float)
-    root = 1.0 / np.sqrt(np.maximum(of_point @ np.sum(np.abs(value) ** 2, axis=1), 1e-300))
-    vectors = np.linalg.eigh((of_point @ left @ of_point.T) * np.outer(root, root))[1]
+    measured = np.flatnonzero(np.sum(np.isfinite(value), axis=0) > basis.shape[1])
+    if not len(measured):
+        return np.full(owner.max() + 1, np.nan)
+    value = value[:, measured[np.unique(np.linspace(0, len(measured) - 1, _LINES).astype(int))]]
+    left, power = np.zeros((2, owner.max() + 1, owner.max() + 1))
+    patterns, same = np.unique(np.isfinite(value), axis=1, return_inverse=True)
+    for number, seen in enumerate(patterns.T):
+        some = value[np.ix_(seen, same.ravel() == number)]
+        products = np.real(some @ some.conj().T)
+        rows = np.linalg.qr(basis[seen])[0]
+        own = (owner[seen] == np.arange(len(left))[:, None]).astype(float)
+        left += own @ ((np.eye(len(rows)) - rows @ rows.T) * products) @ own.T
+        power += np.diag(own @ np.diag(products))
+    root = 1.0 / np.sqrt(np.maximum(np.diag(power), 1e-300))
+    vectors = np.linalg.eigh(left * np.outer(root, root))[1]
     return np.asarray(1.0 / np.where(vectors[:, 0] == 0.0, np.nan, vectors[:, 0] * root))
 
 

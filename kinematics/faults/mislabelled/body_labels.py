@@ -11,9 +11,6 @@ import numpy as np
 from kinematics.faults.mislabelled.two_bodies import BAD, BETTER, GOOD, Pair
 from stapeskit.warnings import Notice
 
-# Misfit above which shifted frequencies are tried, which disturb a smooth motion little, and what the right
-# ones leave of it: dense lines have many values and few shifts.
-_SHIFTED, _OF_SHIFTED = 0.2, 0.4
 # Runs of which all orders are tried, and the largest shift in lines: they bound the time.
 _MOST_RUNS, _REACH = 4, 5
 TURN = "check on which side the laser head was, and turn the sign or the directions of one body."
@@ -73,19 +70,14 @@ class Kind:
         Of a text, to the warning.
     sentence : str
         What the warning says of these labels; with the names of the bodies, and of that which lags less.
-    above, believed_above : float
-        Misfits of the labels as given from which on these are tried, and believed.
-    share, good : float
-        They are believed when they leave less than this share of it, and less than this.
+    above : float
+        Misfit of the labels as given from which on these are tried.
     """
 
     labels: Callable[[Pair], Iterator[Labelled]]
     warning: Callable[[str], Notice]
     sentence: str
     above: float = 0.0
-    believed_above: float = BAD
-    share: float = BETTER
-    good: float = GOOD
 
 
 KINDS: dict[str, Kind] = {
@@ -118,10 +110,7 @@ KINDS: dict[str, Kind] = {
         lambda text: Notice("label_swap", text),
         ": the frequencies of {base} look shifted against those of {structure} by about {hertz:.3g} Hz "
         "({lines} lines). Check freq_hz.",
-        _SHIFTED,
-        _SHIFTED,
-        _OF_SHIFTED,
-        np.inf,
+        BAD,
     ),
 }
 
@@ -155,12 +144,9 @@ class Comparison:
     @property
     def believed(self) -> bool:
         """Whether other labels explain the data to twice the noise, and what those as given do not."""
-        if not self.kind:
-            return False
-        kind = KINDS[self.kind]
-        left = min(kind.good, kind.share * self.given)
+        left = min(GOOD, BETTER * self.given)
         # The farthest shift that was tried is no minimum of the misfit.
-        return self.given > kind.believed_above and self.misfit < left and self.details.get("lines") != _REACH
+        return self.given > BAD and self.misfit < left and self.details.get("lines") != _REACH
 
     def rather(self, kind: str, share: float) -> bool:
         """Return whether a kind leaves less than a share of what the labels as given leave."""

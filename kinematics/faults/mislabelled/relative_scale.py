@@ -23,6 +23,7 @@ _VISCOUS, _HYSTERETIC, _GEOMETRY = 1.0, 0.1, 0.05
 _LINES = 15
 # Least power of a component, of that of the strongest: keeps what does not move solvable.
 _LEAST = 1e-12
+_TINY = 1e-300
 
 
 def log_evidence(pair: Pair, related: bool = True) -> float:
@@ -53,7 +54,7 @@ def unrelated_evidence(pair: Pair) -> float:
     """
     lines = _compare(pair)
     power = 0.5 * np.mean(np.abs(pair.structure[:, lines] * pair.unit_m) ** 2, axis=(0, 1))
-    power = np.maximum(power, _LEAST * np.max(power))
+    power = np.maximum(power, max(_LEAST * float(np.max(power)), _TINY))
     return float(-len(pair.runs) * len(lines) * np.sum(np.log(power) + 1.0))
 
 
@@ -71,10 +72,10 @@ def _evidence(pair: Pair, lines: NDArray[np.intp], resonance_hz: float, related:
     ratio = np.tile(pair.freq_hz[lines] / resonance_hz, len(pair.runs))[:, None]
     power, of_base = np.mean(np.abs(s) ** 2, axis=0), np.mean(np.abs(b) ** 2, axis=0)
     # The noise of the base is scaled to the structure, so that its size does not depend on that of the base.
-    share = power / np.maximum(of_base, 1e-300)
+    share = power / np.maximum(of_base, _TINY)
     noise = (sd[:, 0] ** 2 + sd[:, 1] ** 2 * share).reshape(-1, size)
     noise = noise + 0.5 * MODEL**2 * np.mean(np.abs(s) ** 2, axis=1, keepdims=True)
-    floor = _LEAST * float(np.max(power))
+    floor = max(_LEAST * float(np.max(power)), _TINY)
     variance = np.maximum(noise * (1.0 + ratio**2) ** 2, floor)
     dq, geometry = (s - b, _GEOMETRY * b) if related else (s, b)
     blocks = [ratio**2 * s, -1j * _VISCOUS * ratio * dq, -1j * _HYSTERETIC * dq, geometry, 1j * geometry]

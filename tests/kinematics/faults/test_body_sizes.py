@@ -7,53 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.two_bodies import resized, shaken
 from kinematics.faults.mislabelled.body_sizes import rms_would_show, size_notices
 from kinematics.faults.mislabelled.phase_convention import phase_notice
-from kinematics.faults.mislabelled.two_bodies import Pair
 from kinematics.points2dof import points2dof
 from kinematics.report.detectable_sections import detectable_blocks
 from tests.kinematics.ligament import study
-
-LEVER_M = 1e-3
-UNIT_M = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
-
-
-def shaken(seed, lines, *, band=(200.0, 6000.0), runs=1, noise=0.01, off=0.0):
-    """Return a stapes of six degrees of freedom on its ligament and the bone that shakes it.
-
-    ``noise`` and ``off``, the errors of either geometry, are shares of the motion.
-    """
-    rng = np.random.default_rng([seed, 31])
-    freq, size = np.geomspace(*band, lines), 1e-7 * np.array([0.3, 1.0, 0.3, 200.0, 100.0, 200.0])
-    mass = np.diag([3e-6, 3e-6, 3e-6, 2.4e-12, 7e-13, 3e-12])
-    resonance = 2.0 * np.pi * np.exp(rng.uniform(np.log(1200.0), np.log(6000.0), 6))
-    stiffness = mass * resonance**2
-    stiffness[1, 3] = stiffness[3, 1] = 0.3 * np.sqrt(stiffness[1, 1] * stiffness[3, 3])
-    damping = 2.0 * rng.uniform(0.05, 0.25, 6) * mass * resonance
-    moved = np.zeros((2, runs, lines, 6), dtype=complex)
-    for run in range(runs):
-        own, shape = rng.uniform(500.0, 7000.0), rng.normal(size=(6, 2)) @ [1.0, 0.3j]
-        moved[1, run] = size * (
-            rng.choice([-1.0, 1.0]) + np.outer(1.0 / (1.0 - (freq / own) ** 2 + 0.4j), shape)
-        )
-        for k, w in enumerate(2.0 * np.pi * freq):
-            ligament = stiffness * (1.0 + 0.05j) + 1j * w * damping
-            moved[0, run, k] = np.linalg.solve(ligament - w**2 * mass, ligament @ moved[1, run, k])
-    spread = np.sqrt(0.5 * np.mean(np.abs(moved * UNIT_M) ** 2, axis=(2, 3), keepdims=True)) * noise / UNIT_M
-    sd = np.broadcast_to(spread, moved.shape)
-    read = moved + sd * (rng.normal(size=(*moved.shape, 2)) @ [1.0, 1j])
-    geometry = np.eye(6) + off * rng.normal(size=(2, 1, 6, 6))
-    read = (read * UNIT_M) @ geometry / UNIT_M
-    names, numbers = ("stapes", "base"), tuple(str(1 + run) for run in range(runs))
-    return Pair(read[0], read[1], sd.swapaxes(0, 1), freq, np.eye(6), names, numbers, UNIT_M)
-
-
-def slipped(pair, factor, run=slice(None)):
-    """Return a pair with the base read ``factor`` times too small."""
-    base, sd = pair.base.copy(), pair.sd.copy()
-    base[run] /= factor
-    sd[run, 1] /= factor
-    return replace(pair, base=base, sd=sd)
 
 
 def said(pair):
@@ -67,7 +26,7 @@ def test_one_body_in_rms_is_named_from_six_lines_on(lines):
         pair = shaken(seed, lines, off=0.02 * (seed % 2))
         assert said(pair) == []
         for factor, rms in ((np.sqrt(2.0), "base"), (np.sqrt(0.5), "stapes")):
-            texts = said(slipped(pair, factor))
+            texts = said(resized(pair, factor))
             assert all(f"{rms} looks given in rms" in text for text in texts)
             found += len(texts)
     assert found >= 17
@@ -77,7 +36,7 @@ def test_one_body_in_rms_is_named_from_six_lines_on(lines):
 def test_another_range_of_a_body_is_named_with_its_factor(factor):
     found = 0
     for seed in range(8):
-        texts = said(slipped(shaken(20 + seed, 8), factor))
+        texts = said(resized(shaken(20 + seed, 8), factor))
         assert all(f"with base {factor:.4g} times as large: one of the two bodies" in text for text in texts)
         found += len(texts)
     assert found >= 7
@@ -86,7 +45,7 @@ def test_another_range_of_a_body_is_named_with_its_factor(factor):
 def test_another_range_in_one_run_is_named_with_its_run():
     found = 0
     for seed in range(6):
-        texts = said(slipped(shaken(40 + seed, 8, runs=3), 5.0, 1))
+        texts = said(resized(shaken(40 + seed, 8, runs=3), 5.0, 1))
         assert all("with base 5 times as large in run 2 alone" in text for text in texts)
         found += len(texts)
     assert found >= 5
@@ -142,3 +101,12 @@ def test_the_page_says_whether_a_body_in_rms_would_have_been_found(noise, senten
     text = " ".join("".join(detectable_blocks(result)).split())
     assert f"{sentence} by the ligament" in text or f"{sentence} from these lines" in text
     assert ("readings of that body alone in rms" in text) == (sentence == "could not be told")
+
+
+def test_a_motion_whose_noise_is_not_a_number_is_not_judged():
+    pair = shaken(7, 12)
+    sd = pair.sd.copy()
+    sd[0, 1, 3] = np.nan
+    still = replace(pair, structure=0.0 * pair.structure, base=0.0 * pair.base, sd=0.0 * pair.sd)
+    assert said(resized(replace(pair, sd=sd), 2.0)) == []
+    assert said(still) == []

@@ -112,17 +112,15 @@ def test_a_sign_is_told_beside_the_phase():
 
 
 @pytest.mark.parametrize("derivatives", [0, 1, 2])
-@pytest.mark.parametrize(("lines", "hertz"), [(1, 78), (2, 156), (3, 234)])
-def test_a_shifted_column_of_frequencies_is_told(derivatives, lines, hertz):
-    """The rows that are read at one frequency stand one to three lines above."""
+def test_a_shifted_column_of_frequencies_is_told(derivatives):
+    """The rows that are read at one frequency stand at the third line above."""
     freq = np.linspace(400.0, 5000.0, 60)
     motion = moved(10, ("y", "x", "z"), noise=0.003, freq=freq)
     rate = freq[:, None] ** derivatives
-    wrong = changed(motion, 1, lambda q: np.roll(q * rate, lines, axis=1) / rate)
+    wrong = changed(motion, 1, lambda q: np.roll(q * rate, 3, axis=1) / rate)
     (notice,) = phase_notice(wrong, derivatives=derivatives)
     assert notice.code == "label_swap"
-    expected = f"the frequencies of base look shifted against those of stapes by about {hertz} Hz"
-    assert expected in notice.text
+    assert "the frequencies of base look shifted against those of stapes by about 234 Hz" in notice.text
 
 
 def test_frequencies_with_a_constant_offset_are_named():
