@@ -53,7 +53,7 @@ def parser() -> Parser:
     from textwrap import fill
 
     from kinematics.options import LdvOptions, PointsFiles
-    from kinematics.readers.format_table import FORMATS
+    from kinematics.readers.formats import FORMATS
     from stapeskit.option_parser import Parser
 
     formats = [

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from ct_inertia.readers import formats as scan_formats
-from kinematics.readers import format_table as vibrometer_formats
+from kinematics.readers import formats as vibrometer_formats
 from stapeskit.records.motion import ROW_COLUMNS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

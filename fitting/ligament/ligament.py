@@ -304,6 +304,9 @@ def _profile(lines: JointLines, equations: Equations, term: Term, fit: JointFit,
         else:
             begin = equation_error_start(*applied, fit.parameters)
         inner = fit_joint(wide, applied[1], begin)
+        if settled and not inner.converged:
+            again = fit_joint(wide, applied[1], equation_error_start(*applied, fit.parameters))
+            inner = again if again.converged or again.chi2 < inner.chi2 else inner
         fits[logarithm] = inner
         return inner.chi2
 

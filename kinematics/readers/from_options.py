@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from kinematics.errors import KinematicsError
 from kinematics.options import LdvOptions, SeriesOptions
-from kinematics.readers.formats import describes_series
 from kinematics.readers.input_options import InputOptions
+from kinematics.readers.recognise_format import describes_series
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.options import declared
 

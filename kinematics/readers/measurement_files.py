@@ -2,7 +2,7 @@
 
 Notes
 -----
-The reader is chosen by the table `kinematics.readers.format_table.FORMATS`. A tidy table alone takes the
+The reader is chosen by the table `kinematics.readers.formats.FORMATS`. A tidy table alone takes the
 short way through `kinematics.tidy.ldv_csv`; with other files it becomes recordings like them.
 """
 
@@ -23,7 +23,7 @@ from kinematics.readers.text import openable
 from stapeskit.faults import Fault, Place, collect_faults, raise_all
 
 if TYPE_CHECKING:
-    from kinematics.readers.format_table import Format
+    from kinematics.readers.formats import Format
 
 
 def read_measurement(
@@ -50,8 +50,8 @@ def read_measurement(
         What is wrong with the files; the faults of all of them together.
     """
     from kinematics.readers.assemble_measurement import assemble
-    from kinematics.readers.format_table import TIDY
-    from kinematics.readers.formats import format_of
+    from kinematics.readers.formats import TIDY
+    from kinematics.readers.recognise_format import format_of
     from kinematics.tidy.ldv_csv import read_ldv
 
     # the folder "." has no name, by which messages, runs and bodies call a file

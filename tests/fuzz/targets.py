@@ -11,7 +11,7 @@ PRELOADED = (
     "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read_scan ct_inertia.ct2mass "
     "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
     "fitting.options kinematics.measure_motion kinematics.readers.assemble_measurement "
-    "kinematics.readers.formats kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
+    "kinematics.readers.recognise_format kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
     "pipeline.study pipeline.report pipeline.figure_files matplotlib.figure matplotlib.backends.backend_pdf "
     "kinematics.registration.scan_surfaces stapeskit.records.mass_record stapeskit.records.motion_files"
 )

@@ -57,15 +57,17 @@ def spoiled(channels, channel, kind):
 def test_a_fault_in_one_channel_of_the_sample_is_found_and_named(sample, number):
     channels = sample.bodies[number]
     kinds = ("gain", "sign", "zeros", "noise", "drift")
-    # Every fourth channel: each beam, and each kind.
+    tried = set()
     for channel in range(number, len(channels.points), 4):
         kind = kinds[(channel + number) % len(kinds)]
         made = points2dof(replace(sample, bodies=(spoiled(channels, channel, kind),)))
         point = channels.points[channel]
         beam = [c for c, name in enumerate(channels.points) if name == point].index(channel) + 1
+        tried |= {kind, beam}
         (group,) = groups_of(made)
         assert (group.verdict.verdict, group.names[0].split(" (")[0]) == (kind, f"{point}, beam {beam}")
         assert group.names[0] in words("".join(verdict_section(made).blocks))
+    assert tried == {*kinds, 1, 2, 3}
 
 
 def moved(data, number, own):

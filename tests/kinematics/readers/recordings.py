@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinematics.readers.formats import format_of
 from kinematics.readers.input_options import InputOptions
+from kinematics.readers.recognise_format import format_of
 from kinematics.readers.recording import Recordings
 
 

@@ -12,10 +12,10 @@ import pytest
 
 from kinematics.cli import parser
 from kinematics.readers import formats
-from kinematics.readers.format_table import FORMATS, TIDY, Format
-from kinematics.readers.formats import format_of
+from kinematics.readers.formats import FORMATS, TIDY, Format
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
+from kinematics.readers.recognise_format import format_of
 from kinematics.readers.recording import Recording, Recordings
 from stapeskit.faults import Place, StapeskitError
 

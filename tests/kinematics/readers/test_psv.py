@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import format_of
 from kinematics.readers.psv import fastscan as psv_fastscan
 from kinematics.readers.psv import per_point as psv_points
 from kinematics.readers.psv.text_blocks import fields_of
+from kinematics.readers.recognise_format import format_of
 from stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.written_psv import fastscan, point

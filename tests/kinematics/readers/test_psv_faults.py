@@ -8,9 +8,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import format_of
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
+from kinematics.readers.recognise_format import format_of
 from stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.readers.test_psv import FREQ, SPECTRUM, pointwise, scanned

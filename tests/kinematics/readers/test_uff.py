@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from kinematics.readers.formats import format_of
+from kinematics.readers.recognise_format import format_of
 from kinematics.readers.uff.datasets import datasets, looks_like_uff
 from kinematics.readers.uff.functions import read_function
 from kinematics.readers.uff.spectra import read

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import format_of
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
+from kinematics.readers.recognise_format import format_of
 from kinematics.readers.wide.columns import meaning
 from kinematics.readers.wide.spectra import read
 from stapeskit.faults import StapeskitError
