@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser
-from kinematics.readers import formats
+from kinematics.readers import recognise_format
 from kinematics.readers.formats import FORMATS, TIDY, Format
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
@@ -52,7 +52,7 @@ def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
     module.read = read
     monkeypatch.setitem(sys.modules, "invented", module)
     entry = Format("new", "invented", "a new format (.new)", lambda head: head.content.startswith(b"NEW"))
-    monkeypatch.setattr(formats, "FORMATS", (entry, *FORMATS))
+    monkeypatch.setattr(recognise_format, "FORMATS", (entry, *FORMATS))
     path = tmp_path / "a.new"
     path.write_bytes(b"NEW")
     assert format_of(path).name == "new"
