@@ -195,7 +195,7 @@ ADVICE: dict[str, tuple[str, str]] = {
         "channel_noise",
         "Check focus and reflection there; state its true sd, leave it out, or fit with {robust} t4.",
     ),
-    "label_swap": ("channel_label_swap", "Exchange the two names."),
+    "label_swap": ("channel_label_swap", "Exchange these names."),
     "flexible": (
         "flexible",
         "The body bends, or its points belong to several bodies: use lower frequencies or fewer points, and "

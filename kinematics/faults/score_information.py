@@ -123,8 +123,8 @@ class State:
     @property
     def determined(self) -> bool:
         """Whether the channels determine the motion by no less than a thousandth of what they see most."""
-        strongest = np.sum(np.abs(self.own) ** 2, axis=(1, 2))
-        return bool(np.max(np.linalg.norm(self.upper, 2, axis=(1, 2)) ** 2) * np.max(strongest) < 1e6)
+        weakest = np.max(np.linalg.norm(self.upper, 2, axis=(1, 2)))
+        return bool(weakest * np.max(np.linalg.norm(self.own, axis=(1, 2))) < 1e3)
 
     @cached_property
     def rest(self) -> ComplexArray:

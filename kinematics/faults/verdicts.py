@@ -120,7 +120,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
         else:
             names = channel_list(finding.channels, body)
             swapped = verdict == "label_swap" and "exchanged" in estimate
-            step = "exchange the two names" if swapped else "correct it or leave the channel out"
+            step = "exchange these names" if swapped else "correct it or leave the channel out"
             text = f"{names}{where}: {verdict}, {estimate}; {step}."
         notices.append(Notice(finding.code or ADVICE[verdict][0], text))
     return notices

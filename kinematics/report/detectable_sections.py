@@ -135,7 +135,8 @@ def _never(result: Points2Dof) -> list[Markup]:
             rows.append((body.body, what, *_shares(errors.tilt)))
     pair = Pair.of(result.motion, "stapes", "base", derivatives=result.measurement.order)
     rigid = not any(diagnosis.bends for diagnosis in result.diagnoses.values())
-    shown_rms = pair is not None and rigid and rms_would_show(pair)
+    slipped = any(notice.code == "unit_slip" for notice in result.notices)
+    shown_rms = slipped or (pair is not None and rigid and rms_would_show(pair))
     if len(result.measurement.bodies) > 1 and not shown_rms:
         rms = [f"{100.0 * (1.0 - np.sqrt(0.5)):.2g} %"] * len(dof)
         rows.append(("one of them", "readings of that body alone in rms instead of peak values", *rms))
@@ -143,7 +144,7 @@ def _never(result: Points2Dof) -> list[Markup]:
         return []
     rows.append(("all", "all readings too large by 1 %", *["1 %"] * len(dof)))
     scale = ""
-    if pair is not None:
+    if pair is not None and not slipped:
         scale = (
             " One of stapes and base in rms would have been found by the ligament that joins them."
             if shown_rms

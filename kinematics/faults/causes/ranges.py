@@ -16,8 +16,6 @@ from stapeskit.faults import list_some
 
 # Ratios of rms and peak values, and of the ranges of vibrometers, in steps of 1, 2, 5.
 _FACTORS = np.array([2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0])
-# How far a factor may lie off one of these: errors of positions change it.
-_NEAR = 0.04
 # Fewer points show no two groups. Lines that are compared: they bound the time.
 _LEAST_POINTS, _LINES = 4, 200
 
@@ -38,25 +36,22 @@ def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
     if len(names) < _LEAST_POINTS or len(live) > MOST_CHANNELS:
         return
     basis = extended_beams(body, suspect.beams.dof).basis[live]
-    groups = _two_groups(_relative_sizes(suspect.value[live], basis, owner))
-    if groups is None:
-        return
-    ratio, other = groups
-    number = int(np.sum(other))
-    channels = live[other[owner]].tolist()
-    points = list_some([str(name) for name in names[other]])
-    text = (
-        f"{number} of {len(names)} points read {ratio:.4g} times what the others show ({points}): in another "
-        "range or unit, or in rms beside peak values"
-    )
-    step = "Check the range and the unit of their rows, and correct the values"
-    remedied = suspect.value.copy()
-    remedied[channels] /= ratio
-    put_right = suspect.with_value(remedied)
-    # The stated sd was multiplied with the readings, or was not.
-    for sd in (put_right.sd, body.sd) if suspect.known else (put_right.sd,):
-        one = replace(put_right, sd=sd)
-        yield Explanation.of("unit_slip", "gain", channels, (text, step), ratio, one)
+    size = _relative_sizes(suspect.value[live], basis, owner)
+    for ratio, other in _two_groups(size):
+        channels = live[other[owner]].tolist()
+        points = list_some([str(name) for name in names[other]])
+        text = (
+            f"{np.sum(other)} of {len(names)} points read {ratio:.4g} times what the others show ({points}): "
+            "in another range or unit, or in rms beside peak values"
+        )
+        step = "Check the range and the unit of their rows, and correct the values"
+        remedied = suspect.value.copy()
+        remedied[channels] /= ratio
+        put_right = suspect.with_value(remedied)
+        # The stated sd was multiplied with the readings, or was not.
+        for sd in (put_right.sd, body.sd) if suspect.known else (put_right.sd,):
+            one = replace(put_right, sd=sd)
+            yield Explanation.of("unit_slip", "gain", channels, (text, step), ratio, one)
 
 
 def _relative_sizes(value: ComplexArray, basis: Array, owner: NDArray[np.intp]) -> Array:
@@ -79,17 +74,21 @@ def _relative_sizes(value: ComplexArray, basis: Array, owner: NDArray[np.intp]) 
     return np.asarray(1.0 / np.where(vectors[:, 0] == 0.0, np.nan, vectors[:, 0] * root))
 
 
-def _two_groups(size: Array) -> tuple[float, NDArray[np.bool_]] | None:
-    """Return the factor of the smaller of two groups, and which points (point,) are in it."""
+def _two_groups(size: Array) -> Iterator[tuple[float, NDArray[np.bool_]]]:
+    """Yield likely factors of the smaller of two groups, and which points (point,) are in it.
+
+    Where a body moves along one axis alone, a factor that changes over it looks like a rotation: the sizes
+    are uncertain then. They must form two groups; what is left decides between the two nearest factors.
+    """
     if not np.all(np.isfinite(size)) or np.ptp(np.sign(size)) > 0.0:
-        return None
+        return
     logs = np.sort(np.log(np.abs(size)))
     gap = int(np.argmax(np.diff(logs)))
-    low, high = np.median(logs[: gap + 1]), np.median(logs[gap + 1 :])
-    nearest = _FACTORS[np.argmin(np.abs(np.log(_FACTORS) - (high - low)))]
-    larger = np.log(np.abs(size)) > 0.5 * (low + high)
-    spread = np.abs(np.log(np.abs(size)) - np.where(larger, high, low))
-    if abs(np.log(nearest) - (high - low)) > _NEAR or np.max(spread) > _NEAR:
-        return None
+    low, high = logs[: gap + 1], logs[gap + 1 :]
+    if high[0] - low[-1] <= max(np.ptp(low), np.ptp(high)):
+        return
+    larger = np.log(np.abs(size)) >= high[0]
     few = bool(np.sum(larger) <= len(size) / 2)
-    return (float(nearest), larger) if few else (float(1.0 / nearest), ~larger)
+    off = np.abs(np.log(_FACTORS) - (np.median(high) - np.median(low)))
+    for ratio in _FACTORS[np.argsort(off)[:2]]:
+        yield (float(ratio), larger) if few else (float(1.0 / ratio), ~larger)
