@@ -97,7 +97,7 @@ def candidates(
             rotation, shift = _step(
                 local, rotation, shift, tree, samples, normals, max(width, 0.02) * size, plane
             )
-        miss = _misses(local, rotation, shift, tree, samples, normals, towards)
+        miss = _pose_distances(local, rotation, shift, tree, samples, normals, towards)
         order = np.argsort(miss)[:keep]
         rotation, shift, miss = rotation[order], shift[order], miss[order]
     shift = shift - rotation @ middle
@@ -174,7 +174,7 @@ def _rotations(vectors: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def _misses(
+def _pose_distances(
     local: Array,
     rotation: Array,
     shift: Array,
