@@ -1,4 +1,4 @@
-"""From motion file and mass file to a fit and its files: one library call for the command."""
+"""From files to files, as the command dof2kd works: a fit or a plan with its record, page and exports."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class WrittenFit:
     files: tuple[Path, ...]
 
 
-def dof2kd(
+def fit_files(
     motion_path: Path,
     mass_path: Path,
     options: KDOptions,
@@ -93,7 +93,7 @@ def dof2kd(
     return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))
 
 
-def plan2kd(
+def plan_files(
     path: Path, out: Path, *, force: bool = False, config: Path | None = None
 ) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
     """Read a plan, compute its expected uncertainty, write ``out`` (plan.json) and the page of the same name.
