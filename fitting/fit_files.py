@@ -127,6 +127,6 @@ def plan_files(
 
 
 def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:
-    """Return the result file, its page and exports, beside the files that are read."""
+    """Return the set of outputs (result file, page, exports) with the files that are read."""
     names = (out.name, out.with_suffix(".html").name, *(file_name(out.stem, name) for name in export))
     return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)

@@ -156,7 +156,7 @@ def _fit(motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base
 
 
 def _minima(best: LawFit) -> Array:
-    """Return columns (24, k) of the error where the data do not tell the minima under a law apart."""
+    """Return columns (24, k) of the error where the data do not decide between the minima under a law."""
     assert best.ligament is not None  # noqa: S101
     others = [fit for fit in best.others if fit.ligament is not None and fit.law.physical]
     level = max(1.0, best.ligament.joint.level)

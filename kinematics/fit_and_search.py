@@ -61,7 +61,7 @@ class SearchedFits:
 
 
 def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
-    """Factorise every body; raise what any of them cannot observe in one message."""
+    """Factorise the beams of every body; one error lists all motions that they cannot observe."""
     beam_sets: list[BeamSet] = []
     faults: list[Fault] = []
     for body in placed.bodies:

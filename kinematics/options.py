@@ -371,7 +371,7 @@ class LdvOptions(_SeriesTable, _MeasurementOptions):
 
 @dataclass(frozen=True)
 class PointsFiles(OptionTable):
-    """What else the command reads, and what it writes."""
+    """Other files that the command reads, and the files that it writes."""
 
     title = "points2dof"
     rules = (

@@ -177,7 +177,7 @@ def voxel_effects(
     volume: Volume,
     moments: Moments,
 ) -> tuple[Array, Array]:
-    """Return what shares of bone in voxels add to (V, c, S), and where these lie from the centroid.
+    """Return the contribution of each voxel to (V, c, S), and its position from the centroid.
 
     Parameters
     ----------

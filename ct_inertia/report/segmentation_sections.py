@@ -23,7 +23,7 @@ _BONE_FROM = {
 
 
 def evidence_rows(segmentation: Mapping[str, Any]) -> list[Row]:
-    """Return label and words of everything that ``segmentation`` of mass.json tells.
+    """Return label and text of every entry of ``segmentation`` in mass.json.
 
     Parameters
     ----------

@@ -300,7 +300,7 @@ def _complete(whole: Piece) -> bool:
 
 
 def _cuts_the_stapes(way: SplitPiece, chosen: CoarseSegmentation) -> bool:
-    """Return whether a parting of a complete body has cut the stapes itself.
+    """Return whether a separation of a complete body has cut the stapes itself.
 
     Beside a body with the arch of a stapes that surrounds no other bone only the incus can be, and it is no
     stapes: the parting has more bones than these two, or two that can be the stapes.

@@ -72,7 +72,7 @@ class Diagnosis:
 
     @property
     def seen_from(self) -> dict[str, float]:
-        """Size of each scored cause that is found in four of five measurements like this one, in its unit."""
+        """Size from which each scored cause is found in four of five such measurements, in its unit."""
         return {
             name: detectable_size(float(sd), self.search_z, self.hiding.get(name))
             for name, sd in zip(self.tested, self.scores.sd, strict=True)
@@ -88,7 +88,7 @@ class Diagnosis:
 
     @property
     def named(self) -> Refit | None:
-        """The cause that the data speak for, or None; one of no size that is known is none."""
+        """The cause that the data support, or None; a cause of undetermined size is not named."""
         if not self.searched:
             return None
         known = (refit for refit in self.refits if refit.sd < abs(refit.size) or not refit.sd)

@@ -176,7 +176,7 @@ def _second_derivative(n: int) -> Array:
 
 
 def descent(matrix: Array, slope: Array, damping: float = 0.0) -> Array:
-    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step, its negative curvatures turned round."""
+    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step with |curvature|."""
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     curvature = np.maximum(np.abs(values), 1e-13 * float(np.max(np.abs(values)))) + damping

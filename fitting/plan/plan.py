@@ -175,7 +175,7 @@ class Expectation:
 
     @property
     def planned(self) -> Option:
-        """The plan as it is."""
+        """The plan without improvements."""
         return self.options[0]
 
 

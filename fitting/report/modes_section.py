@@ -69,7 +69,7 @@ def modes_section(fit: KDFit, outline_mm: Array | None) -> Section:
 
 
 def _compare_published(fit: KDFit) -> tuple[Markup, ...]:
-    """Return heading and table of published stiffnesses and frequencies beside those of the fit."""
+    """Return heading and table that compare published stiffnesses and frequencies with those of the fit."""
     value, sd = fit.stiffness[0, 0], fit.standard_deviation[0][0, 0]
     rows = [("K(y) (N/m)", plus_minus(value, sd), other, source) for other, source in PUBLISHED_PISTON]
     if fit.law.name == "viscous":

@@ -72,7 +72,7 @@ def fit_with_noise(
 
 
 def largest_rate(value: ComplexArray, rate: Array) -> float:
-    """Return the largest |value| times ``rate`` (freq,), to a factor of sqrt 2; 0 without a finite value.
+    """Return the largest |value| times ``rate`` (freq,), within a factor of sqrt 2; 0 without a finite value.
 
     It is the larger of real and imaginary part: one pass over the data without a copy.
     """

@@ -20,7 +20,7 @@ def with_common_noise(
     shape: tuple[int, int],
     pooled: bool,
 ) -> tuple[list[Recording], Array | None]:
-    """Keep noise of the reference apart where a whole run shares it; put it into ``sd`` elsewhere.
+    """Store noise of the reference separately where a whole run shares it; elsewhere add it to ``sd``.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class Calibration:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Which parameters (k,) the data tell something about: their sd fell below 0.9 of the prior's."""
+        """Which parameters (k,) the data inform: their sd fell below 0.9 of the prior's."""
         return np.asarray(self.sd < _INFORMED_SHARE * self.model.prior_sd)
 
     @property

@@ -201,7 +201,7 @@ def _choose_placement(
     witnesses: Sequence[tuple[Array, TriangleSurface]],
     surface: TriangleSurface,
 ) -> tuple[Refined, list[Notice]]:
-    """Choose the placement; refuse when others fit alike and no other points tell them apart."""
+    """Choose the placement; refuse when others fit as well and no other points decide between them."""
     fits = sorted(fits, key=lambda fit: fit.energy)
     best = fits[0]
     apart = max(_APART_SD * max(best.scale, surface_floor(surface)), 0.03 * surface.diagonal_mm)

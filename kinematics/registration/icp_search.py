@@ -110,7 +110,7 @@ def candidates(
 
 
 def separation(pose: Candidate, other: Candidate, points_mm: Array) -> float:
-    """Return how far the farthest point lies apart under two poses, mm."""
+    """Return the largest distance between the places of a point under two poses, mm."""
     return float(np.max(np.linalg.norm(pose.points(points_mm) - other.points(points_mm), axis=1)))
 
 

@@ -145,7 +145,7 @@ def _draw_body(
 
 
 def frame(view: Axes, sight: View, scenery: Scenery, middle: Array, half: Array) -> None:
-    """Set limits, titles and axis names; an axis that runs against its picture is turned round."""
+    """Set limits, titles and axis names; an axis that runs against its picture is reversed."""
     ticks = []
     for place, signed in ((0, sight.right), (1, sight.up)):
         centre, side = sight.flat(middle)[place], float(np.abs(sight.axes[place]) @ half)

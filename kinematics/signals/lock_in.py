@@ -50,7 +50,7 @@ class SineFit:
         Change of the amplitude from the first to the second half of the record over its noise, the largest
         of all channels; changes below a thousandth of the amplitude do not count.
     share : ndarray, (channel,)
-        Share of the power of the signal, its mean apart, that the line has.
+        Share of the power of the signal, without its mean, in the line.
     run_hz : float
         Change of the frequency from start to end of the record, ``freq_hz`` its mean; 0 where none is seen.
     """
@@ -256,7 +256,7 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
 
 
 def _nearby_spectrum(residual: Array, rate: float, freq: float) -> ComplexArray:
-    """Return spectral samples of the residual beside the line, (channel, offset), scaled as its error.
+    """Return spectral samples of the residual next to the line, (channel, offset), scaled as its error.
 
     Offsets lie at least three bins away, where the fit took nothing out, and keep off 0 Hz; a Hann window
     keeps other frequencies out.
