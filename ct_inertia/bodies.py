@@ -18,8 +18,8 @@ from stapeskit.arrays import Array
 from stapeskit.background import Later
 from stapeskit.warnings import Notice
 
-# Numbers of the bodies in label volumes, written and read.
-BACKGROUND, STAPES, PLATE, OTHER_BONE = 0, 1, 2, 3
+# Numbers of the bodies in label volumes, written and read; 0 is the background.
+STAPES, PLATE, OTHER_BONE = 1, 2, 3
 # Voxels a slab of labels that is read at a time: 4 MB.
 _SLAB_VOXELS = 1 << 22
 

@@ -46,14 +46,14 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:
         return options, _plan(options)
     from pathlib import Path
 
-    from fitting.dof2kd import dof2kd
+    from fitting.fit_files import fit_files
     from fitting.options import KDOptions
     from fitting.report.at_a_glance import summary_rows
     from stapeskit.command import Outcome
     from stapeskit.progress import stage_on_terminal
 
     with stage_on_terminal(not options.quiet and not options.json) as progress:
-        result = dof2kd(
+        result = fit_files(
             options.motion,
             options.mass,
             options.make(KDOptions),
@@ -76,11 +76,11 @@ def _plan(options: ParsedOptions) -> Outcome:
     """Report what a planned measurement can reach."""
     from pathlib import Path
 
-    from fitting.dof2kd import plan2kd
+    from fitting.fit_files import plan_files
     from fitting.plan.plan import summary_rows
     from stapeskit.command import Outcome
 
-    expectation, content, files = plan2kd(
+    expectation, content, files = plan_files(
         options.plan, options.out or Path("plan.json"), force=options.force, config=options.config
     )
     return Outcome(

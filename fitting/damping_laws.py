@@ -202,10 +202,10 @@ def rescale_bic(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
 
 
 def indistinguishable_laws(best: LawFit, laws: Iterable[LawFit]) -> tuple[str, ...]:
-    """Return the other laws that the data do not tell from the one of the best fit.
+    """Return the laws between which and the law of the best fit the data do not decide.
 
-    A law that the best one is a special case of is no other: the simple one is kept until the data speak
-    against it. Unknowns of a law that have a prior do not count here, since they say nothing of the data.
+    A law that contains the best one as a special case does not count: the simpler law is kept until the
+    data contradict it. Unknowns of a law that have a prior do not count as free.
     """
     names = []
     for other in laws:

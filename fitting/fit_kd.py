@@ -151,12 +151,12 @@ def _fit(motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base
     fit = _result(motion, options, problem, choice, laws, best, lines, known, off[:12])
     fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
     fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
-    notices = [*fit.notices, *_undetermined_laws(undetermined), *_alike(fit)]
+    notices = [*fit.notices, *_undetermined_laws(undetermined), *_ambiguous_law_notices(fit)]
     return replace(fit, undetermined=undetermined, notices=unique(notices))
 
 
 def _minima(best: LawFit) -> Array:
-    """Return columns (24, k) of the error where the data do not tell the minima under a law apart."""
+    """Return columns (24, k) of the error where the data do not decide between the minima under a law."""
     assert best.ligament is not None  # noqa: S101
     others = [fit for fit in best.others if fit.ligament is not None and fit.law.physical]
     level = max(1.0, best.ligament.joint.level)
@@ -230,7 +230,7 @@ def _joint_fits(fits: tuple[LawFit, ...], measured: JointLines, options: KDOptio
         near = []
         for fit in fits:
             try:
-                joint = _joint(
+                joint = _fit_ligament(
                     fit, measured, options, float(chdtri(fit.n_dof, calibrated("causes.misfit_p")))
                 )
             except NotWithin:
@@ -239,12 +239,14 @@ def _joint_fits(fits: tuple[LawFit, ...], measured: JointLines, options: KDOptio
         if any(fit.ligament is not None and fit.law.physical for fit in near):
             return tuple(near)
         fits = tuple(sorted(fits, key=lambda fit: fit.bic))
-        joints = [_joint(fit, measured, options) for fit in fits[:_NEAREST]]
+        joints = [_fit_ligament(fit, measured, options) for fit in fits[:_NEAREST]]
         return (*(joint for joint in joints if joint is not None), *fits[_NEAREST:])
-    return tuple(joint for joint in (_joint(fit, measured, options) for fit in fits) if joint is not None)
+    return tuple(
+        joint for joint in (_fit_ligament(fit, measured, options) for fit in fits) if joint is not None
+    )
 
 
-def _joint(
+def _fit_ligament(
     fit: LawFit, measured: JointLines, options: KDOptions, within: float | None = None
 ) -> LawFit | None:
     """Return a fit with the plane of the ligament; None where it does not settle.
@@ -287,7 +289,7 @@ def _fits(
     return fits_of_laws(problem, names, options.lower, options.upper, fit)
 
 
-def _alike(fit: KDFit) -> list[Notice]:
+def _ambiguous_law_notices(fit: KDFit) -> list[Notice]:
     """Return a warning about damping laws between which the data do not decide."""
     others = fit.laws_alike
     if not others:
@@ -356,7 +358,7 @@ def _result(
         (),
         joint_chi2=best.chi2 if ligament is not None else chi2_with_shared_errors(problem, lines, scaled),
         ligament=ligament,
-        plain=None if ligament is None else _plain(best, options),
+        plain=None if ligament is None else _fit_without_plane(best, options),
     )
     if (
         options.profile
@@ -375,7 +377,7 @@ def _result(
     return replace(fit, notices=unique([*motion.notices, *result_warnings(fit), *notices]))
 
 
-def _plain(best: LawFit, options: KDOptions) -> LawFit:
+def _fit_without_plane(best: LawFit, options: KDOptions) -> LawFit:
     """Return what the three degrees of freedom alone give, without in-plane motion, under the same law."""
     problem = replace(best.problem, coupling=None, observation=best.problem.observation.without_load())
     return fit_at(problem, best.law, options.lower, options.upper)

@@ -102,7 +102,7 @@ class KDFit:
 
     @property
     def laws_alike(self) -> tuple[str, ...]:
-        """Damping laws, out of those that were compared, that the data do not tell from the chosen one."""
+        """Compared damping laws that the data do not distinguish from the chosen one."""
         best = next((law for law in self.laws if law.law == self.law), None)
         return () if best is None else indistinguishable_laws(best, self.laws)
 

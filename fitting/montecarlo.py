@@ -190,7 +190,7 @@ def monte_carlo_json(fit: KDFit, scatter: MonteCarlo) -> dict[str, Any]:
 
 
 def monte_carlo_section(fit: KDFit, simulated: MonteCarlo) -> Section:
-    """Return the section of the page: scatter beside the linear propagation."""
+    """Return the section of the page that compares the scatter with the linear propagation."""
     stated, scatter = _linear_sd(fit), simulated.standard_deviation
     rows = [
         (name, f"{stated[place]:.3g}", f"{scatter[place]:.3g}", f"{scatter[place] / stated[place]:.3f}")

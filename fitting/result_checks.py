@@ -111,7 +111,7 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
 
 
 def cause_notices(fit: KDFit) -> list[Notice]:
-    """Return warnings about a cause that the data speak for, and about a mass of fluid."""
+    """Return warnings about a cause that the data support, and about a mass of fluid."""
     from fitting.causes.catalogue import title_of, unit_of
     from fitting.causes.diagnosis import largest_effect
 

@@ -93,7 +93,7 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
         channels = _of_point(body, point)
         if channels:
             wanted = _direction(beam)
-            along = () if wanted is None else _along(body, channels, wanted)
+            along = () if wanted is None else _select_along(body, channels, wanted)
             if along:
                 return _Choice(k, along)
             beams = [direction_name(body.reported_directions[c]).replace(" ", "") for c in channels]
@@ -126,7 +126,7 @@ def _direction(beam: str) -> Array | None:
     return direction if direction.shape == (3,) and bool(np.all(np.isfinite(direction))) else None
 
 
-def _along(body: BodyChannels, channels: Sequence[int], wanted: Array) -> tuple[int, ...]:
+def _select_along(body: BodyChannels, channels: Sequence[int], wanted: Array) -> tuple[int, ...]:
     return tuple(
         channel
         for channel in channels

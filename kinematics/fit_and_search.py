@@ -61,7 +61,7 @@ class SearchedFits:
 
 
 def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
-    """Factorise every body; raise what any of them cannot observe in one message."""
+    """Factorise the beams of every body; one error lists all motions that they cannot observe."""
     beam_sets: list[BeamSet] = []
     faults: list[Fault] = []
     for body in placed.bodies:
@@ -104,7 +104,7 @@ def _search(
         fits[key], known[key], raised = fit_with_noise(placed, run, body, beams[key[1]], robust)
         notices += raised
         if too_large(body, known[key]):
-            notices.append(_unsearched(body))
+            notices.append(_not_searched_notice(body))
         diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key])
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
 
@@ -124,7 +124,7 @@ def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> S
     return replace(first, diagnoses=diagnoses)
 
 
-def _unsearched(body: BodyChannels) -> Notice:
+def _not_searched_notice(body: BodyChannels) -> Notice:
     text = (
         f"{body.body}: its {len(body.points)} channels were not searched for faults; the search takes up to "
         f"{MOST_CHANNELS} channels a body, or any number with stated noise and exact positions. Fit "

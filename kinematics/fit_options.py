@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from kinematics.errors import KinematicsError
-from kinematics.options import LdvOptions
+from kinematics.options import REPEATS, ROBUST, LdvOptions
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.laser_errors import LaserPriors
 from stapeskit.faults import Fault, raise_all
 from stapeskit.spatial import DOF_NAMES
-
-ROBUST = ("none", "huber", "t4")
-REPEATS = ("pool", "separate")
 
 
 @dataclass(frozen=True)

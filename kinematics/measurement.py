@@ -234,7 +234,7 @@ class Measurement:
         return replace(self, frame=to_from_here.to, bodies=bodies)
 
     def mirrored(self, axis: str, points_only: bool = False) -> Measurement:
-        """Return the measurement with one axis of its left-handed coordinates turned round.
+        """Return the measurement with one axis of its left-handed coordinates reversed.
 
         ``points_only`` leaves the beams as they are, for files whose positions alone are left-handed.
 

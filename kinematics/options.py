@@ -29,6 +29,8 @@ from stapeskit.option_rules import Rule, excludes, needs
 from stapeskit.options import OptionTable, declared
 
 AXES = ("x", "y", "z")
+ROBUST = ("none", "huber", "t4")
+REPEATS = ("pool", "separate")
 FRF_ESTIMATORS = {
     "h1": "noise in the responses",
     "h2": "noise in the reference",
@@ -84,9 +86,9 @@ class _MeasurementOptions(OptionTable):
         0.0,
         metavar="S",
     )
-    robust: str = option(choice("none", "huber", "t4"), "resist outliers", "none")
+    robust: str = option(choice(*ROBUST), "resist outliers", "none")
     repeats: str = option(
-        choice("pool", "separate"),
+        choice(*REPEATS),
         "repeats and levels of a run: pool them after comparing them, or keep them as runs",
         "pool",
     )
@@ -369,7 +371,7 @@ class LdvOptions(_SeriesTable, _MeasurementOptions):
 
 @dataclass(frozen=True)
 class PointsFiles(OptionTable):
-    """What else the command reads, and what it writes."""
+    """Other files that the command reads, and the files that it writes."""
 
     title = "points2dof"
     rules = (

@@ -88,10 +88,12 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
         texts[target] = _copy(path, target, stem, copies)
         participants[f"sub-{subject}"] = about
     files = {place: file for target, source in copies.items() for place, file in _files(source, target)}
-    faults += [_taken_fault(target) for target, text in texts.items() if _is_other(target, text.encode())]
-    faults += [_taken_fault(target) for target, source in files.items() if _is_other(target, source)]
+    faults += [_taken_fault(target) for target, text in texts.items() if _holds_other(target, text.encode())]
+    faults += [_taken_fault(target) for target, source in files.items() if _holds_other(target, source)]
     faults += [
-        _taken_fault(stray) for target, source in copies.items() for stray in _strays(source, target, files)
+        _taken_fault(stray)
+        for target, source in copies.items()
+        for stray in _find_strays(source, target, files)
     ]
     with collect_faults(faults):
         table = with_participants(dataset / PARTICIPANTS, participants)
@@ -130,7 +132,7 @@ def _files(source: Path, target: Path) -> Iterator[tuple[Path, Path]]:
                 yield target / file.relative_to(source), file
 
 
-def _is_other(target: Path, content: Path | bytes) -> bool:
+def _holds_other(target: Path, content: Path | bytes) -> bool:
     """Return whether the destination holds anything but the copy."""
     if not os.path.lexists(target):
         return False
@@ -141,7 +143,7 @@ def _is_other(target: Path, content: Path | bytes) -> bool:
     return target.read_bytes() != content
 
 
-def _strays(source: Path, target: Path, files: Mapping[Path, Path]) -> list[Path]:
+def _find_strays(source: Path, target: Path, files: Mapping[Path, Path]) -> list[Path]:
     """Return files in a copied folder that are not of it: they would be read as a part of the scan."""
     if not (source.is_dir() and target.is_dir()):
         return []
@@ -156,15 +158,15 @@ def _taken_fault(path: Path) -> Fault:
 
 def _place(path: Path, study: Study, about: Mapping[str, Any]) -> tuple[str, str, Path]:
     """Return the subject, the beginning of the names of an ear's files, and its folder."""
-    subject = _plain(about.get("subject") or about.get("ear") or study.study.name or path.stem)
+    subject = _keep_letters(about.get("subject") or about.get("ear") or study.study.name or path.stem)
     side = str(about.get("side") or study.scan.side or "")
-    session = _plain(about.get("session") or "")
+    session = _keep_letters(about.get("session") or "")
     parts = [f"sub-{subject}", *([f"ses-{session}"] if session else [])]
     stem = "_".join([*parts, *([f"hemi-{side[0].upper()}"] if side else [])])
     return subject, stem, Path(*parts)
 
 
-def _plain(text: object) -> str:
+def _keep_letters(text: object) -> str:
     """Return the letters and digits of a text: labels of BIDS have no others."""
     return re.sub(r"[^A-Za-z0-9]", "", str(text))
 

@@ -50,11 +50,11 @@ def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome] | None:
         sys.stdout.write(TEMPLATE)
         return None
     if len(options.studies) == 1 and options.bids is None:
-        return options, _one(options)
-    return options, _several(options)
+        return options, _run_one(options)
+    return options, _run_several(options)
 
 
-def _one(options: ParsedOptions) -> Outcome:
+def _run_one(options: ParsedOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.report_summary import key_results
@@ -96,7 +96,7 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
     }
 
 
-def _several(options: ParsedOptions) -> Outcome:
+def _run_several(options: ParsedOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.cohort.cohort_laws import planned_law

@@ -47,7 +47,7 @@ def with_participants(path: Path, participants: Mapping[str, Mapping[str, Any]])
             stated, place = as_text_cell(text), header.index(key)
             if row[place] in ("", _UNKNOWN):
                 row[place] = stated
-            elif stated != _UNKNOWN and not _same(row[place], stated):
+            elif stated != _UNKNOWN and not _is_same(row[place], stated):
                 expected, got = f"{stated}, as [study] states", row[place]
                 faults.append(Fault(f"{key} of {name}", expected, got, path.name, "Correct one of them"))
     raise_all(PipelineError, faults)
@@ -67,7 +67,7 @@ def _read(path: Path) -> list[list[str]]:
     raise PipelineError.of("the table of participants", expected, "another file", path.name, "Correct it")
 
 
-def _same(cell: str, stated: str) -> bool:
+def _is_same(cell: str, stated: str) -> bool:
     """Return whether two texts are one value: 61 and 61.0."""
     with suppress(ValueError):
         return float(cell) == float(stated)

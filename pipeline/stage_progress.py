@@ -49,7 +49,7 @@ class Progress:
         """Show a step while its block runs, and its line when it has ended."""
         current = Step(title)
         stream = sys.stderr if self.stream is None else self.stream
-        with nullcontext() if self.quiet else _alive(title, stream):
+        with nullcontext() if self.quiet else _turn_wheel(title, stream):
             yield current
         remark = f"  {current.note}" if current.note else ""
         line = f"{self.prefix}{title:<40} {current.seconds:7.1f} s{remark}\n"
@@ -60,7 +60,7 @@ class Progress:
 
 
 @contextmanager
-def _alive(title: str, stream: TextIO) -> Iterator[Any]:
+def _turn_wheel(title: str, stream: TextIO) -> Iterator[Any]:
     """Turn a wheel with the elapsed time on a terminal; do nothing elsewhere."""
     if not stream.isatty():
         yield None

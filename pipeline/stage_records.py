@@ -109,11 +109,11 @@ def fingerprint(
         if path is not None:
             prints[f"input {role}"] = hashes.of(path)
     for name, value in parameters.items():
-        prints[name] = _short(json.dumps(value, sort_keys=True))
+        prints[name] = _shorten(json.dumps(value, sort_keys=True))
     return prints
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     """Return a text, or its hash when it is long."""
     import xxhash
 

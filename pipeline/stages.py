@@ -83,7 +83,7 @@ def inputs_of(study: Study) -> tuple[Path, ...]:
 
 
 def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
-    """Return the names that a study may write into its folder, the report apart."""
+    """Return the names that a study may write into its folder, without the report."""
     return tuple(name for stage in STAGES for name in stage.outputs(study, out))
 
 

@@ -25,9 +25,6 @@ def check_inputs(study: Study, work: Workspace) -> None:
 
 
 def _check_measurement(study: Study, work: Workspace) -> None:
-    from kinematics.fit_options import fit_options
-
-    fit_options(study.ldv)
     bodies = [body.body for body in measurement_of(study, work).measurement.bodies]
     file = ", ".join(path.name for path in study.ldv.files)
     faults = [

@@ -70,7 +70,10 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
         reasons.append(
             Reason(CHECK, "", "K or D is not positive semidefinite: energy would come from nowhere.")
         )
-    undetermined, imprecise = _beyond(kd, "K", _UNDETERMINED), [*_beyond(kd, "K"), *_beyond(kd, "D")]
+    undetermined, imprecise = (
+        _find_uncertain(kd, "K", _UNDETERMINED),
+        [*_find_uncertain(kd, "K"), *_find_uncertain(kd, "D")],
+    )
     if undetermined:
         text = f"Undetermined, with a standard deviation above the value: {', '.join(undetermined)}."
         reasons.append(Reason(DO_NOT_USE, "", text))
@@ -82,7 +85,7 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
     return Verdict(level, shown)
 
 
-def _beyond(kd: Mapping[str, Any], letter: str, share: float = _MOST_RELATIVE_SD) -> list[str]:
+def _find_uncertain(kd: Mapping[str, Any], letter: str, share: float = _MOST_RELATIVE_SD) -> list[str]:
     """Return the entries on the diagonal whose standard deviation is above a share of their value."""
     key = {"K": "stiffness", "D": "damping"}[letter]
     names = []

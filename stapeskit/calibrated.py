@@ -68,7 +68,7 @@ class CalibratedNumbers:
             name: Population(**entry) for name, entry in document.pop("population").items()
         }
         self.entries: Mapping[str, CalibratedNumber] = {
-            f"{subject}.{name}": CalibratedNumber(**{**default, **entry, "value": _frozen(entry["value"])})
+            f"{subject}.{name}": CalibratedNumber(**{**default, **entry, "value": _freeze(entry["value"])})
             for subject, table in document.items()
             for name, entry in table.items()
         }
@@ -88,5 +88,5 @@ class CalibratedNumbers:
         return {f"{self._path.parent.name}/{self._path.name}": content_hash(self._path)}
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(entry) for entry in value) if isinstance(value, list) else value
+def _freeze(value: Any) -> Any:
+    return tuple(_freeze(entry) for entry in value) if isinstance(value, list) else value

@@ -193,7 +193,7 @@ def format_faults(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> st
             return "\n".join(lines)
     room = LONGEST - _REST
     written = []
-    for number in _in_turn(listed):
+    for number in _alternate_kinds(listed):
         room -= len(lines[number]) + 1
         if room < 0:
             break
@@ -262,7 +262,7 @@ def _cut(text: str) -> str:
     return text if len(text) <= _FIELD else f"{text[:half]} ... {text[-half:]}"
 
 
-def _in_turn(faults: Sequence[Fault]) -> list[int]:
+def _alternate_kinds(faults: Sequence[Fault]) -> list[int]:
     """Return the numbers of the faults, every kind in turn."""
     kinds: dict[Hashable, list[int]] = {}
     for number, fault in enumerate(faults):

@@ -65,7 +65,7 @@ class OptionTable:
         return cls(**{names[name]: value for name, value in named.items()})
 
     def parameters(self) -> dict[str, Any]:
-        """Return the values by key, files apart, as JSON-able data: for the provenance."""
+        """Return the values by key, without files, as JSON-able data for the provenance."""
         return {
             entry.key: plain(getattr(self, entry.field))
             for entry in declared(type(self))

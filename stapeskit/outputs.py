@@ -58,19 +58,19 @@ def stage_outputs(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
             yield stage
             raise_all(StapeskitError, _in_the_way(stage, folder))
             _store(stage)
-            with defer_interrupts(), _alone(folder):
+            with defer_interrupts(), _lock_folder(folder):
                 _place(stage, folder, settle)
                 outputs_written()
     except (OSError, RuntimeError) as fault:
         if is_full(fault):
-            raise StapeskitError(_no_room(fault, folder)) from fault
+            raise StapeskitError(_full_disk(fault, folder)) from fault
         if entered or not isinstance(fault, OSError):
             raise
         refused = Fault("the output folder", "writable", fault.strerror, str(parent), _ELSEWHERE)
         raise StapeskitError(refused) from fault
 
 
-def _no_room(fault: BaseException, folder: Path) -> Fault:
+def _full_disk(fault: BaseException, folder: Path) -> Fault:
     if getattr(fault, "errno", None) == errno.EFBIG:
         expected, step = "allowed to hold files of this size", "Raise the limit (ulimit -f)"
         return Fault("the output folder", expected, "a limit that is lower", str(folder), step)
@@ -90,7 +90,7 @@ def _store(stage: Path) -> None:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Keep other runs from placing files in a folder meanwhile, where the system has locks."""
     try:
         import fcntl

@@ -93,7 +93,7 @@ class OutputSet:
         StapeskitError
             As in `check`, for what has changed since.
         """
-        with stage_outputs(self.folder, partial(self._settle, unchanged)) as stage:
+        with stage_outputs(self.folder, partial(self._record_outputs, unchanged)) as stage:
             yield stage
 
     def kept_notices(self, written: Collection[str]) -> tuple[Notice, ...]:
@@ -105,7 +105,7 @@ class OutputSet:
             if name not in written
             and os.path.lexists(self.folder / name)
             and _inode(self.folder / name) not in read
-            and not self._own(name, recorded)
+            and not self._is_own(name, recorded)
         ]
         if not names:
             return ()
@@ -142,14 +142,14 @@ class OutputSet:
                 expected = f"of at most {_LONGEST_OUTPUT} bytes"
                 faults.append(Fault("the name of an output", expected, got, "", "Choose a shorter one"))
                 continue
-            if not os.path.lexists(path) or _inode(path) in read or self._own(name, recorded):
+            if not os.path.lexists(path) or _inode(path) in read or self._is_own(name, recorded):
                 continue
             if path.is_dir():
                 faults.append(Fault(f"the output {path}", "a file", "a folder", "", "Move it away"))
             else:
                 foreign.append(name)
         if foreign and not self.force:
-            faults.append(self._not_own(foreign, recorded))
+            faults.append(self._foreign_files(foreign, recorded))
         elif foreign:
             within = _files_of(path for path in self.inputs if os.path.isdir(path))
             clashes = [self.folder / name for name in foreign if _inode(self.folder / name) in within]
@@ -159,25 +159,25 @@ class OutputSet:
     def _is_input(self, output: Path, source: Path) -> Fault:
         same = source if str(source) == str(output) else f"{source}, which is the same file"
         expected = "another file than the inputs"
-        return Fault(f"the output {output}", expected, f"the input {same}", "", self._elsewhere)
+        return Fault(f"the output {output}", expected, f"the input {same}", "", self._next_step)
 
-    def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> Fault:
+    def _foreign_files(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> Fault:
         edited = [name for name in names if name in recorded]
         others = [name for name in names if name not in recorded]
         got = [f"{_name_files(edited)}, edited since"] if edited else []
         got += [f"{_name_files(others)}, which it is not known to have written"] if others else []
         steps = [self.hints[name] for name in edited if name in self.hints]
-        steps.append(f"{self._elsewhere}, or let --force replace the files there")
+        steps.append(f"{self._next_step}, or let --force replace the files there")
         thing = f"the files in {self.folder} at the names of outputs"
         return Fault(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
 
     @property
-    def _elsewhere(self) -> str:
+    def _next_step(self) -> str:
         """The next step; the words of stapeskit name their folder without an option."""
         by_word = self.command.startswith("stapeskit")
         return "Name another folder" if by_word else "Choose another place with --out"
 
-    def _own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
+    def _is_own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
         """Return whether a file is as the command wrote it."""
         if name.startswith(f"{RECORDS}/"):
             return True
@@ -190,7 +190,7 @@ class OutputSet:
             )
         return False
 
-    def _settle(self, unchanged: Collection[str], stage: Path) -> Callable[[], None] | None:
+    def _record_outputs(self, unchanged: Collection[str], stage: Path) -> Callable[[], None] | None:
         """Check and record the new outputs before they appear; return the work left for when they have."""
         hashes = {
             path.relative_to(stage).as_posix(): self.hash_of(path)
@@ -228,7 +228,7 @@ class OutputSet:
             for name in dict.fromkeys((*self.names, *self.leftovers, *self.known))
             if name not in stay
             and not name.startswith(f"{RECORDS}/")
-            and self._own(name, recorded)
+            and self._is_own(name, recorded)
             and _inode(self.folder / name) not in read
         ]
 

@@ -61,10 +61,10 @@ def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> N
         code = _end_of(prog, work)
     except KeyboardInterrupt as stop:
         code = 130
-        _tell(f"{prog}: {stop if str(stop) else _farewell()}\n")
+        _write_message(f"{prog}: {stop if str(stop) else _farewell()}\n")
     except (MemoryError, SystemError):  # what says so needs memory, too
         code = 2
-        _tell(f"{prog}: {_STARVED}\n")
+        _write_message(f"{prog}: {_STARVED}\n")
     _State.code = code
     with suppress(OSError, ImportError, ValueError):
         if "stapeskit.run_log" in sys.modules:
@@ -156,7 +156,7 @@ def _watch(reader: int, patience_s: float) -> None:
             with suppress(Exception):
                 cleanup()
         if _State.code is None:
-            _tell(f"{_State.prog}: {_farewell()}\n")
+            _write_message(f"{_State.prog}: {_farewell()}\n")
         os._exit(130 if _State.code is None else _State.code)
 
 
@@ -181,12 +181,12 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
             raise KeyboardInterrupt from fault
         text = _sentence(fault)
         if text is not None:
-            _tell(f"{text}\n")
+            _write_message(f"{text}\n")
             return 2
         import traceback
 
-        _tell(traceback.format_exc())
-        _tell(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
+        _write_message(traceback.format_exc())
+        _write_message(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
         return 1
     try:
         if result is not None:
@@ -198,7 +198,9 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
         _drop_output()
     except OSError as fault:
         _drop_output()
-        _tell(f"{prog}: standard output must be writable; got {fault.strerror}. The outputs are written.\n")
+        _write_message(
+            f"{prog}: standard output must be writable; got {fault.strerror}. The outputs are written.\n"
+        )
         return 2
     return 0
 
@@ -258,7 +260,7 @@ def _drop_output() -> None:
         os.close(nowhere)
 
 
-def _tell(text: str) -> None:
+def _write_message(text: str) -> None:
     """Write to standard error, and to the log of the run, where that is possible."""
     text = plain(text)
     with suppress(OSError, ValueError, AttributeError):

@@ -86,7 +86,7 @@ class Hashes:
             self._thread.start()
 
     def _work(self) -> None:
-        _give_way()
+        _lower_priority()
         for path in self._wanted:
             before = InputStates.of([path])
             try:
@@ -136,7 +136,7 @@ class Hashes:
         return known[1]
 
 
-def _give_way() -> None:
+def _lower_priority() -> None:
     """Let the other threads run first, where the system ranks threads one by one (Linux)."""
     if not sys.platform.startswith("linux"):
         return

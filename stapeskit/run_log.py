@@ -1,4 +1,4 @@
-"""The log file of a command (``--log FILE``): what was run, with what, what it said, and how it ended.
+"""The log file of a command (``--log FILE``): its command, inputs, messages and end.
 
 Runs are appended. A file that does not begin as a log of this program is never written to.
 """

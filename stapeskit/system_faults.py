@@ -35,7 +35,7 @@ def system_fault(fault: OSError) -> Fault:
     """
     number = fault.errno or 0
     names = [os.fsdecode(name) for name in (fault.filename, fault.filename2) if isinstance(name, str | bytes)]
-    thing = " and ".join(_short(name) for name in names) or "a file or device"
+    thing = " and ".join(_shorten(name) for name in names) or "a file or device"
     step = _STEPS.get(number, "Check that it exists and may be read and written")
     return Fault(thing, "readable, or writable where it is an output", os.strerror(number), "", step)
 
@@ -50,7 +50,7 @@ def is_full(fault: BaseException | None) -> bool:
     return False
 
 
-def _short(name: str) -> str:
+def _shorten(name: str) -> str:
     return name if len(name) <= 200 else f"{name[:90]} ... {name[-90:]}"
 
 

@@ -82,7 +82,7 @@ def _is_abandoned(path: Path) -> bool:
     own = not hasattr(os, "getuid") or state.st_uid == os.getuid()
     if path in _open or path.is_symlink() or not path.is_dir() or not own or age_s < _FRESH_S:
         return False
-    if not (path / _MARK).exists() and (any(path.iterdir()) or not _private(state.st_mode)):
+    if not (path / _MARK).exists() and (any(path.iterdir()) or not _is_private(state.st_mode)):
         return False
     lock = _lock(path)
     if lock is None:
@@ -91,7 +91,7 @@ def _is_abandoned(path: Path) -> bool:
     return True
 
 
-def _private(mode: int) -> bool:
+def _is_private(mode: int) -> bool:
     """Return whether a folder can be as mkdtemp makes it: of nobody else."""
     return os.name == "nt" or stat.S_IMODE(mode) == stat.S_IRWXU
 

@@ -76,11 +76,13 @@ def write(body: ExportBody, folder: Path) -> list[str]:
         source=body.source,
         centre=CENTRE,
         rotation=ROTATION,
-        pose="\n".join(f"**   {_numbers(row)}" for row in pose),
-        tensor="\n".join(f"**   {_numbers(row)}" for row in body.inertia_kg_m2 * _TONNE_MM2),
+        pose="\n".join(f"**   {_format_data_line(row)}" for row in pose),
+        tensor="\n".join(f"**   {_format_data_line(row)}" for row in body.inertia_kg_m2 * _TONNE_MM2),
         mass=f"{body.mass_kg * _TONNE:.12e}",
-        com=_numbers(body.com_m * 1e3),
-        points="\n".join(f"{node}, {_numbers(point)}" for node, point in zip(nodes, points, strict=True)),
+        com=_format_data_line(body.com_m * 1e3),
+        points="\n".join(
+            f"{node}, {_format_data_line(point)}" for node, point in zip(nodes, points, strict=True)
+        ),
         elements="\n".join(f"{node}, {node}" for node in nodes),
         springs="\n".join(f"{nodes[-1] + 1 + k}, {nodes[2 * k]}, {nodes[2 * k + 1]}" for k in range(3)),
         sixth=f"{body.mass_kg * _TONNE / len(points):.12e}",
@@ -111,6 +113,6 @@ def _equations(node: int, point_mm: NDArray[np.floating]) -> list[str]:
     return lines
 
 
-def _numbers(values: NDArray[np.floating]) -> str:
+def _format_data_line(values: NDArray[np.floating]) -> str:
     """Return a data line; Abaqus reads up to 20 characters a field."""
     return ", ".join(f"{value + 0.0:.12e}" for value in values)

@@ -33,7 +33,7 @@ class AnatomyHints:
     landmarks : mapping of str to ndarray, (3,)
         Points in mm by name; the names of LANDMARK_NAMES are understood, others are ignored.
     side : str or None
-        ``left`` or ``right``; tells what superior and inferior mean, never changes geometry by itself.
+        ``left`` or ``right``; defines superior and inferior, never changes geometry by itself.
 
     Raises
     ------

@@ -151,7 +151,7 @@ def _solve(
     mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
     extent = _extent(mesh)
     candidates = face_candidates(mesh, extent)
-    solved, notices = _chosen(lambda face: solve_at(mesh, face, extent, blur_mm), candidates, hints)
+    solved, notices = _choose_face(lambda face: solve_at(mesh, face, extent, blur_mm), candidates, hints)
     oriented = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
     solved = solved.turned(oriented.sign)
     return mesh, solved, oriented.evidence, [*notices, *oriented.notices, *_shape_notices(solved)]
@@ -164,7 +164,7 @@ def _extent(mesh: Mesh) -> float:
     return 2.0 * float(np.max(np.linalg.norm(mesh.points - areas @ centres / areas.sum(), axis=1)))
 
 
-def _chosen(
+def _choose_face(
     solved_at: Callable[[Array], Solved], candidates: list[FaceCandidate], hints: AnatomyHints
 ) -> tuple[Solved, list[Notice]]:
     """Solve for the largest face; when landmarks contradict it, for one of similar size that they fit."""

@@ -121,7 +121,7 @@ def solve_at(mesh: Mesh, outward: Array, extent_mm: float, blur_mm: float) -> So
         if not solved.face.patch.reaches_border:
             return solved
         if depth > extent_mm:
-            raise _no_face("a face with an open outline")
+            raise _no_face_error("a face with an open outline")
         depth *= _DEEPER
 
 
@@ -173,13 +173,13 @@ def _face(cone: _Cone, y_axis: Array, cosine: float) -> Face:
     field = -(cone.normals @ y_axis) - cosine
     patch = positive_patch(cone.mesh, field, cone.areas, cone.points)
     if patch is None:
-        raise _no_face("a body without such a face")
+        raise _no_face_error("a body without such a face")
     centres = patch.triangles[:, 0] + patch.triangles[:, 1] + patch.triangles[:, 2]
     centres /= 3.0
     return Face(patch, centres, patch.areas, patch.areas @ centres / patch.areas.sum())
 
 
-def _no_face(got: str) -> CtInertiaError:
+def _no_face_error(got: str) -> CtInertiaError:
     return CtInertiaError.of(
         "the surface",
         "a stapes with a footplate: a near-planar face at one end",
@@ -267,7 +267,7 @@ def _outline_moments(face: Face, y_axis: Array) -> tuple[Array, Array, Array]:
     across = np.cross(helper, y_axis)
     loop = outer_loop(face.patch) - face.centroid
     if len(loop) < 3:
-        raise _no_face("no footplate face found, for the face at its end bends away without an edge")
+        raise _no_face_error("no footplate face found, for the face at its end bends away without an edge")
     u, v = loop @ helper, loop @ across
     u2, v2 = np.roll(u, -1), np.roll(v, -1)
     cross = u * v2 - u2 * v

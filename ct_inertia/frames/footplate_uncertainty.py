@@ -44,7 +44,7 @@ def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]
     """
     region = solved.region
     y_axis = solved.axes[:, 1]
-    shown = height_noise(region.diffusion, _inner(solved), region.normals, region.grain_mm)
+    shown = height_noise(region.diffusion, _medial_vertices(solved), region.normals, region.grain_mm)
     density = shown + noise_mm4
     frame = (solved.origin, solved.axes)
     heights = height_covariance(frame, solved.face.centres, solved.face.areas, plane_weights)
@@ -83,7 +83,7 @@ def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]
     }
 
 
-def _inner(solved: Solved) -> NDArray[np.intp]:
+def _medial_vertices(solved: Solved) -> NDArray[np.intp]:
     """Return the vertices of the region that face medially."""
     facing = -(solved.region.normals @ solved.axes[:, 1]) > np.cos(np.radians(FACE_ANGLE_DEG))
     return np.flatnonzero(facing)

@@ -113,7 +113,7 @@ def plane_faces(
     directions = sphere(_DIRECTIONS)
     normals = _smooth(mesh, vectors)
     centres = mesh.points[mesh.faces].mean(axis=1)
-    nearest = _nearest(directions, normals)
+    nearest = _nearest_direction(directions, normals)
     faces: list[PlaneFace] = []
     for border, chosen in ((False, count == 0), (True, count == 3)):
         pieces = _Pieces(centres[chosen], normals[chosen], areas[chosen], nearest[chosen])
@@ -149,7 +149,7 @@ class _Pieces:
         return _Pieces(self.centres[keep], self.normals[keep], self.areas[keep], self.direction[keep])
 
 
-def _nearest(directions: Array, normals: Array) -> NDArray[np.intp]:
+def _nearest_direction(directions: Array, normals: Array) -> NDArray[np.intp]:
     """Return which of some unit directions (m, 3) each unit normal (n, 3) is nearest to."""
     parts = [normals[start : start + _PIECE] for start in range(0, len(normals), _PIECE)]
     nearest = [np.argmax(part @ directions.T, axis=1) for part in parts]
@@ -193,7 +193,7 @@ def _largest(pieces: _Pieces, directions: Array) -> tuple[PlaneFace | None, NDAr
     if np.count_nonzero(members) < 3:
         return None, facing
     face = fitted_plane(pieces.centres[members], areas[members], normal)
-    turning = _turning(pieces.centres[members], pieces.normals[members], areas[members], face.basis)
+    turning = _normal_slope(pieces.centres[members], pieces.normals[members], areas[members], face.basis)
     return replace(face, turning_1_mm=turning), members
 
 
@@ -229,7 +229,7 @@ def fitted_plane(points: Array, areas: Array, normal: Array) -> PlaneFace:
     return PlaneFace(normal, centre, basis, covariance, float(areas[kept].sum()), points[kept])
 
 
-def _turning(points: Array, normals: Array, areas: Array, basis: Array) -> Array:
+def _normal_slope(points: Array, normals: Array, areas: Array, basis: Array) -> Array:
     """Return the slope (2, 2) of the normals over the position in the plane, 1/mm."""
     share = areas / areas.sum()
     flat = (points - share @ points) @ basis

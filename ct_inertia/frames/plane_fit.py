@@ -87,15 +87,15 @@ def _fit(face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm:
     inner, outer = (away < -_PURE * sigma_mm) & (beside > _WHOLE), away > _PURE * sigma_mm
     if np.count_nonzero(inner.any(axis=1)) < _LEAST_COLUMNS:
         return None
-    expected = beside * _below(away / sigma_mm)
+    expected = beside * _blurred_step(away / sigma_mm)
     outside, inside = _means(grey, outer), _means(grey, inner)
     spread = min(_spread(outside), _spread(inside))
     squares = _squares(points @ face.basis)
     low, seen = _darkest(squares, outside, spread), _level(grey, inner)
     if not seen > low:
         return None
-    clean = _clean(outside, low, spread) & _clean(inside, seen, _spread(inside))
-    alone, unseen = _alone(squares, outside, low, spread)
+    clean = _find_pure_columns(outside, low, spread) & _find_pure_columns(inside, seen, _spread(inside))
+    alone, unseen = _find_empty_columns(squares, outside, low, spread)
     clean &= alone
     if np.count_nonzero(clean) < _LEAST_COLUMNS:
         return None
@@ -197,7 +197,7 @@ def _share_beyond_blur(
             continue
         height = other.distance(feet)[:, None] + index * float(step @ other.normal)
         near = np.flatnonzero(height.max(axis=1) > -_NEAR * sigma_mm)
-        left[near] *= _below(height[near] / sigma_mm)
+        left[near] *= _blurred_step(height[near] / sigma_mm)
     return left
 
 
@@ -236,7 +236,7 @@ def _close_gaps(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return cells
 
 
-def _below(height: Array) -> Array:
+def _blurred_step(height: Array) -> Array:
     """Return the share that a step blurred by 1 leaves at heights over it."""
     return normal_cdf(-height)
 
@@ -291,12 +291,12 @@ def _darkest(squares: NDArray[np.intp], means: Array, spread: float) -> float:
     return level
 
 
-def _clean(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
+def _find_pure_columns(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
     """Return in which columns the mean at one end equals that of the material within noise."""
     return np.asarray(np.isnan(means) | (np.abs(means - level) <= _DIRT * spread))
 
 
-def _alone(
+def _find_empty_columns(
     squares: NDArray[np.intp], means: Array, level: float, spread: float
 ) -> tuple[NDArray[np.bool_], float]:
     """Return the columns whose end is empty, and how much material noise may hide there.

@@ -116,7 +116,7 @@ def plate_frame(
         if main is seen and not main.at_border:
             main, covered = covered_face(main, faces, near, volume, sigma_mm)
     frame = _frame(main, sides)
-    weights = _agreeing(main, sides, frame)
+    weights = _weigh_sides(main, sides, frame)
     frame = _frame(main, sides, frame.along, weights)
     covariance = _propagate(main, sides, frame, weights)
     notices = (*_notices(frame, sides), *covered)
@@ -174,12 +174,12 @@ def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
         inside = float(np.median(face.distance(main.samples_mm))) < 0.0
         along = np.cross(main.normal, face.normal)
         flat = face.at_border or face.curvature(along) < _CURVED_1_MM
-        if face is not main and steep and reaches and inside and flat and not _beside_one(face, kept):
+        if face is not main and steep and reaches and inside and flat and not _is_rounded_edge(face, kept):
             kept.append(face)
     return kept
 
 
-def _beside_one(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
+def _is_rounded_edge(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
     """Return whether a face is only the rounded edge of a larger one."""
     return any(
         face.normal @ other.normal > _LIKE
@@ -231,7 +231,7 @@ def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, wei
     return total
 
 
-def _agreeing(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose) -> Array:
+def _weigh_sides(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose) -> Array:
     """Return the weight (n,) of each side in the mean direction of x; they sum to 1.
 
     Sides parallel or perpendicular to the longest edge, within their uncertainty, are weighted by the inverse

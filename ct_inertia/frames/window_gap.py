@@ -174,7 +174,7 @@ def _body(
     margin = 2.0 * NORMAL_SCALE_MM
     high = (points[:, 1] > low - _BELOW_MM - margin) & (points[:, 1] < low + _HEIGHT_MM + margin)
     across = points[high][:, [0, 2]]
-    to_place = across - places[_nearest(across, places, _FARTHEST_MM + margin)]
+    to_place = across - places[_nearest_points(across, places, _FARTHEST_MM + margin)]
     near = np.zeros(len(points), dtype=bool)
     near[high] = np.linalg.norm(to_place, axis=1) < _FARTHEST_MM + margin
     part = Mesh(points, np.asarray(faces)).part(near)
@@ -190,10 +190,10 @@ def _body(
 def _distances(rim: _Body, wall: _Body, outline: tuple[Array, Array], least_mm: float) -> tuple[Array, Array]:
     """Return the gap at each place (n,), NaN without a wall, and how far the surfaces were moved there."""
     places, outward = outline
-    owner = _nearest(rim.points[:, [0, 2]], places)
+    owner = _nearest_points(rim.points[:, [0, 2]], places)
     facing = np.sum(rim.normals[:, [0, 2]] * outward[owner], axis=1) > _FACING
     points, normals, owner = rim.points[facing], rim.normals[facing], owner[facing]
-    nearest = _nearest(points, wall.points, _FARTHEST_MM + EDGE_MM)
+    nearest = _nearest_points(points, wall.points, _FARTHEST_MM + EDGE_MM)
     step, against = wall.points[nearest] - points, wall.normals[nearest]
     across = -np.sum(step * against, axis=1)
     length = np.linalg.norm(step, axis=1)
@@ -210,7 +210,7 @@ def _distances(rim: _Body, wall: _Body, outline: tuple[Array, Array], least_mm: 
     return np.where((many > 0) & (means[0] > least_mm), means[0], np.nan), means[1]
 
 
-def _nearest(points: Array, others: Array, reach_mm: float = np.inf) -> NDArray[np.intp]:
+def _nearest_points(points: Array, others: Array, reach_mm: float = np.inf) -> NDArray[np.intp]:
     """Return which of the others (m, k) is nearest to each point (n, k); any one where none is within reach.
 
     Notes

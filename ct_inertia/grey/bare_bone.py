@@ -116,7 +116,7 @@ class BareBone:
             notices.append(notice)
         if self.face is not None:
             covariance = face_covariance(
-                self.face, volume, self.cut, self._near, contrast, moments, self.displaced
+                self.face, volume, self.cut, self._is_within_reach, contrast, moments, self.displaced
             )
             moments = with_contribution(moments, "plate", covariance)
         return moments, tuple(notices)
@@ -139,12 +139,12 @@ class BareBone:
         if self.bend is not None:
             parts.append(self.bend)
         if self.face is not None:
-            plate = face_doubt(self.face, volume, self.cut, self._near, contrast)
+            plate = face_doubt(self.face, volume, self.cut, self._is_within_reach, contrast)
             parts += [] if plate is None else [plate]
         return np.where(own, sum(parts[1:], parts[0]), np.float32(0.0)) if parts else None
 
     @property
-    def _near(self) -> NDArray[np.bool_]:
+    def _is_within_reach(self) -> NDArray[np.bool_]:
         return np.asarray(self.distance_mm <= self.reach_mm)
 
 

@@ -50,7 +50,7 @@ def shape_moments(bodies: Bodies, air: float, bone: float) -> Moments:
     level, slope = _brightness(bodies, air, bone)
     slope = slope / level
     pull = grey.second_mm5 @ slope / grey.volume_mm3
-    second = (grey.second_mm5 - _third(bodies.stapes, grey.centroid_mm) @ slope) / level
+    second = (grey.second_mm5 - _third_moments(bodies.stapes, grey.centroid_mm) @ slope) / level
     volume = grey.volume_mm3 * (1.0 + float(slope @ pull)) / level
     return replace(grey, volume_mm3=volume, centroid_mm=grey.centroid_mm - pull, second_mm5=second)
 
@@ -81,7 +81,7 @@ def _brightness(bodies: Bodies, air: float, bone: float) -> tuple[float, Array]:
     return float(line[0]), np.asarray(line[1:])
 
 
-def _third(surface: Surface, centre_mm: Array) -> Array:
+def _third_moments(surface: Surface, centre_mm: Array) -> Array:
     """Return the integral of r r r dV about a point, (3, 3, 3), mm6: exact on the tetrahedra of each face.
 
     Notes

@@ -173,7 +173,7 @@ def edge_shape(
         pairs = ((grey + sign * more, grey - sign * less) for sign in (np.float32(1.0), np.float32(-1.0)))
         halves = [_profiles(*pair, region, float(np.hypot(1.0, _ADDED)) * noise) for pair in pairs]
         found = [half for half in halves if half is not None]
-        return _together(found).as_shares(shared_sd) if found else None
+        return _join_profiles(found).as_shares(shared_sd) if found else None
 
     shares = seen.as_shares(shared_sd)
     strength, overshoot = sharpening(shares)
@@ -235,7 +235,7 @@ def _like_noise(
     return like
 
 
-def _together(parts: list[_Profiles]) -> _Profiles:
+def _join_profiles(parts: list[_Profiles]) -> _Profiles:
     values = np.concatenate([part.values for part in parts])
     return replace(parts[0], values=values, places_mm=np.concatenate([part.places_mm for part in parts]))
 
@@ -282,7 +282,7 @@ def _profiles(
             beside = [share_at(foot + sign * 2.5 * width[:, None] * tangent) for sign in (-1.0, 1.0)]
             bent = np.maximum(bent, np.abs(0.5 * (beside[0] + beside[1]) - 0.5))
         flat = clean & (bent < max(0.1, 1.2 * noise))
-        clean = flat if _facing(edges.inward[flat]) >= _FLAT_FACING else clean
+        clean = flat if _count_fewest_normals(edges.inward[flat]) >= _FLAT_FACING else clean
         if np.count_nonzero(clean) < _LEAST:
             return None
     fitted = _fit_covariance(edges, clean)
@@ -300,7 +300,7 @@ def _profiles(
         foot[clean],
         _CELL_WIDTHS * float(np.median(width)),
         covariance,
-        _facing(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
+        _count_fewest_normals(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
         float(np.median(sigma)),
     )
 
@@ -355,7 +355,7 @@ def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
     return _Fit(np.asarray(values, dtype=np.float64), covariance, len(scores))
 
 
-def _facing(normals: Array) -> float:
+def _count_fewest_normals(normals: Array) -> float:
     """Return the number of normals (n, 3) along the direction that has fewest of them."""
     return float(np.linalg.eigvalsh(normals.T @ normals)[0])
 

@@ -71,7 +71,7 @@ def coarse_share(
     """Return a share of bone on blocks or smoothed, its grid's transform (4, 4), and the variance added."""
     spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
     block = _blocks(spacing)
-    first, part = _around(share, block)
+    first, part = _crop_to_bone(share, block)
     if np.any(block > 1):
         part = _block_means(part, block)
         variance = spacing**2 * (block**2 - 1.0) / 12.0
@@ -161,7 +161,7 @@ def doubted_surface(
     return _lift(known.surface, _WALL_SD * known.wall_shift_mm)
 
 
-def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:
+def _crop_to_bone(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:
     """Return what holds more than a tenth of bone with air around, in whole blocks, and its first index."""
     inside = share > 0.1
     first, box, missing = [], [], []

@@ -117,7 +117,7 @@ def fit_bodies(
     voxels = _Voxels(filled)
     grey = np.where(filled, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
     data = voxels.of(grey)
-    calm = voxels.of(_calm(grey, noise / contrast, most_smoothing))
+    calm = voxels.of(_smooth_in_step(grey, noise / contrast, most_smoothing))
     compared = voxels.of(own)
     one_side = None if side is None else voxels.of(np.pad(side, _PAD))
     level = np.full(data.shape, 0.5, dtype=np.float32)
@@ -192,7 +192,7 @@ def _smooth(
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
 
 
-def _calm(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
+def _smooth_in_step(data: NDArray[np.float32], noise: float, most: float) -> NDArray[np.float32]:
     """Smooth the grey values that the surface is taken from, in step with their noise."""
     width = min(_CALM_PER_NOISE * noise, most)
     return gaussian(data, width, truncate=3.0) if width > 0.2 else data

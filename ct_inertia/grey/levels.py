@@ -134,7 +134,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     comes from the scatter between the eight octants of the box, so that shading and streaks count, not
     from the noise alone. Fluid that is as faint as the noise of a voxel shows in the means over cells.
     """
-    shell = _alike(around.grey, shell)
+    shell = _drop_bright_cells(around.grey, shell)
     seen = int(np.count_nonzero(shell))
     if seen < _LEAST_AIR:
         values = around.grey[shell]
@@ -142,7 +142,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
         return Air(guess, noise, max(noise, 1e-6 * abs(guess)), 1.0, 0.0)
     few = around.grey.ravel()[every_nth(shell, max(1, seen // 50_000))].astype(float)
     middle, high = (float(v) for v in np.percentile(few, [50.0, 90.0]))
-    air = _within(around.grey, shell, middle, 5.0 * (high - middle) + 1e-12)
+    air = _is_near_level(around.grey, shell, middle, 5.0 * (high - middle) + 1e-12)
     total, size = sums(around.grey, air), int(np.count_nonzero(air))
     level = total.mean
     noise = deviation(around.grey, air, level)
@@ -169,7 +169,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     return Air(level, noise, sd + _CLIPPED_SD * pile * single, correlation, pile, least, single)
 
 
-def _alike(grey: NDArray[np.float32], shell: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _drop_bright_cells(grey: NDArray[np.float32], shell: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Leave out of a shell [z, y, x] the cells that are brighter than air is anywhere by its own scatter.
 
     The scatter is that of the darker half, which holds no fluid as long as most of the shell is air.
@@ -265,7 +265,7 @@ def unclipped(
     return result
 
 
-def _within(
+def _is_near_level(
     grey: NDArray[np.float32], where: NDArray[np.bool_], middle: float, reach: float
 ) -> NDArray[np.bool_]:
     """Return where grey values lie within ``reach`` of a level, layer by layer."""

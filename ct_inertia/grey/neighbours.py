@@ -117,7 +117,7 @@ def separate_from_neighbours(
     if away is None:
         return NeighbourSeparation(reach)
     own = reach & (distance_mm <= away)
-    if not np.any(cut.stapes & (away < _exchanging(sigma_mm))):
+    if not np.any(cut.stapes & (away < _exchange_gap(sigma_mm))):
         return NeighbourSeparation(own)
     tight = reach & (distance_mm + away < _CLOSE_SIGMAS * sigma_mm)
     markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
@@ -141,7 +141,7 @@ def neighbour_share(cut: Cut, levels: tuple[float, float]) -> float:
     return 1.0 if abs(share - 1.0) < _SAME_BONE else share
 
 
-def _exchanging(sigma_mm: float) -> float:
+def _exchange_gap(sigma_mm: float) -> float:
     """Return the gap, mm, below which blur carries more than a thin layer of each body across its middle.
 
     Of a plane body the layer s (phi(z) - z Phi(-z)) lies further out than z widths s of the blur.

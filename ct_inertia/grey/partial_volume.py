@@ -177,7 +177,7 @@ def voxel_effects(
     volume: Volume,
     moments: Moments,
 ) -> tuple[Array, Array]:
-    """Return what shares of bone in voxels add to (V, c, S), and where these lie from the centroid.
+    """Return the contribution of each voxel to (V, c, S), and its position from the centroid.
 
     Parameters
     ----------
@@ -230,6 +230,6 @@ def with_contribution(moments: Moments, name: str, covariance: Array) -> Moments
 
 
 def as_vector(moments: Moments) -> Array:
-    """Return (V, c, S) as (10,) in the order of MOMENT_NAMES."""
+    """Return (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz)."""
     s = moments.second_mm5
     return np.array([moments.volume_mm3, *moments.centroid_mm, *s[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]])

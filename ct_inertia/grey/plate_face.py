@@ -108,7 +108,7 @@ def face_near(
         return None
     body = volume.scan_points(np.argwhere(cut.stapes)[::50, ::-1] + cut.first).mean(axis=0)
     voxel = float(volume.spacing_mm.max())
-    plane = _agreed_plane(points, normals, body, _AGREED_VOXELS * voxel)
+    plane = _find_common_plane(points, normals, body, _AGREED_VOXELS * voxel)
     if plane is None or _flatness(points, normals, plane, voxel) < _FLAT:
         return None
     return _refine(volume, cut, free, plane, (air, plastic, sigma), points)
@@ -222,7 +222,9 @@ def _edge_points(
     return volume.scan_points(index[:, ::-1] + cut.first) + offset[:, None] * inward, -inward
 
 
-def _agreed_plane(points: Array, normals: Array, body: Array, width: float) -> tuple[Array, float] | None:
+def _find_common_plane(
+    points: Array, normals: Array, body: Array, width: float
+) -> tuple[Array, float] | None:
     """Return the plane (outward normal, offset) with most points, among those the stapes is outside of."""
     rng = np.random.default_rng(0)
     best, most = None, _LEAST

@@ -143,7 +143,7 @@ def candidate_edges(
     spacing = np.asarray(spacing_mm)[::-1]
     width = float(spacing.mean())
     reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
-    index = _middling(grey, near_edge, levels, reach)
+    index = _find_middle_grey(grey, near_edge, levels, reach)
     if len(index) < _LEAST:
         return None
     if len(index) > most:
@@ -199,7 +199,7 @@ def _clean_edges(
     return _Edges(total[clean], bent[clean], total, edges.smoothing_mm)
 
 
-def _middling(
+def _find_middle_grey(
     grey: NDArray[np.float32],
     near_edge: NDArray[np.bool_],
     levels: tuple[float, float],

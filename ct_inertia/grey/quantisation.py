@@ -64,16 +64,16 @@ class Quantisation:
     @property
     def clips_low(self) -> bool:
         """Whether lower grey values may have been stored as the lowest one."""
-        return self.low == 0.0 or not self._wide
+        return self.low == 0.0 or not self._has_wide_steps
 
     @property
     def clips_high(self) -> bool:
         """Whether higher grey values may have been stored as the highest one."""
         bits = np.log2(max(self.high + self.step, 1.0))
-        return not self._wide or bool(abs(bits - np.rint(bits)) < 1e-9)
+        return not self._has_wide_steps or bool(abs(bits - np.rint(bits)) < 1e-9)
 
     @property
-    def _wide(self) -> bool:
+    def _has_wide_steps(self) -> bool:
         return self.step > _WIDE_STEP * (self.high - self.low)
 
     def mean_stored(self, true: Array, noise: float) -> Array:

@@ -78,7 +78,7 @@ def closed_voids(
     deviation comes from noise, from the width of the blur, and from trials.
     """
     air, bone = levels
-    mask = _close(cut.stapes)
+    mask = _find_enclosed(cut.stapes)
     if mask is None:
         return None
     around = 1 + int(np.ceil(4.0 * blur_mm[0] / float(spacing_mm.min())))
@@ -101,7 +101,7 @@ def closed_voids(
     return Voids(image, level, sd)
 
 
-def _close(stapes: Mask) -> Mask | None:
+def _find_enclosed(stapes: Mask) -> Mask | None:
     """Return the voxels that a body encloses, small pieces left out; None where there are none."""
     labels, count = labelled(~stapes)
     if count < 2:

@@ -89,14 +89,14 @@ def label_box(
     if plate is not None:
         box = used_box(plate.mask)
         if box is not None:
-            regions.append(_coarse(PLATE, plate.mask, box, plate.middle, plate.step))
+            regions.append(_make_region(PLATE, plate.mask, box, plate.middle, plate.step))
     if sight.others:
         low = np.min([piece.low for piece in sight.others], axis=0)
         high = np.max([piece.high for piece in sight.others], axis=0)
         box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
         bone = np.zeros(sight.pieces.shape, dtype=bool)
         bone[box] = np.isin(sight.pieces[box], [piece.label for piece in sight.others])
-        regions.append(_coarse(OTHER_BONE, bone, box, sight.between, sight.scan.step))
+        regions.append(_make_region(OTHER_BONE, bone, box, sight.between, sight.scan.step))
     regions.append(_stapes(cut, measured, level))
     first = np.maximum(np.min([region.first for region in regions], axis=0), 0)
     last = np.minimum(np.max([region.end for region in regions], axis=0), volume.size)
@@ -108,12 +108,12 @@ def label_box(
     return LabelledVolume(first, last, volume, read)
 
 
-def _coarse(
+def _make_region(
     number: int, mask: NDArray[np.bool_], box: tuple[slice, ...], above: float, step: Index
 ) -> _Region:
     """Make a region of a coarse mask in a box, grown by one voxel; coarse voxels are the middle of steps."""
     wide = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in box)
-    cells = _grown(mask[wide])
+    cells = _grow(mask[wide])
     # What the steps leave over at the end of the scan belongs to the last cell.
     ends = [part.stop >= n for part, n in zip(wide, mask.shape, strict=True)]
     cells = np.pad(cells, [(0, int(end)) for end in ends], mode="edge")
@@ -129,7 +129,7 @@ def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:
     first = cut.first if cut.working is None else cut.working.first
     quiet = not is_noisy(measured.levels.noise / measured.levels.contrast)
     if np.any(block > 1) and quiet:
-        cells = _grown(cells) & measured.own
+        cells = _grow(cells) & measured.own
     box = used_box(cells) or (slice(0, 1),) * 3
     if np.any(block > 1) and quiet:
         share = measured.share[box] - np.float32(level)
@@ -163,7 +163,7 @@ def _labels(
             above = region.above if isinstance(region.above, float) else region.above[cell][index]
             if whole:
                 part = volume.array[start:stop, rows, columns]
-                hit = part > _whole(above, part.dtype)
+                hit = part > _floor_to_type(above, part.dtype)
             else:
                 begin = max(0, start - _HALO)
                 part = replace_non_finite(volume.array[begin : stop + _HALO, rows, columns], volume)
@@ -221,14 +221,14 @@ def _window(cells: NDArray[np.bool_], places: list[Index]) -> tuple[slice, slice
     return window[0], window[1]
 
 
-def _whole(limit: float | NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _floor_to_type(limit: float | NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the largest whole numbers not above the limits, within the type of the grey values."""
     info = np.iinfo(dtype)
     floor = np.floor(np.asarray(limit, dtype=float))
     return np.clip(floor, info.min, min(info.max, 2.0**53)).astype(dtype.newbyteorder("="))
 
 
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _grow(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Grow a mask by one voxel in all directions, edges and corners included."""
     grown = mask
     for axis in range(3):

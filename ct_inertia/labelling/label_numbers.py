@@ -42,7 +42,7 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
     where = "" if labels.source is None else Path(labels.source).name
     if stapes is None:
         stapes = _number_by_name(names, r"stapes|stapedi", where)
-        if stapes is None and not _silent(names.get(STAPES_NUMBER, "")):
+        if stapes is None and not _says_nothing(names.get(STAPES_NUMBER, "")):
             listed = ", ".join(f"{number} {name}" for number, name in sorted(names.items()))
             raise CtInertiaError.of(
                 "the label volume",
@@ -54,7 +54,7 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
         stapes = STAPES_NUMBER if stapes is None else stapes
     if plate is None:
         plate = _number_by_name(names, r"(?<!foot)(?<!foot[ _-])plate", where, stapes)
-        if plate is None and stapes != PLATE_NUMBER and _silent(names.get(PLATE_NUMBER, "")):
+        if plate is None and stapes != PLATE_NUMBER and _says_nothing(names.get(PLATE_NUMBER, "")):
             plate = PLATE_NUMBER
     if plate == stapes:
         raise CtInertiaError.of(
@@ -63,7 +63,7 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
     return stapes, plate
 
 
-def _silent(name: str) -> bool:
+def _says_nothing(name: str) -> bool:
     return _AUTOMATIC.fullmatch(name.strip()) is not None
 
 

@@ -36,7 +36,7 @@ class FoundPlate:
 def plate_beside(
     volume: Volume, stapes: NDArray[np.bool_], offset: NDArray[np.int64], guess: Guess
 ) -> FoundPlate | None:
-    """Search for a plate beside a labelled stapes.
+    """Search the grey values for a plate where only the stapes is labelled.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     with path.open("rb") as stream:
         start = stream.read(4096)
-        head = _new(start, path) if start.startswith(_V030) else _old(start, path)
+        head = _read_new_head(start, path) if start.startswith(_V030) else _read_old_head(start, path)
         if not 0 <= head.log <= head.data <= path.stat().st_size:
             raise header_fault(path, "AIM file", f"data at byte {head.data}")
         stream.seek(head.log)
@@ -85,7 +85,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     return grid_volume(grid, path, options)
 
 
-def _old(start: bytes, path: Path) -> _Head:
+def _read_old_head(start: bytes, path: Path) -> _Head:
     if len(start) < 160 or start[:8] != struct.pack("<2i", 20, 140):
         raise header_fault(path, "AIM file", f"a file that begins with {start[:8]!r}")
     pre, image, log = struct.unpack_from("<3i", start, 0)
@@ -96,7 +96,7 @@ def _old(start: bytes, path: Path) -> _Head:
     return _head(kind, values, spacing, pre + image, log)
 
 
-def _new(start: bytes, path: Path) -> _Head:
+def _read_new_head(start: bytes, path: Path) -> _Head:
     if len(start) < 280:
         raise header_fault(path, "AIM file", f"{len(start)} bytes")
     pre, image, log = struct.unpack_from("<3q", start, 16)

@@ -72,9 +72,8 @@ def settle_spacing(
             )
         spacing = np.broadcast_to(values, 3).copy()
         if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
-            text = (
-                f"{name} says voxels of {_numbers(from_file)} mm; the given {_numbers(spacing)} mm were used."
-            )
+            file_mm, given_mm = _format_numbers(from_file), _format_numbers(spacing)
+            text = f"{name} says voxels of {file_mm} mm; the given {given_mm} mm were used."
             return spacing, (Notice("spacing_overridden", text),)
         return spacing, ()
     if from_file is None:
@@ -285,5 +284,5 @@ def amount(count: int) -> str:
     return f"{count} bytes"
 
 
-def _numbers(values: Array) -> str:
+def _format_numbers(values: Array) -> str:
     return " x ".join(f"{v:.6g}" for v in values)

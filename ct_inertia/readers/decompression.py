@@ -26,7 +26,7 @@ def unpack(codec: str, data: bytes, most: int) -> bytes:
     return CODECS[codec](data, most)
 
 
-def _through(name: str) -> Callable[[bytes, int], bytes]:
+def _decoder_of(name: str) -> Callable[[bytes, int], bytes]:
     """Return the decoder of imagecodecs, which fills a buffer of the size that it is handed."""
 
     def decode(data: bytes, most: int) -> bytes:
@@ -84,12 +84,12 @@ def _without_check_sum(data: bytes, most: int) -> bytes:
 
 CODECS: dict[str, Callable[[bytes, int], bytes]] = {
     "blosc": _blosc,
-    "zstd": _through("zstd"),
+    "zstd": _decoder_of("zstd"),
     "lz4": _lz4,
-    "zlib": _through("zlib"),
-    "gzip": _through("gzip"),
-    "bz2": _through("bz2"),
-    "lzma": _through("lzma"),
+    "zlib": _decoder_of("zlib"),
+    "gzip": _decoder_of("gzip"),
+    "bz2": _decoder_of("bz2"),
+    "lzma": _decoder_of("lzma"),
     "crc32c": _without_check_sum,
 }
 """The codecs of Zarr that are known, by their names there."""

@@ -35,7 +35,7 @@ _TYPES = {
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """Read a MetaImage volume, its voxels in the file, beside it or in a list of slices.
+    """Read a MetaImage volume whose voxels are in the file, in a second file or in a list of slices.
 
     Raises
     ------

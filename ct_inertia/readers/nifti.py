@@ -125,12 +125,12 @@ def _read_header(head: bytes, order: str, fields: Mapping[str, tuple[str, int]],
         name: np.array(values.pop(name), dtype=float) for name in ("pixdim", "quaternion", "shift")
     }
     rows = np.array(values.pop("rows"), dtype=float).reshape(3, 4)
-    dim, offset = values.pop("dim"), _whole(values.pop("offset")[0])
+    dim, offset = values.pop("dim"), _integer_offset(values.pop("offset")[0])
     single = {name: value for name, (value,) in values.items()}
     return _Header(dim=dim, offset=offset, rows=rows, order=order, alone=alone, **arrays, **single)
 
 
-def _whole(value: float) -> int:
+def _integer_offset(value: float) -> int:
     """Return an offset that may be stored as a float; an impossible one as beyond every file."""
     return int(value) if abs(value) < 1e15 else 1 << 60
 

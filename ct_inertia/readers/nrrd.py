@@ -117,13 +117,13 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
 
 
 def _sizes(fields: dict[str, str], path: Path) -> list[int]:
-    sizes = _numbers(fields, "sizes", path)
+    sizes = _parse_numbers(fields, "sizes", path)
     if not all(abs(n) < 1e15 and n == int(n) for n in sizes):
         raise header_fault(path, "NRRD volume", f"sizes {fields['sizes']}")
     return [int(n) for n in sizes]
 
 
-def _numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
+def _parse_numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
     try:
         return [float(word) for word in fields[name].split()]
     except (KeyError, ValueError) as fault:
@@ -132,7 +132,7 @@ def _numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
 
 def _axes(fields: dict[str, str], path: Path) -> list[int]:
     """Return which axes are those of space."""
-    count = len(_numbers(fields, "sizes", path))
+    count = len(_parse_numbers(fields, "sizes", path))
     if "space directions" in fields:
         parts = re.findall(r"none|\([^)]*\)", fields["space directions"].lower())
         if len(parts) == count:
@@ -140,7 +140,7 @@ def _axes(fields: dict[str, str], path: Path) -> list[int]:
     kinds = fields.get("kinds", "").lower().split()
     if len(kinds) == count and count > 3:
         return [k for k, kind in enumerate(kinds) if kind in _SPATIAL][:3]
-    sizes = _numbers(fields, "sizes", path)
+    sizes = _parse_numbers(fields, "sizes", path)
     if count > 3:
         long_axes = [k for k in range(count) if sizes[k] > 1]
         return long_axes if len(long_axes) <= 3 else list(range(3))
@@ -205,7 +205,7 @@ def _place(
         return spacing, matrix / spacing, origin, anatomical
     if "spacings" not in fields:
         return None, np.eye(3), np.zeros(3), anatomical
-    told_spacings = _numbers(fields, "spacings", path)
+    told_spacings = _parse_numbers(fields, "spacings", path)
     if len(told_spacings) != len(sizes):
         raise header_fault(path, "NRRD volume", f"{len(told_spacings)} spacings for {len(sizes)} axes")
     values = np.array(told_spacings)[axes]

@@ -14,7 +14,7 @@ _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not 
 
 
 class _Listener(logging.Handler):
-    """Collects the messages that speak of damage."""
+    """Collect the messages about damage."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)

@@ -103,7 +103,7 @@ def _planes(
 ) -> NDArray[Any]:
     """Return pages that do not lie in one piece: mapped at even steps, otherwise unpacked when asked for."""
     segments = [list(zip(p.dataoffsets, p.databytecounts, strict=True)) for p in series.pages]
-    stepped = _evenly_stepped(segments, page, files, shape, dtype)
+    stepped = _strided_view(segments, page, files, shape, dtype)
     if stepped is not None:
         return stepped
     out_type = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("=")
@@ -160,7 +160,7 @@ def _read_segments(file: Path, segments: list[tuple[int, int, int]]) -> Iterator
         )
 
 
-def _evenly_stepped(
+def _strided_view(
     segments: list[list[tuple[int, int]]],
     page: Any,
     files: list[Path],

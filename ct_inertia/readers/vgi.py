@@ -55,7 +55,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     grid = Grid(
         (sizes[0][0], sizes[0][1], sum(size[2] for size in sizes)),
         _dtype(first, sections, path),
-        tuple((_beside(path, part), _header_length(part, path)) for part in files),
+        tuple((_companion_path(path, part), _header_length(part, path)) for part in files),
         *_spacing(sections),
         slab=sizes[0][2],
         notices=tuple(_notices(sections, path)),
@@ -66,7 +66,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     sections = _sections(path)
-    return [_beside(path, part) for name, part in sections.items() if re.fullmatch(r"file\d*", name)]
+    return [_companion_path(path, part) for name, part in sections.items() if re.fullmatch(r"file\d*", name)]
 
 
 def _sections(path: Path) -> Sections:
@@ -123,7 +123,7 @@ def _dtype(part: dict[str, str], sections: Sections, path: Path) -> np.dtype:
     return np.dtype(f"{order}{kind}{int(bits) // 8}")
 
 
-def _beside(path: Path, part: dict[str, str]) -> Path:
+def _companion_path(path: Path, part: dict[str, str]) -> Path:
     name = part.get("name") or path.with_suffix(".vol").name
     return path.parent / name.replace("\\", "/").rsplit("/", 1)[-1]
 

@@ -114,7 +114,7 @@ def zarr_array(folder: Path) -> ZarrArray:
     CtInertiaError
         The metadata is missing or damaged, or asks for a codec that is not known.
     """
-    for name, opened in (("zarr.json", _third), (".zarray", _second)):
+    for name, opened in (("zarr.json", _open_version_3), (".zarray", _open_version_2)):
         if (folder / name).is_file():
             meta = metadata(folder / name)
             try:
@@ -143,10 +143,10 @@ def metadata(path: Path) -> Meta:
         raise header_fault(path.parent, "Zarr folder", f"a damaged {path.name}") from fault
 
 
-def _second(folder: Path, meta: Meta) -> ZarrArray:
+def _open_version_2(folder: Path, meta: Meta) -> ZarrArray:
     separator = meta.get("dimension_separator", ".")
     dtype = _dtype(str(meta["dtype"]), folder)
-    chunks = _whole(meta["chunks"])
+    chunks = _check_whole(meta["chunks"])
     if meta.get("filters"):
         raise _unknown("filter", str(meta["filters"][0].get("id")), folder)
     compressor = meta.get("compressor")
@@ -154,7 +154,7 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
     order = meta.get("order", "C")
     if order not in ("C", "F"):
         raise header_fault(folder, "Zarr array", f"the order {str(order)[:40]!r}")
-    shape = _whole(meta["shape"])
+    shape = _check_whole(meta["shape"])
     files = ZarrFiles(folder, shape, chunks, separator)
 
     def read(at: Sequence[int]) -> NDArray[Any]:
@@ -164,21 +164,21 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
     return ZarrArray(folder, shape, chunks, dtype, meta.get("fill_value") or 0, read, files)
 
 
-def _third(folder: Path, meta: Meta) -> ZarrArray:
+def _open_version_3(folder: Path, meta: Meta) -> ZarrArray:
     if meta.get("node_type") != "array":
         raise header_fault(folder, "Zarr array", "a group")
-    stored = _whole(meta["chunk_grid"]["configuration"]["chunk_shape"])
+    stored = _check_whole(meta["chunk_grid"]["configuration"]["chunk_shape"])
     keys = meta.get("chunk_key_encoding", {"name": "default"})
     first = keys["name"] == "default"
     separator = keys.get("configuration", {}).get("separator", "/" if first else ".")
-    shape = _whole(meta["shape"])
+    shape = _check_whole(meta["shape"])
     files = ZarrFiles(folder, shape, stored, separator, ("c",) if first else ())
     fill = meta.get("fill_value", 0)
     plain = np.dtype(meta["data_type"])
     codecs = meta["codecs"]
     sharded = codecs[0]["name"] == "sharding_indexed"
     inner = codecs[0]["configuration"] if sharded else {"codecs": codecs, "chunk_shape": stored}
-    chunks = _whole(inner["chunk_shape"])
+    chunks = _check_whole(inner["chunk_shape"])
     decode, dtype = _decoder(inner["codecs"], plain, chunks, folder)
     shard = _Shard(inner, stored, chunks, folder) if sharded else None
 
@@ -295,7 +295,7 @@ def _check_codec(name: str, folder: Path) -> str:
     return name
 
 
-def _whole(values: Sequence[int]) -> tuple[int, ...]:
+def _check_whole(values: Sequence[int]) -> tuple[int, ...]:
     """Return numbers of voxels, which must be whole."""
     if any(int(n) != n for n in values):
         raise ValueError(f"numbers of voxels {values}")

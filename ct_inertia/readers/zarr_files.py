@@ -80,7 +80,7 @@ class ZarrFiles:
                 looked_at += 1
                 if looked_at > _MOST_FILES:
                     raise header_fault(self.folder, "Zarr array", f"more than {_MOST_FILES} files")
-                at = (*above, *([_number(entry.name)] if nested else self._numbers(entry.name)))
+                at = (*above, *([_number(entry.name)] if nested else self._parse_numbers(entry.name)))
                 if not all(0 <= n < count for n, count in zip(at, counts, strict=False)):
                     continue
                 if len(at) == len(counts) and entry.is_file():
@@ -88,7 +88,7 @@ class ZarrFiles:
                 elif nested and len(at) < len(counts) and entry.is_dir():
                     folders.append((Path(entry.path), at))
 
-    def _numbers(self, name: str) -> list[int]:
+    def _parse_numbers(self, name: str) -> list[int]:
         """Return the numbers in the name of a file, -1 for each part of the name that is no number."""
         parts = name.split(self.separator)
         count = len(self.leading)

@@ -1,4 +1,4 @@
-"""The colours of all pictures of this room: far apart for readers with deuteranopia, too."""
+"""The colours of all pictures of this room: distinct for readers with deuteranopia, too."""
 
 from __future__ import annotations
 

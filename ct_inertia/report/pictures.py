@@ -92,7 +92,7 @@ def _picture_from_scan(frame: RigidTransform, view: View) -> Array:
     return np.asarray(turn @ frame.inverse().matrix)
 
 
-def _framing(scene: Scene) -> tuple[list[Array], float]:
+def _frame_views(scene: Scene) -> tuple[list[Array], float]:
     """Return the picture centres of the three views (2,) and the common half width, in mm."""
     inside = scene.frame.inverse()
     corners = np.vstack([inside.points(body.vertices_mm) for body in scene.bodies])
@@ -131,7 +131,7 @@ def draw_scene(scene: Scene) -> Figure:
     drawing = new_figure(12.6, 4.75)
     FigureCanvasAgg(drawing)
     names = scene.directions()
-    centres, half = _framing(scene)
+    centres, half = _frame_views(scene)
     for place, (view, centre) in enumerate(zip(VIEWS, centres, strict=True)):
         axes = drawing.add_subplot(1, 3, place + 1)
         extent = (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)

@@ -23,7 +23,7 @@ _BONE_FROM = {
 
 
 def evidence_rows(segmentation: Mapping[str, Any]) -> list[Row]:
-    """Return label and words of everything that ``segmentation`` of mass.json tells.
+    """Return label and text of every entry of ``segmentation`` in mass.json.
 
     Parameters
     ----------
@@ -162,15 +162,15 @@ def flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
             for place, part in enumerate(entry):
                 words |= flat(part, f"{name} {place + 1}: ")
         else:
-            words[name] = _short(entry)
+            words[name] = _format_entry(entry)
     return words
 
 
-def _short(entry: Any) -> str:
+def _format_entry(entry: Any) -> str:
     if isinstance(entry, bool):
         return "yes" if entry else "no"
     if isinstance(entry, float):
         return f"{entry:.5g}"
     if isinstance(entry, list):
-        return ", ".join(_short(part) for part in entry)
+        return ", ".join(_format_entry(part) for part in entry)
     return str(entry)

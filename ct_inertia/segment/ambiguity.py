@@ -24,7 +24,7 @@ _SHOWN = 4
 def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
     """Refuse two bodies that can be the stapes equally well; the likeliest comes first.
 
-    A body that was parted in two ways is one: its middles lie within half of its shortest extent.
+    A body that was separated in two ways is one: its middles lie within half of its shortest extent.
 
     Parameters
     ----------

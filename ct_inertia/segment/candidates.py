@@ -90,9 +90,9 @@ class Piece:
     @property
     def oddness(self) -> float:
         """How far volume and extents lie outside what stapedes have: 0 inside, else a sum of logarithms."""
-        away = _outside(self.volume_mm3, TYPICAL_MM3)
+        away = _log_distance(self.volume_mm3, TYPICAL_MM3)
         return away + 3.0 * sum(
-            _outside(v, span) for v, span in zip(self.extents_mm, TYPICAL_MM, strict=True)
+            _log_distance(v, span) for v, span in zip(self.extents_mm, TYPICAL_MM, strict=True)
         )
 
     @property
@@ -196,7 +196,7 @@ def _places(labels: NDArray[np.integer], piece: Piece) -> NDArray[np.intp]:
     return index[:: max(1, len(index) // (4 * _HULL_POINTS))] + piece.low[::-1]
 
 
-def _outside(value: float, span: tuple[float, float]) -> float:
+def _log_distance(value: float, span: tuple[float, float]) -> float:
     return float(max(0.0, np.log(span[0] / value), np.log(value / span[1])))
 
 

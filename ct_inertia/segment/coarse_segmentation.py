@@ -154,7 +154,7 @@ def count_piece_holes(sight: CoarseSegmentation, piece: Piece) -> Piece:
 
 
 def _thick(sight: CoarseSegmentation, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a piece with the darker voxels beside it: walls thinner than the blur are darker than bone."""
+    """Return a piece with the darker voxels next to it: walls thinner than the blur are darker than bone."""
     contrast = sight.bone - sight.air
     low = sight.air + _THIN_WALL * contrast
     if sight.plastic is not None:

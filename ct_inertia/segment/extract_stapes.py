@@ -95,9 +95,9 @@ def extract_stapes(volume: Volume, sight: CoarseSegmentation, plate: Callable[[]
     plate : callable
         Returns the plate's region or None; called last, so that it may still be looked for.
     """
-    view = _view(_box(volume, sight, WORKING_MM if sight.markers is None else PARTING_MM), sight)
+    view = _make_view(_box(volume, sight, WORKING_MM if sight.markers is None else PARTING_MM), sight)
     if view.touching and np.any(block_for(volume.spacing_mm, PARTING_MM) < view.working.block):
-        view = _view(_box(volume, sight, PARTING_MM), sight)
+        view = _make_view(_box(volume, sight, PARTING_MM), sight)
     method, own, bone = sight.method, view.own, view.bone
     rest = view.rest
     if view.touching:
@@ -141,7 +141,7 @@ def _box(volume: Volume, sight: CoarseSegmentation, most_mm: float) -> Working:
     return working_box(volume, piece.low * step, piece.high * step, _MARGIN_MM, _MARGIN_VOXELS, most_mm)
 
 
-def _view(working: Working, sight: CoarseSegmentation) -> _View:
+def _make_view(working: Working, sight: CoarseSegmentation) -> _View:
     noise = sight.scan.noise if working.noise is None else working.noise
     quiet = smooth_noise(working.grey, noise / (sight.bone - sight.air))
     bone = quiet > sight.between

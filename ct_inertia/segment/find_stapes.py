@@ -64,7 +64,7 @@ def find_stapes(
         pieces, candidates = labelled_pieces(
             smooth_noise(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
         )
-        candidates = _whole(candidates, scan, volume)
+        candidates = _correct_border_flags(candidates, scan, volume)
         if not candidates:
             continue
         sight = CoarseSegmentation(
@@ -72,23 +72,23 @@ def find_stapes(
         )
         tried.append(sight)
         chosen = _pick(volume, sight, options, alone=False)
-        usual = chosen is not None and _usual(chosen.stapes)
+        usual = chosen is not None and _is_usual(chosen.stapes)
         if chosen is not None and usual and chosen.stapes.arched:
             cut = _without_grown(volume, chosen, options)
-            if cut is not None and _takes_in(cut, doubtful):
+            if cut is not None and _shows_more_bone(cut, doubtful):
                 return cut
         # What ends at the border of the scan may be another bone that touches a whole stapes.
         if not usual or (chosen is not None and chosen.stapes.at_border):
             parted = _part(volume, sight, options)
-            better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
+            better = parted is not None and (chosen is None or _is_likelier(parted, chosen.stapes))
             soft = parted is not None and options.threshold is None and takes_soft_for_bone(parted)
-            if parted is not None and better and not soft and _takes_in(parted, doubtful):
+            if parted is not None and better and not soft and _shows_more_bone(parted, doubtful):
                 if parted.stapes.arched:
                     return parted
                 without_hole = without_hole or parted
         if chosen is None:
             continue
-        if usual and chosen.stapes.arched and _takes_in(chosen, doubtful):
+        if usual and chosen.stapes.arched and _shows_more_bone(chosen, doubtful):
             if chosen.stapes.at_border:
                 _refuse_two_ends(volume, chosen, options)
             own = _at_own_level(volume, _pick(volume, sight, options) or chosen, options)
@@ -97,7 +97,7 @@ def find_stapes(
         # Bone whose density changes along it can look like two materials: the next reading takes both.
         doubtful = doubtful or (sight, chosen)
     if without_hole is not None and (
-        doubtful is None or _better(without_hole, classify_piece(doubtful[0], doubtful[1].stapes))
+        doubtful is None or _is_likelier(without_hole, classify_piece(doubtful[0], doubtful[1].stapes))
     ):
         return without_hole
     if doubtful is not None:
@@ -114,7 +114,7 @@ def find_stapes(
     raise CtInertiaError(not_found_error(scan, tried, options.seed_mm is not None))
 
 
-def _better(parted: CoarseSegmentation, whole: Piece) -> bool:
+def _is_likelier(parted: CoarseSegmentation, whole: Piece) -> bool:
     """Return whether a part is a likelier stapes than the whole.
 
     What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
@@ -146,7 +146,7 @@ def _without_grown(
         if not (way.cropped or (way.neck is not None and grown(way.neck))):
             return None
         part = _trial(volume, chosen, way, chosen.others, options)
-        if part is not None and part.stapes.arched and _usual(part.stapes):
+        if part is not None and part.stapes.arched and _is_usual(part.stapes):
             return part
     return None
 
@@ -155,7 +155,7 @@ def _refuse_two_ends(volume: Volume, chosen: CoarseSegmentation, options: Search
     """Refuse a body that the border crops and that is a usual stapes before a neck, too, as with it."""
     way = next(split_piece(volume, _grid(chosen), chosen.stapes), None)
     part = _trial(volume, chosen, way, chosen.others, options) if way is not None and way.doubtful else None
-    if part is None or part.stapes.at_border or not (part.stapes.arched and _usual(part.stapes)):
+    if part is None or part.stapes.at_border or not (part.stapes.arched and _is_usual(part.stapes)):
         return
     beyond = chosen.stapes.volume_mm3 - part.stapes.volume_mm3
     raise CtInertiaError(
@@ -201,16 +201,18 @@ def _at_own_level(
     """
     if options.threshold is not None:
         return sight
-    trial = segment_at_local_threshold(sight, lambda pieces: _whole(pieces, sight.scan, volume))
+    trial = segment_at_local_threshold(
+        sight, lambda pieces: _correct_border_flags(pieces, sight.scan, volume)
+    )
     if trial is None:
         return sight
     best = classify_piece(trial, trial.stapes)
-    if _usual(best) and best.arched:
+    if _is_usual(best) and best.arched:
         return replace(trial, stapes=best, notices=ambiguity_notices(best))
     return None if trial.between > sight.between else sight
 
 
-def _takes_in(
+def _shows_more_bone(
     later: CoarseSegmentation, doubtful: tuple[CoarseSegmentation, CoarseSegmentation] | None
 ) -> bool:
     """Return whether a later reading of the levels shows more of the bone that an earlier one found.
@@ -224,7 +226,7 @@ def _takes_in(
     first = doubtful[1]
     before, after = first.pieces == first.stapes.label, later.pieces == later.stapes.label
     halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
-    if not _usual(first.stapes):
+    if not _is_usual(first.stapes):
         whole = _complete(first.stapes)
         lost = np.count_nonzero(before & ~dilated(after, halo))
         rim_only = bool(lost <= _LEAST_BEYOND * np.count_nonzero(before))
@@ -235,7 +237,7 @@ def _takes_in(
     return bool(beyond > _LEAST_BEYOND * np.count_nonzero(after))
 
 
-def _usual(piece: Piece) -> bool:
+def _is_usual(piece: Piece) -> bool:
     return piece.possible and piece.oddness < USUAL and piece.surrounds < MOST_SURROUNDED
 
 
@@ -243,7 +245,7 @@ def _pick(
     volume: Volume, sight: CoarseSegmentation, options: SearchOptions, alone: bool = True
 ) -> CoarseSegmentation | None:
     if options.seed_mm is None:
-        return _chosen(volume, sight, alone)
+        return _choose_piece(volume, sight, alone)
     return _take_seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
 
 
@@ -273,11 +275,11 @@ def _part(volume: Volume, sight: CoarseSegmentation, options: SearchOptions) -> 
             part = chosen.stapes
             if _complete(whole) and _cuts_the_stapes(way, chosen):
                 continue
-            bare = part.holes == 0 and not part.at_border and _usual(part)
+            bare = part.holes == 0 and not part.at_border and _is_usual(part)
             if not part.possible or part.oddness > _ODD or not (part.arched or bare):
                 continue
             ways.append(chosen)
-            if part.arched and _usual(part):
+            if part.arched and _is_usual(part):
                 break
         if ways:
             sights.append(max(ways, key=lambda way: way.stapes.score))
@@ -298,7 +300,7 @@ def _complete(whole: Piece) -> bool:
 
 
 def _cuts_the_stapes(way: SplitPiece, chosen: CoarseSegmentation) -> bool:
-    """Return whether a parting of a complete body has cut the stapes itself.
+    """Return whether a separation of a complete body has cut the stapes itself.
 
     Beside a body with the arch of a stapes that surrounds no other bone only the incus can be, and it is no
     stapes: the parting has more bones than these two, or two that can be the stapes.
@@ -309,7 +311,7 @@ def _cuts_the_stapes(way: SplitPiece, chosen: CoarseSegmentation) -> bool:
     return len(bones) > 1 or any(rivals)
 
 
-def _whole(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
+def _correct_border_flags(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
     """Correct the border flag: the coarse grid may miss the last voxels of the scan."""
     size = volume.size
     kept = []
@@ -320,7 +322,7 @@ def _whole(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]
     return kept
 
 
-def _chosen(volume: Volume, sight: CoarseSegmentation, alone: bool = True) -> CoarseSegmentation | None:
+def _choose_piece(volume: Volume, sight: CoarseSegmentation, alone: bool = True) -> CoarseSegmentation | None:
     """Choose among the pieces that can be a stapes; None when there is none.
 
     With ``alone`` a second one that can be it as well is refused.

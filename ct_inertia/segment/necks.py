@@ -99,16 +99,16 @@ def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list
         axis = end * axes[:, 2]
         height = points @ axis
         near = points[height > height.max() - _FROM_END_MM]
-        every = [_along(normal, near, grain) for normal in _around(axis, _LEAN_DEG)]
+        every = [_find_along(normal, near, grain) for normal in _lean_axis(axis, _LEAN_DEG)]
         best = _apart(sorted((neck for some in every for neck in some), key=lambda neck: neck.share))
-        candidates += [_settle(neck, near, grain) for neck in best]
+        candidates += [_lean_to_least(neck, near, grain) for neck in best]
     candidates = [
         replace(neck, height_mm=neck.height_mm + float(neck.normal @ middle)) for neck in candidates
     ]
     return sorted(candidates, key=lambda neck: neck.share)
 
 
-def _around(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
+def _lean_axis(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
     side = np.linalg.svd(axis[None])[2][1]
     other = np.cross(axis, side)
     directions = [axis]
@@ -129,7 +129,7 @@ class _Grain:
     cubes: bool
 
 
-def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
+def _find_along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     """Return the narrow places along one direction, from the points (n, 3) near an end."""
     voxel, step = grain.voxel_mm3, grain.step_mm
     height = near @ normal
@@ -178,14 +178,14 @@ def _apart(necks: list[Neck]) -> list[Neck]:
     return kept[:_MOST]
 
 
-def _settle(neck: Neck, near: Array, grain: _Grain) -> Neck:
+def _lean_to_least(neck: Neck, near: Array, grain: _Grain) -> Neck:
     """Lean the plane until its cross-section is least."""
     start = neck.height_mm
     for _ in range(2):
         around = [
             other
-            for normal in _around(neck.normal, _FINER_DEG)
-            for other in _along(normal, near, grain)
+            for normal in _lean_axis(neck.normal, _FINER_DEG)
+            for other in _find_along(normal, near, grain)
             if abs(other.height_mm - start) < _APART_MM
         ]
         best = min(around, key=lambda other: other.area_mm2, default=neck)

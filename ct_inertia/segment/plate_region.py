@@ -78,15 +78,15 @@ def find_plate(sight: CoarseSegmentation) -> PlateRegion | None:
         return None
     core = labels == int(np.argmax(sizes)) + 1
     grown = dilated(core, rim + 1, (smooth > middle) & ~bone)
-    plastic = _pure(grey, core, rim, sight.plastic)
-    air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
+    plastic = _mean_inside(grey, core, rim, sight.plastic)
+    air = _mean_inside(grey, (smooth < middle) & ~near_bone, rim, sight.air)
     mask = np.zeros(coarse.shape, dtype=bool)
     mask[box] = grown
-    around = _immersing(mask, sight, thin, rim)
+    around = _surrounds_stapes(mask, sight, thin, rim)
     return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin, around)
 
 
-def _immersing(plastic: NDArray[np.bool_], sight: CoarseSegmentation, thin: int, rim: int) -> bool:
+def _surrounds_stapes(plastic: NDArray[np.bool_], sight: CoarseSegmentation, thin: int, rim: int) -> bool:
     """Return whether plastic lies around the stapes on nearly all sides where no other bone does."""
     reach, piece = rim + _COLLAR, sight.stapes
     box = tuple(
@@ -119,7 +119,7 @@ def _box_of(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
     return tuple(box)
 
 
-def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess: float) -> float:
+def _mean_inside(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess: float) -> float:
     """Return the mean grey value well inside a region; the guess where little of it lies that deep.
 
     The levels of the coarse view are peaks of a histogram, 1 % off here and there: that would move the

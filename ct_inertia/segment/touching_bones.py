@@ -155,7 +155,7 @@ def separate_bones(
         kept[0] = False
         count = int(np.count_nonzero(kept))
         markers = relabel(markers, np.where(kept, np.cumsum(kept), 0))
-        if count < 2 or (labels is not None and _alike(labels, markers, count)):
+        if count < 2 or (labels is not None and _are_separate(labels, markers, count)):
             continue
         labels = np.zeros(bone.shape, dtype=np.int32)
         labels[box] = watershed(depth[box], markers[box], bone[box])
@@ -175,7 +175,7 @@ def relabel(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np
     return out
 
 
-def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
+def _are_separate(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
     """Return whether no two markers are in the same part."""
     marked = markers > 0
     pairs = np.unique(labels[marked].astype(np.int64) * (count + 1) + markers[marked])

@@ -49,7 +49,7 @@ def crop_field(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray
         other = tuple(k for k in range(3) if k != axis)
         place = np.flatnonzero(inside.any(axis=other))
         if len(place) == 0:
-            raise _nothing(level)
+            raise _no_surface_error(level)
         low.append(int(place[0]))
         high.append(int(place[-1]) + 1)
     start = np.maximum(np.array(low) - 2, 0)
@@ -60,12 +60,12 @@ def crop_field(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray
 
 def part_above(part: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.int64]]:
     """Return the largest closed surface at a level, in index x, y, z of a padded field."""
-    below = np.float32(_below(part, level))
+    below = np.float32(_border_value(part, level))
     for face in _sides(part):
         face[...] = below
     points, faces = _contour(part, level)
     if len(faces) == 0:
-        raise _nothing(level)
+        raise _no_surface_error(level)
     return largest_part(points, faces)
 
 
@@ -73,7 +73,7 @@ def _sides(part: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     return [np.moveaxis(part, axis, 0)[place] for axis in range(3) for place in (0, -1)]
 
 
-def _nothing(level: float) -> CtInertiaError:
+def _no_surface_error(level: float) -> CtInertiaError:
     return CtInertiaError.of(
         "the body",
         "visible above its grey level",
@@ -82,7 +82,7 @@ def _nothing(level: float) -> CtInertiaError:
     )
 
 
-def _below(field: NDArray[np.float32], level: float) -> float:
+def _border_value(field: NDArray[np.float32], level: float) -> float:
     """Return a value as far below the level as the field's top lies above it: half-voxel caps at a border."""
     return 2.0 * level - max(float(field.max()), level + 1e-6)
 

@@ -10,8 +10,6 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from stapeskit.arrays import Array
 
-MOMENT_NAMES = ("V", "cx", "cy", "cz", "Sxx", "Syy", "Szz", "Sxy", "Syz", "Sxz")
-
 
 @dataclass(frozen=True)
 class Moments:
@@ -25,7 +23,7 @@ class Moments:
     second_mm5 : ndarray, (3, 3)
         Integral of (r - c)(r - c)^T dV about the centroid.
     contributions : mapping of str to ndarray, (10, 10)
-        Covariance of (V, c, S) in the order of MOMENT_NAMES and in mm powers, by independent source.
+        Covariance of (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz) in powers of mm, by independent source.
 
     Raises
     ------

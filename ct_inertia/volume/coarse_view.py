@@ -224,11 +224,11 @@ def _modes(inside: Interior) -> Array:
     smooth = np.convolve(histogram, bell / bell.sum(), mode="same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     peaks = peaks[np.argsort(-smooth[peaks])]
-    kept = _standing_apart(peaks, histogram, smooth, [], calibrated("coarse.valley"))
+    kept = _find_distinct_peaks(peaks, histogram, smooth, [], calibrated("coarse.valley"))
     if len(kept) == 2:
         # Noise and wide blur fill the valley between air and a third material, less than half as bright.
         below = peaks[(peaks > min(kept)) & (peaks < 0.5 * (kept[0] + kept[1]))]
-        kept = _standing_apart(below, histogram, smooth, kept, calibrated("coarse.shallow_valley"))
+        kept = _find_distinct_peaks(below, histogram, smooth, kept, calibrated("coarse.shallow_valley"))
     levels = []
     for peak in sorted(kept):
         near = slice(max(0, peak - 6), peak + 7)
@@ -236,7 +236,7 @@ def _modes(inside: Interior) -> Array:
     return np.array(levels)
 
 
-def _standing_apart(
+def _find_distinct_peaks(
     peaks: NDArray[np.intp], histogram: Array, smooth: Array, kept: list[int], valley: float
 ) -> list[int]:
     """Return the bins kept, with peaks (n,) that are far from them, and behind a valley of that share."""
@@ -258,12 +258,12 @@ def _solid(levels: Array, inside: Interior, noise: float) -> Array:
         level
         for k, level in enumerate(levels)
         if k in (0, len(levels) - 1)
-        or _fills(inside.filled(level, calibrated("coarse.same_material_noise") * noise))
+        or _is_solid(inside.filled(level, calibrated("coarse.same_material_noise") * noise))
     ]
     return np.array(kept)
 
 
-def _fills(counts: tuple[int, int]) -> bool:
+def _is_solid(counts: tuple[int, int]) -> bool:
     """Return whether voxels of a level fill more cubes of three than those of a blurred edge do."""
     voxels, cubes = counts
     return cubes >= max(_LEAST_INTERIOR, calibrated("coarse.least_solid_share") * voxels)

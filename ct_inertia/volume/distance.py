@@ -70,14 +70,14 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
         # Columns beyond the last keep the rows apart, so that one shift of all voxels does.
         padded = np.full((*layers.shape[:2], width + steps[0]), far, dtype=dtype)
         np.copyto(padded[:, :, :width], dtype.type(0), where=layers)
-        _along(padded.reshape(-1), 0, parabolas[0])
+        _transform_along(padded.reshape(-1), 0, parabolas[0])
         part = np.ascontiguousarray(padded[:, :, :width])
-        _along(part, 1, parabolas[1])
+        _transform_along(part, 1, parabolas[1])
         squares[start : start + deep] = part
     high = max(1, _PIECE // (depth * width))
     for start in range(0, height, high):
         piece = np.ascontiguousarray(squares[:, start : start + high])
-        _along(piece, 0, parabolas[2])
+        _transform_along(piece, 0, parabolas[2])
         roots = np.sqrt(piece, dtype=np.float32)
         roots *= edge
         np.minimum(roots, np.float32(cap_mm), out=within[:, start : start + high])
@@ -111,7 +111,7 @@ def _scale(spacing_mm: Array, steps: list[int], cap_mm: float) -> tuple[Array, n
     return np.square(spacing_mm), np.dtype(np.float32), np.float32(cap_mm**2 * 1.002)
 
 
-def _along(square: NDArray[Any], axis: int, squares: NDArray[Any]) -> None:
+def _transform_along(square: NDArray[Any], axis: int, squares: NDArray[Any]) -> None:
     """Replace squared distances by their minimum over shifted parabolas along an axis, in place."""
     source, raised = square.copy(), np.empty_like(square)
     ahead: list[slice] = [slice(None)] * square.ndim

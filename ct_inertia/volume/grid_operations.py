@@ -89,7 +89,7 @@ def dilated(mask: Mask, rounds: int = 1, within: Mask | None = None) -> Mask:
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(mask, iterations=rounds, mask=within))
-    return _grown(kernels, mask, within, rounds, False)
+    return _grow(kernels, mask, within, rounds, False)
 
 
 def eroded(mask: Mask, rounds: int = 1) -> Mask:
@@ -99,10 +99,10 @@ def eroded(mask: Mask, rounds: int = 1) -> Mask:
         from scipy.ndimage import binary_erosion
 
         return np.asarray(binary_erosion(mask, iterations=rounds))
-    return _grown(kernels, mask, None, rounds, True)
+    return _grow(kernels, mask, None, rounds, True)
 
 
-def _grown(kernels: Any, mask: Mask, within: Mask | None, rounds: int, shrink: bool) -> Mask:
+def _grow(kernels: Any, mask: Mask, within: Mask | None, rounds: int, shrink: bool) -> Mask:
     mask = np.ascontiguousarray(mask)
     inner = None if within is None else np.ascontiguousarray(within)
     out = np.empty(mask.shape, dtype=bool)

@@ -141,7 +141,7 @@ class BlockArray:
         return cast(NDArray[Any], self)
 
     def view(self, key: Key) -> BlockArray:
-        """Return the part that three slices z, y, x name, unread."""
+        """Return the part in three slices z, y, x without reading it."""
         ranges = tuple(r[s] for r, s in zip(self._ranges, key, strict=True))
         return BlockArray(self._stored, self.dtype, self._block, self._read, ranges, self._gaps)
 

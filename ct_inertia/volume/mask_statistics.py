@@ -43,7 +43,7 @@ class Sums:
 def sums(grey: Grey, mask: Mask) -> Sums:
     """Add up the grey values [z, y, x] in a mask; halves of the box end behind n // 2 + 1 voxels."""
     kernels = compiled()
-    if kernels is None or not _plain(grey, mask):
+    if kernels is None or not _is_plain(grey, mask):
         axes = ((1, 2), (0, 2), (0, 1))
         count = [np.count_nonzero(mask, axis=others).astype(float) for others in axes]
         total = [np.sum(grey, axis=others, where=mask, dtype=float) for others in axes]
@@ -66,7 +66,7 @@ def sums(grey: Grey, mask: Mask) -> Sums:
 def deviation(grey: Grey, mask: Mask, level: float) -> float:
     """Return the root mean square difference of the grey values in a mask from a level."""
     kernels = compiled()
-    if kernels is None or not _plain(grey, mask):
+    if kernels is None or not _is_plain(grey, mask):
         return float(np.sqrt(np.mean((grey[mask].astype(float) - level) ** 2)))
     total = np.empty(1)
     kernels.masked_squares(grey.ctypes.data, mask.ctypes.data, grey.size, level, total.ctypes.data)
@@ -87,7 +87,7 @@ def every_nth(mask: Mask, step: int) -> NDArray[np.int64]:
 def lowest(values: NDArray[Any], mask: Mask) -> tuple[float, int]:
     """Return the lowest value in a mask, and how many voxels have it."""
     kernels = compiled()
-    if kernels is None or values.dtype.name not in _LOWEST or not _plain(values, mask):
+    if kernels is None or values.dtype.name not in _LOWEST or not _is_plain(values, mask):
         inside = values[mask]
         return float(inside.min()), int(np.count_nonzero(inside == inside.min()))
     low, count = np.empty(1), np.empty(1, dtype=np.int64)
@@ -101,7 +101,7 @@ def places_between(
 ) -> NDArray[np.int64]:
     """Return the places z, y, x (n, 3) of a mask with grey values between two, ``reach`` off the border."""
     kernels = compiled()
-    if kernels is None or not _plain(grey, mask):
+    if kernels is None or not _is_plain(grey, mask):
         inner = tuple(slice(int(r), -int(r)) for r in reach)
         part = grey[inner]
         return np.argwhere(mask[inner] & (part > low) & (part < high)) + reach
@@ -121,7 +121,7 @@ def gather_voxels(
 ) -> tuple[Array, Array, Array]:
     """Return index x, y, z (n, 3), grey value and noise (n,) of a mask: the second noise in ``inner``."""
     kernels = compiled()
-    if kernels is None or not (_plain(grey, mask) and inner.flags.c_contiguous):
+    if kernels is None or not (_is_plain(grey, mask) and inner.flags.c_contiguous):
         index = np.stack(np.nonzero(mask)[::-1], axis=1).astype(float)
         return index, grey[mask].astype(float), np.where(inner[mask], noise[1], noise[0])
     count = np.count_nonzero(mask)
@@ -145,7 +145,7 @@ def look_up(number: NDArray[np.int32], table: Mask) -> Mask:
     return out
 
 
-def _plain(values: NDArray[Any], mask: Mask) -> bool:
+def _is_plain(values: NDArray[Any], mask: Mask) -> bool:
     """Return whether both are contiguous and of native byte order, as the kernels need them."""
     native = values.dtype.isnative and values.flags.c_contiguous
     return bool(native and mask.flags.c_contiguous and values.shape == mask.shape)

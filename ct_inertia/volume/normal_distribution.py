@@ -17,7 +17,7 @@ def normal_cdf(z: Any) -> Array:
         from scipy.special import ndtr
 
         return np.asarray(ndtr(np.asarray(z, dtype=float)))
-    return _each(kernels.normal_cdf, z)
+    return _apply(kernels.normal_cdf, z)
 
 
 def normal_quantile(share: Any) -> Array:
@@ -27,10 +27,10 @@ def normal_quantile(share: Any) -> Array:
         from scipy.special import ndtri
 
         return np.asarray(ndtri(np.asarray(share, dtype=float)))
-    return _each(kernels.normal_quantile, share)
+    return _apply(kernels.normal_quantile, share)
 
 
-def _each(kernel: Any, values: Any) -> Array:
+def _apply(kernel: Any, values: Any) -> Array:
     given = np.asarray(values, dtype=float)
     flat = np.ascontiguousarray(given.ravel())
     out = np.empty_like(flat)

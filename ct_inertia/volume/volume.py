@@ -132,8 +132,9 @@ class Volume:
             far = self.scan_points(self.size - 1)
             raise CtInertiaError.of(
                 "{box}",
-                f"a box that overlaps the scan ({_numbers(self.origin_mm)} to {_numbers(far)} mm)",
-                f"{_numbers(corners[0])} to {_numbers(corners[1])} mm",
+                f"a box that overlaps the scan ({_format_numbers(self.origin_mm)} to "
+                f"{_format_numbers(far)} mm)",
+                f"{_format_numbers(corners[0])} to {_format_numbers(corners[1])} mm",
                 next_step="Give two corners in scan coordinates, mm",
             )
         z, y, x = (slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
@@ -195,7 +196,7 @@ def check_axis(axis: str) -> None:
         raise CtInertiaError.of("{mirror}", "x, y or z", axis, next_step="Name one of the three axes")
 
 
-def _numbers(values: Array) -> str:
+def _format_numbers(values: Array) -> str:
     return ", ".join(f"{v:.6g}" for v in values)
 
 

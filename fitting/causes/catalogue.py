@@ -235,7 +235,7 @@ def _step_at(part: float) -> tuple[str, Callable[[Setting], Apply]]:
     return f"step_at_{round(100.0 * nearest / _PARTS)}_percent", _ligament(_step(part / _PARTS))
 
 
-def _stepped(part: int) -> Cause:
+def _step_cause(part: int) -> Cause:
     title = (
         f"a step of the stiffness after {round(100.0 * part / _PARTS)} % of the lines, or between runs there"
     )
@@ -246,7 +246,7 @@ def _stepped(part: int) -> Cause:
     return Cause(title, "%", 0.01, _step_at(part)[1], family="step", moved=moved)
 
 
-def _elsewhere(axis: str) -> Cause:
+def _centre_cause(axis: str) -> Cause:
     title, apply = f"a centre of mass elsewhere along {axis}", changed_inertia(displaced("xyz".index(axis)))
     usual = calibrated("causes.usual_centre_mm")
     return Cause(title, "mm", 1e-3, apply, example=0.1, usual=usual)
@@ -282,9 +282,9 @@ CAUSES: dict[str, Cause] = {
         positive=True,
         usual=MASS.of(calibrated("causes.usual_head_mass_kg")),
     ),
-    "centre_x": _elsewhere("x"),
-    "centre_y": _elsewhere("y"),
-    "centre_z": _elsewhere("z"),
+    "centre_x": _centre_cause("x"),
+    "centre_y": _centre_cause("y"),
+    "centre_z": _centre_cause("z"),
     "inertia": Cause(
         "moments of inertia of another size",
         "%",
@@ -294,7 +294,7 @@ CAUSES: dict[str, Cause] = {
         usual=calibrated("causes.usual_inertia"),
     ),
     "drift": Cause("a ligament that stiffens over the measurement", "%", 0.01, _ligament(_time)),
-    **{_step_at(part)[0]: _stepped(part) for part in range(1, _PARTS)},
+    **{_step_at(part)[0]: _step_cause(part) for part in range(1, _PARTS)},
     "level": Cause("a stiffness that depends on the amplitude", "%", 0.01, _ligament(_level)),
     "law_power": Cause(
         "damping that rises with another power of the frequency",

@@ -72,7 +72,7 @@ class Diagnosis:
 
     @property
     def seen_from(self) -> dict[str, float]:
-        """Size of each scored cause that is found in four of five measurements like this one, in its unit."""
+        """Size from which each scored cause is found in four of five such measurements, in its unit."""
         return {
             name: detectable_size(float(sd), self.search_z, self.hiding.get(name))
             for name, sd in zip(self.tested, self.scores.sd, strict=True)
@@ -88,7 +88,7 @@ class Diagnosis:
 
     @property
     def named(self) -> Refit | None:
-        """The cause that the data speak for, or None; one of no size that is known is none."""
+        """The cause that the data support, or None; a cause of undetermined size is not named."""
         if not self.searched:
             return None
         known = (refit for refit in self.refits if refit.sd < abs(refit.size) or not refit.sd)
@@ -182,13 +182,13 @@ def diagnose(
         likely = [  # a cause that may be too large for its score, a linear test
             place
             for place in likely
-            if (_large(names[place]) or np.isfinite(CAUSES[names[place]].usual))
+            if (_may_be_large(names[place]) or np.isfinite(CAUSES[names[place]].usual))
             and tested.p_values[place] < _DOUBTFUL
         ]
     most = int(calibrated("causes.shortlist"))
     shortlist = likely[:most]
     if searched:  # the score, a linear test, says nothing of a cause that is as large as the body itself
-        shortlist += [place for place in likely[most:] if _large(names[place])]
+        shortlist += [place for place in likely[most:] if _may_be_large(names[place])]
     laws_at = 0 if not CAUSES[names[ranked[0]]].refitted else 1
     under_laws: Sequence[Refit] = ()
     refits: list[Refit] = []
@@ -212,7 +212,7 @@ def diagnose(
         )
         refit = fitted(terms[place], within=within)
         if refit is not None and not explained:
-            refit = _at_best_place(refit, setting, fitted)
+            refit = _move_to_best_place(refit, setting, fitted)
         refits += [] if refit is None else [refit]
     if not searched:
         searched = any(candidate.fall > least for candidate in refits)
@@ -237,7 +237,7 @@ def diagnose(
         sensitivities,
         searched,
         search_z=float(np.sqrt(least)),
-        hiding=_hiding(names, beside, tested.information),
+        hiding=_join_nuisances(names, beside, tested.information),
     )
     best = [max(known, key=diagnosis.evidence)] if known else []
     others = [refit for refit in refits if all(refit.name != other.name for other in known)]
@@ -250,7 +250,7 @@ def _moves_of(name: str, setting: Setting) -> tuple[Term, ...]:
     return () if moves is None else tuple(Term(name, apply, 1.0) for apply in moves(setting))
 
 
-def _hiding(
+def _join_nuisances(
     names: tuple[str, ...], beside: Mapping[str, tuple[Term, ...]], information: Array
 ) -> dict[str, Array]:
     """Return the information of each cause together with its nuisances, which stand after all causes."""
@@ -261,7 +261,7 @@ def _hiding(
     return informations
 
 
-def _at_best_place(refit: Refit, setting: Setting, fit: Callable[..., Refit | None]) -> Refit:
+def _move_to_best_place(refit: Refit, setting: Setting, fit: Callable[..., Refit | None]) -> Refit:
     """Return the refit with its cause at the place, between those of its family, where chi2 is least."""
     moved, off = CAUSES[refit.name].moved, 0.0
     if moved is None:
@@ -293,7 +293,7 @@ def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
     return float((tested.estimate[place] ** 2 - (tested.estimate[place] - only) ** 2) / tested.sd[place] ** 2)
 
 
-def _large(name: str) -> bool:
+def _may_be_large(name: str) -> bool:
     """Return whether a cause may be as large as the body itself."""
     return len(CAUSES[name].starts) > 1
 

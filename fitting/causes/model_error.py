@@ -1,4 +1,4 @@
-"""By how much K and D are off where the model lacks what the data speak for.
+"""Errors of K and D where the model lacks a cause that the data support.
 
 The error of an uncorrected fit is no noise: with the cause in the model K and D come out elsewhere, by d. The
 mean square of the error is d d^T, larger by the variance of the size of the cause. Where the cause is a
@@ -49,7 +49,7 @@ def cause_error(ligament: LigamentFit, change: Array, sd_share: float, factor: A
 
 
 def law_error(ligament: LigamentFit, other: LigamentFit, omega: Array) -> Array:
-    """Return columns (24, 2) of the error where the data speak for another damping law.
+    """Return columns (24, 2) of the error where the data support another damping law.
 
     Notes
     -----

@@ -146,7 +146,7 @@ def refit_with(
         return None
     p_value = float(chdtrc(fit.n_dof, fit.chi2))
     more = lines.errors - ligament.lines.errors
-    chosen = _informed(fit, more) + 2.0 * np.log(places_of(name))
+    chosen = _prior_cost(fit, more) + 2.0 * np.log(places_of(name))
     unknowns = 1.0 + chosen / np.log(2 * equations.n * lines.count)
     strange, only = (size / CAUSES[name].usual) ** 2, CAUSES[name].only
     spread = level * inverse_of(fit.at.hessian)[equations.term, equations.term][-1, -1]
@@ -163,7 +163,7 @@ def refit_with(
     return Refit(name, size, sd, fall, effect, p_value, unknowns, strange, off, fit.chi2, fall_sd)
 
 
-def _informed(fit: JointFit, count: int) -> float:
+def _prior_cost(fit: JointFit, count: int) -> float:
     """Return what the prior of the last unknowns costs in chi2: the ratio of its volume to the posterior's.
 
     Notes

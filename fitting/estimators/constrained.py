@@ -137,7 +137,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     problem = reduce(lines, options)
     if options.constraint == "psd":
         return _psd(free.parameters, problem)
-    relaxed, active = _bounded(free.parameters, problem)
+    relaxed, active = _solve_bounded(free.parameters, problem)
     if largest_real(relaxed, problem) < 0.0:
         return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
     convex = _psd(free.parameters, problem)
@@ -170,7 +170,7 @@ def _is_stable(parameters: Array, mass: Array) -> bool:
     return bool(np.linalg.eigvals(state_matrix(mass, *split(parameters, len(mass)))).real.max() < 0.0)
 
 
-def _bounded(free: Array, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
+def _solve_bounded(free: Array, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
     """Solve the convex problem of signs and bounds alone."""
     if problem.within(free):
         return free, ()

@@ -118,7 +118,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     merit = _Merit(options.student, 2 * lines.n)
     begin = irls.quick_start(lines) if start is None else start
     if merit.robust:
-        joint = _jointly(lines, options, Estimate(begin, 0.0, 0))
+        joint = _iterate_with_spread(lines, options, Estimate(begin, 0.0, 0))
         if joint is None:
             joint = _with_spread(lines, options, _descend(lines, options, begin, merit), merit)
         best, merit = joint
@@ -202,7 +202,9 @@ def _bounded_value(parameters: Array, distance: Array, merit: _Merit) -> float:
     return merit.value(distance)
 
 
-def _jointly(lines: Lines, options: EstimatorOptions, first: Estimate) -> tuple[Estimate, _Merit] | None:
+def _iterate_with_spread(
+    lines: Lines, options: EstimatorOptions, first: Estimate
+) -> tuple[Estimate, _Merit] | None:
     """Iterate parameters and spread of Student's t together; None when that does not settle."""
     dimension = 2 * lines.n
     parameters, spread = first.parameters, 1.0

@@ -163,20 +163,20 @@ def _in_roots(parameters: Array, gradient: Array, hessian: Array, n: int) -> tup
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         block = slice(place * half, (place + 1) * half)
         slopes[block, block] = vector(root @ units + units @ root).T
-        curved[block, block] = _second(n) @ gradient[block]
+        curved[block, block] = _second_derivative(n) @ gradient[block]
         roots.append(root)
     return np.stack(roots), slopes.T @ gradient, slopes.T @ hessian @ slopes + curved
 
 
 @lru_cache(maxsize=16)
-def _second(n: int) -> Array:
+def _second_derivative(n: int) -> Array:
     """Return the second derivative of the independent entries of S S by those of S, (p, p, p)."""
     units = basis(n)
     return vector(units[:, None] @ units[None] + units[None] @ units[:, None])
 
 
 def descent(matrix: Array, slope: Array, damping: float = 0.0) -> Array:
-    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step, its negative curvatures turned round."""
+    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step with |curvature|."""
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     curvature = np.maximum(np.abs(values), 1e-13 * float(np.max(np.abs(values)))) + damping

@@ -97,8 +97,8 @@ def wall_slopes(parameters: Array, problem: Objective) -> tuple[Array, Array]:
     p = _solve(operator, -np.eye(derivatives.shape[1]))
     inverse = np.asarray(np.linalg.inv(p))
     q = _solve(operator.T, -inverse)
-    p_slopes = _solve(operator, -_twice(derivatives @ p))
-    q_slopes = _solve(operator.T, inverse @ p_slopes @ inverse - _twice(q @ derivatives))
+    p_slopes = _solve(operator, -_add_transpose(derivatives @ p))
+    q_slopes = _solve(operator.T, inverse @ p_slopes @ inverse - _add_transpose(q @ derivatives))
     gradient = 2.0 * np.einsum("ij,kji->k", p @ q, derivatives)
     products = p_slopes @ q + p @ q_slopes
     hessian = 2.0 * np.einsum("lij,kji->kl", products, derivatives)
@@ -110,7 +110,7 @@ def wall_slopes(parameters: Array, problem: Objective) -> tuple[Array, Array]:
     return gradient, 0.5 * (hessian + hessian.T)
 
 
-def _twice(matrices: Array) -> Array:
+def _add_transpose(matrices: Array) -> Array:
     return matrices + np.swapaxes(matrices, -1, -2)
 
 
@@ -127,7 +127,7 @@ def _lyapunov(parameters: Array, problem: Objective) -> Array:
 def _solve(operator: Array, right: Array) -> Array:
     """Return the symmetric solutions of symmetric right sides (..., 2n, 2n)."""
     solution = np.linalg.solve(operator, right.reshape(-1, len(operator)).T).T
-    return 0.5 * _twice(np.asarray(solution.reshape(right.shape)))
+    return 0.5 * _add_transpose(np.asarray(solution.reshape(right.shape)))
 
 
 def stable_start(problem: Objective, begin: Array) -> Array:

@@ -69,7 +69,7 @@ class Layout:
         return float(np.sqrt(np.mean(np.abs(q @ self._rows(dof).T) ** 2)))
 
     def determines(self, dof: tuple[str, ...]) -> bool:
-        """Return whether the points tell these degrees of freedom apart."""
+        """Return whether the points determine these degrees of freedom."""
         rows = self._rows(dof)
         norms = np.linalg.norm(rows, axis=0)
         if len(rows) < len(dof) or np.any(norms == 0.0):
@@ -84,7 +84,7 @@ class Layout:
     def inverse(self, dof: tuple[str, ...]) -> Array:
         """Return what takes readings to the motion in ``dof`` by least squares, (n, 3 points).
 
-        All six degrees of freedom are solved for where the points tell them apart, as points2dof does.
+        All six degrees of freedom are solved for where the points determine them, as points2dof does.
         """
         solved = DOF_NAMES if self.determines(DOF_NAMES) else dof
         inverse = np.asarray(np.linalg.pinv(self.rows()[:, dof_indices(solved)]), dtype=float)

@@ -62,7 +62,7 @@ def mass_points(parameters: Array) -> Array:
     return np.concatenate([centre + axes.T * arms[:, None], centre - axes.T * arms[:, None]])
 
 
-def _others(node: int, element: int, stiffness: float, mass: float) -> list[str]:
+def _write_oscillators(node: int, element: int, stiffness: float, mass: float) -> list[str]:
     """Return oscillators along x, 3000 times higher in frequency than the stapes on its ligament."""
     nodes = range(node, node + _OTHERS)
     return [
@@ -155,6 +155,6 @@ def content(fit: KDFit) -> bytes:
     ]
     if fit.problem.inertia.complete:
         mass = float(fit.problem.inertia.matrix[0, 0])
-        lines += _others(len(nodes) + 1, count + 1, float(fit.stiffness[0, 0]), mass)
+        lines += _write_oscillators(len(nodes) + 1, count + 1, float(fit.stiffness[0, 0]), mass)
         lines += ["*STEP", "*FREQUENCY", "3", "*NODE FILE", "U", "*END STEP"]
     return ("\n".join(lines) + "\n").encode()

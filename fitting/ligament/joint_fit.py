@@ -282,7 +282,7 @@ def same_valley(one: JointFit, other: JointFit) -> bool:
     return abs(one.chi2 - other.chi2) < _SAME * other.chi2
 
 
-def _close(value: float, parameters: Array, minimum: JointFit) -> bool:
+def _is_in_valley(value: float, parameters: Array, minimum: JointFit) -> bool:
     """Return whether a point lies in the valley of a minimum and hardly above it."""
     off = parameters - minimum.parameters
     limit = _SAME * minimum.at.value
@@ -337,7 +337,7 @@ def _descend(
             before = np.inf
             continue
         before = decrement
-        reached = next((minimum for minimum in known if _close(at.value, now, minimum)), None)
+        reached = next((minimum for minimum in known if _is_in_valley(at.value, now, minimum)), None)
         if reached is not None:
             return replace(reached, iterations=count)
         given_up = damping < 1.0 and 2.0 * at.value - (most - count + 1) * decrement > within

@@ -134,7 +134,7 @@ def fit_ligament(
         if not terms:
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
         elif joint is not None:
-            fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
+            fitted = _choose_better(fitted, _from_all_starts(lines, equations, joint, terms))
     if fitted is not None and problem.law.known:
         fitted = _release(*fitted, known)
     if within is not None and (fitted is None or fitted[2].chi2 > within):
@@ -165,7 +165,7 @@ def _release(lines: JointLines, equations: Equations, fit: JointFit, known: Prio
     mean, root = equations.prior.mean.copy(), equations.prior.root.copy()
     mean[place], root[place, place] = known.mean[place], known.root[place, place]
     free = replace(equations, prior=Prior(mean, root))
-    joint = _settle(
+    joint = _converge(
         lambda: fit_with_noise(lines, free, fit.parameters, partial(descend, free), fit, FEW_ROUNDS)
     )
     return None if joint is None else (lines, free, joint)
@@ -218,11 +218,11 @@ def _from_all_starts(
                 return best
             begin = np.zeros(len(terms))
             begin[place] = value
-            best = _better(best, _prepare(lines, equations, fit.parameters, terms, begin))
+            best = _choose_better(best, _prepare(lines, equations, fit.parameters, terms, begin))
     return best
 
 
-def _better(first: Extended | None, other: Extended | None) -> Extended | None:
+def _choose_better(first: Extended | None, other: Extended | None) -> Extended | None:
     if first is None or other is None:
         return other if first is None else first
     return other if other[2].chi2 < first[2].chi2 - 1e-6 else first
@@ -269,13 +269,13 @@ def extended_fit(
     extended = equations.with_terms(terms)
     descent = partial(descend, extended, most=most, within=within)
     before = fit if rounds else replace(fit, noise=1.0)
-    joint = _settle(lambda: fit_with_noise(lines, extended, start, descent, before, rounds))
+    joint = _converge(lambda: fit_with_noise(lines, extended, start, descent, before, rounds))
     if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
-        joint = _settle(lambda: _profile(lines, equations, terms[0], fit, value))
+        joint = _converge(lambda: _profile(lines, equations, terms[0], fit, value))
     return None if joint is None else (lines, extended, joint)
 
 
-def _settle(fit: Callable[[], JointFit]) -> JointFit | None:
+def _converge(fit: Callable[[], JointFit]) -> JointFit | None:
     """Return a fit that converges; None for others and where there is no likelihood."""
     try:
         joint = fit()

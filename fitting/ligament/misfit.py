@@ -113,7 +113,7 @@ def fit_with_noise(
     noise, low, best, best_noise = max(noise, 1.0), 1.0, None, 1.0
     for _ in range(rounds):
         fit = descent(replace(lines, covariance=noise * lines.covariance), start, noise)
-        if fit.converged and _probable(equations, fit.parameters):
+        if fit.converged and _is_probable(equations, fit.parameters):
             best, start, best_noise = fit, fit.parameters, noise
             level = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
             if noise <= _CLOSE * low or level > _AGREES * noise:
@@ -136,7 +136,7 @@ def fit_with_noise(
     )
 
 
-def _probable(equations: Equations, parameters: Array) -> bool:
+def _is_probable(equations: Equations, parameters: Array) -> bool:
     """Return whether what is known beforehand, and the shared errors, allow the parameters."""
     from scipy.special import chdtrc
 

@@ -40,7 +40,7 @@ class Value:
 
 @dataclass(frozen=True)
 class RingTest:
-    """A measured K beside that of a uniform ring with the same piston stiffness.
+    """A measured K compared with that of a uniform ring of the same piston stiffness.
 
     Attributes
     ----------

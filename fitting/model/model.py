@@ -173,7 +173,7 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Dampin
     m = np.asarray(mass, dtype=float)
     k = np.asarray(stiffness, dtype=float)
     d = np.asarray(damping, dtype=float)
-    unit, lengths, time = _unit_free(m, k)
+    unit, lengths, time = _scale_to_one(m, k)
     if law.law.polynomial:
         values, vectors = np.linalg.eig(state_matrix(unit(m), unit(k) * time**2, unit(d) * time))
         values = values / time
@@ -212,7 +212,7 @@ def passive(matrix: ArrayLike) -> bool:
     return bool(np.linalg.eigvalsh(values / np.outer(root, root))[0] >= -1e-12)
 
 
-def _unit_free(mass: Array, stiffness: Array) -> tuple[Any, ...]:
+def _scale_to_one(mass: Array, stiffness: Array) -> tuple[Any, ...]:
     """Return a scaling of matrices, the lengths and the time that make a model of order one."""
     root = np.sqrt(np.diag(mass))
 

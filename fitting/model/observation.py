@@ -127,7 +127,7 @@ def observe(
     _check_motion(motion, dof, structure, base)
     load_dof = tuple(name for name in motion.dof if name not in dof) if with_load else ()
     observation = _gather(
-        motion, dof, load_dof, structure, base, _inside(motion.freq_hz, band_hz, exclude_hz)
+        motion, dof, load_dof, structure, base, _is_in_band(motion.freq_hz, band_hz, exclude_hz)
     )
     _check_lines(observation, band_hz, exclude_hz, motion.freq_hz)
     return observation
@@ -141,7 +141,7 @@ def observe_both(
     exclude_hz: Sequence[tuple[float, float]] = (),
 ) -> Observation:
     """Return the same lines with every measured degree of freedom of both bodies; parameters as `observe`."""
-    return _gather(motion, motion.dof, (), structure, base, _inside(motion.freq_hz, band_hz, exclude_hz))
+    return _gather(motion, motion.dof, (), structure, base, _is_in_band(motion.freq_hz, band_hz, exclude_hz))
 
 
 def _gather(
@@ -187,7 +187,7 @@ def _gather(
     )
 
 
-def _inside(
+def _is_in_band(
     freq_hz: Array, band_hz: tuple[float, float] | None, exclude_hz: Sequence[tuple[float, float]]
 ) -> NDArray[np.bool_]:
     inside = np.ones(len(freq_hz), dtype=bool)

@@ -43,14 +43,14 @@ def _places(n: int) -> NDArray[np.intp]:
 
 
 @lru_cache(maxsize=16)
-def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _upper_indices(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return rows and columns of the independent entries: fits ask for them tens of thousands of times."""
     return np.triu_indices(n)
 
 
 def vector(matrix: Array) -> Array:
     """Return the independent entries (..., n (n + 1) / 2) of symmetric matrices (..., n, n)."""
-    rows, columns = _upper(matrix.shape[-1])
+    rows, columns = _upper_indices(matrix.shape[-1])
     return matrix[..., rows, columns]
 
 

@@ -175,7 +175,7 @@ class Expectation:
 
     @property
     def planned(self) -> Option:
-        """The plan as it is."""
+        """The plan without improvements."""
         return self.options[0]
 
 
@@ -237,7 +237,7 @@ def planned_motion(plan: Plan) -> RigidMotion:
     mass = _matrix(plan)
     layouts = (Layout(plan.structure_mm), Layout(plan.base_mm))
     for run, direction in enumerate(plan.directions):
-        q[run, 1] = _base(plan, freq, direction)
+        q[run, 1] = _base_motion(plan, freq, direction)
         q[run, 0] = simulate(mass, plan.stiffness, plan.damping, freq, q[run, 1], law=plan.law)
         for body, layout in enumerate(layouts):
             if plan.noise_m_s is not None:
@@ -252,7 +252,7 @@ def planned_motion(plan: Plan) -> RigidMotion:
     return RigidMotion(names, ("stapes", "base"), plan.dof, freq, q, covariance, none, none, shared=shared)
 
 
-def _base(plan: Plan, freq: Array, direction: str) -> NDArray[np.complex128]:
+def _base_motion(plan: Plan, freq: Array, direction: str) -> NDArray[np.complex128]:
     """Return the base motion (lines, n): constant velocity along the driven direction, some in the others."""
     motion = np.empty((len(freq), len(plan.dof)), dtype=complex)
     for place, name in enumerate(plan.dof):

@@ -113,8 +113,8 @@ def sensitivities(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, str, floa
 def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
     """Return causes that may go unseen, the worst first, with size and changes over sqrt(Xii Xjj).
 
-    The size is the one from which a cause is found in four of five measurements, or twice its usual one where
-    that is smaller or no data show it.
+    The size is the one from which a cause is found in four of five measurements, or twice its usual size
+    where that is smaller or the data do not show the cause.
     """
     rows = []
     for name in diagnosis.sensitivities:

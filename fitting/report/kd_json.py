@@ -36,15 +36,15 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "axes": "footplate",
         "model": _model(fit),
         "estimator": fit.options.estimator,
-        "mass_matrix_si": _numbers(fit.mass),
-        "stiffness_si": _numbers(fit.stiffness),
-        "stiffness_sd_si": _numbers(stiffness_sd),
-        "damping_si": _numbers(fit.damping),
-        "damping_sd_si": _numbers(damping_sd),
-        "noise_only_sd_si": {"stiffness": _numbers(noise[0]), "damping": _numbers(noise[1])},
+        "mass_matrix_si": _to_lists(fit.mass),
+        "stiffness_si": _to_lists(fit.stiffness),
+        "stiffness_sd_si": _to_lists(stiffness_sd),
+        "damping_si": _to_lists(fit.damping),
+        "damping_sd_si": _to_lists(damping_sd),
+        "noise_only_sd_si": {"stiffness": _to_lists(noise[0]), "damping": _to_lists(noise[1])},
         "parameters": list(fit.parameters),
-        "covariance_si": _numbers(fit.covariance),
-        "intervals_95_si": dict(zip(fit.parameters, _numbers(fit.intervals), strict=True)),
+        "covariance_si": _to_lists(fit.covariance),
+        "intervals_95_si": dict(zip(fit.parameters, _to_lists(fit.intervals), strict=True)),
         "intervals_method": "profile likelihood" if fit.profile is not None else "standard deviation",
         "budget": fit.budget.deviations(),
         "budget_share_of_variance": fit.budget.shares(),
@@ -68,11 +68,11 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _numbers(values: NDArray[np.float64]) -> Any:
+def _to_lists(values: NDArray[np.float64]) -> Any:
     """Return nested lists with null in place of what is not finite."""
     if values.ndim == 0:
         return _number(float(values))
-    return [_numbers(row) for row in values]
+    return [_to_lists(row) for row in values]
 
 
 def _model(fit: KDFit) -> dict[str, Any]:
@@ -152,41 +152,41 @@ def ligament_json(fit: KDFit) -> dict[str, Any] | None:
             "about_z": _number(float(np.degrees(about_z))),
             "about_z_sd": _number(float(np.degrees(about_z_sd))),
         },
-        "coupling_si": _numbers(ligament.coupling),
-        "coupling_sd_si": _numbers(np.sqrt(np.diag(ligament.coupling_covariance)).reshape(3, 3)),
+        "coupling_si": _to_lists(ligament.coupling),
+        "coupling_sd_si": _to_lists(np.sqrt(np.diag(ligament.coupling_covariance)).reshape(3, 3)),
         "coupling_rows": list(fit.dof),
         "coupling_columns": list(INPLANE_DOF),
         "about_ligament_plane": {
             "about": "footplate centre, raised by the height along y",
-            "stiffness_si": _numbers(ligament.plane_stiffness),
-            "stiffness_sd_si": _numbers(stiffness_sd),
-            "damping_si": _numbers(ligament.plane_damping),
-            "damping_sd_si": _numbers(damping_sd),
-            "covariance_si": _numbers(ligament.plane_covariance),
+            "stiffness_si": _to_lists(ligament.plane_stiffness),
+            "stiffness_sd_si": _to_lists(stiffness_sd),
+            "damping_si": _to_lists(ligament.plane_damping),
+            "damping_sd_si": _to_lists(damping_sd),
+            "covariance_si": _to_lists(ligament.plane_covariance),
         },
         "inplane": {
             "dof": list(INPLANE_DOF),
             "determined": ligament.inplane.determined,
-            "stiffness_si": _numbers(ligament.inplane.stiffness),
-            "stiffness_sd_si": _numbers(inplane_sd[0]),
-            "damping_si": _numbers(ligament.inplane.damping),
-            "damping_sd_si": _numbers(inplane_sd[1]),
+            "stiffness_si": _to_lists(ligament.inplane.stiffness),
+            "stiffness_sd_si": _to_lists(inplane_sd[0]),
+            "damping_si": _to_lists(ligament.inplane.damping),
+            "damping_sd_si": _to_lists(inplane_sd[1]),
         },
         "p_value": _number(ligament.p_value),
         "shared_errors": len(ligament.lines.sources),
-        "without_inplane_motion": _plain(fit),
+        "without_inplane_motion": _describe_plain_fit(fit),
     }
 
 
-def _plain(fit: KDFit) -> dict[str, Any] | None:
+def _describe_plain_fit(fit: KDFit) -> dict[str, Any] | None:
     """Return what the three degrees of freedom alone would have given."""
     plain = fit.plain
     if plain is None:
         return None
     stiffness, damping = split(plain.estimate.parameters * plain.problem.units, len(fit.dof))
     return {
-        "stiffness_si": _numbers(stiffness),
-        "damping_si": _numbers(damping),
+        "stiffness_si": _to_lists(stiffness),
+        "damping_si": _to_lists(damping),
         "chi2": plain.chi2,
         "n_dof": plain.n_dof,
     }
@@ -217,7 +217,7 @@ def _modes(fit: KDFit) -> list[dict[str, Any]]:
                 "damping_ratio_sd": _number(fit.derived.damping_ratio_sd[place]),
                 "shape_re": mode.shape.real.tolist(),
                 "shape_im": mode.shape.imag.tolist(),
-                "shape_magnitude_sd": _numbers(fit.derived.shape_sd[place]),
+                "shape_magnitude_sd": _to_lists(fit.derived.shape_sd[place]),
                 "normalisation": NORMALISATION,
             }
         )
@@ -237,7 +237,7 @@ def principal_axes_json(fit: KDFit) -> dict[str, Any] | None:
         "angle_deg": float(np.degrees(values[2])),
         "angle_sd_deg": _number(float(np.degrees(sd[2]))),
         "stiffness_si": values[3:].tolist(),
-        "stiffness_sd_si": _numbers(sd[3:]),
+        "stiffness_sd_si": _to_lists(sd[3:]),
     }
 
 
@@ -266,10 +266,10 @@ def _frequency(fit: KDFit) -> dict[str, Any] | None:
             [float(low), float(high)] for low, high in zip(dependence.low_hz, dependence.high_hz, strict=True)
         ],
         "lines": [int(count) for count in dependence.lines],
-        "stiffness_factor": _numbers(dependence.stiffness),
-        "stiffness_factor_sd": _numbers(dependence.stiffness_sd),
-        "damping_factor": _numbers(dependence.damping),
-        "damping_factor_sd": _numbers(dependence.damping_sd),
+        "stiffness_factor": _to_lists(dependence.stiffness),
+        "stiffness_factor_sd": _to_lists(dependence.stiffness_sd),
+        "damping_factor": _to_lists(dependence.damping),
+        "damping_factor_sd": _to_lists(dependence.damping_sd),
         "relative_to": "K and D of the whole band; the factors' means, weighted by information, are 1",
         "verdict": dependence.verdict,
         "chi2": _number(dependence.chi2),
@@ -282,13 +282,13 @@ def _identifiability(fit: KDFit) -> dict[str, Any]:
     known = fit.identifiability
     return {
         "condition_number_column_scaled": _number(known.condition),
-        "fisher_eigenvalues_relative": _numbers(known.eigenvalues),
+        "fisher_eigenvalues_relative": _to_lists(known.eigenvalues),
         "worst_combinations": [
             {"relative_sd": _number(sd), "combination": known.describe(place), "entries": dict(parts)}
             for place, (sd, parts) in enumerate(known.combinations)
         ],
-        "cramer_rao_bound_si": dict(zip(known.names, _numbers(known.bound_si), strict=True)),
-        "cramer_rao_bound_relative": dict(zip(known.names, _numbers(known.relative), strict=True)),
+        "cramer_rao_bound_si": dict(zip(known.names, _to_lists(known.bound_si), strict=True)),
+        "cramer_rao_bound_relative": dict(zip(known.names, _to_lists(known.relative), strict=True)),
         "entries_over_10_percent": [
             name for name, value in zip(known.names, known.relative, strict=True) if value > 0.1
         ],

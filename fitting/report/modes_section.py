@@ -64,12 +64,12 @@ def modes_section(fit: KDFit, outline_mm: Array | None) -> Section:
             "a period later (below), with the nodal line, which moves where damping makes a mode complex."
         )
         section.add(page.figure(shape_figure(fit.modes, outline_mm), caption, "mode shapes on the footplate"))
-        section.add(*_published(fit))
+        section.add(*_compare_published(fit))
     return section
 
 
-def _published(fit: KDFit) -> tuple[Markup, ...]:
-    """Return heading and table of published stiffnesses and frequencies beside those of the fit."""
+def _compare_published(fit: KDFit) -> tuple[Markup, ...]:
+    """Return heading and table that compare published stiffnesses and frequencies with those of the fit."""
     value, sd = fit.stiffness[0, 0], fit.standard_deviation[0][0, 0]
     rows = [("K(y) (N/m)", plus_minus(value, sd), other, source) for other, source in PUBLISHED_PISTON]
     if fit.law.name == "viscous":

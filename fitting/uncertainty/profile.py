@@ -110,7 +110,7 @@ def _riser(lines: Lines, best: Estimate, along: Array, place: int, sign: float) 
 
     def rise(distance: float) -> float:
         before, start = known[-1]
-        parameters, value = _others(lines, start + sign * (distance - before) * along, others)
+        parameters, value = _minimise_others(lines, start + sign * (distance - before) * along, others)
         if np.isfinite(value):
             known.append((distance, parameters))
         return float(np.sqrt(max(2.0 * (value - best.objective), 0.0)))
@@ -118,7 +118,7 @@ def _riser(lines: Lines, best: Estimate, along: Array, place: int, sign: float) 
     return rise
 
 
-def _others(lines: Lines, parameters: Array, others: NDArray[np.intp]) -> tuple[Array, float]:
+def _minimise_others(lines: Lines, parameters: Array, others: NDArray[np.intp]) -> tuple[Array, float]:
     """Minimise over the other entries by Gauss-Newton with halved steps; return parameters and objective."""
     value = float(np.sum(ml.distances(parameters, lines)))
     for _ in range(_MOST_STEPS):

@@ -98,7 +98,9 @@ def beam_set(body: str, positions_mm: Array, directions: Array, dof: Sequence[st
     u, s, vt = np.linalg.svd(rows / scale, full_matrices=False)
     weak = ""
     if strength[-1] < WEAK:
-        weak = "; ".join(_describe(vector, names) for vector in _blind(arms, directions, names, WEAK))
+        weak = "; ".join(
+            _describe(vector, names) for vector in _find_unobserved(arms, directions, names, WEAK)
+        )
     return BeamSet(names, rows, all_rows, u, (vt.T / s) / scale[:, None], lever, strength, weak)
 
 
@@ -144,7 +146,7 @@ def observable_subset(arms: Array, directions: Array) -> tuple[str, ...]:
     return tuple(name for name in DOF_NAMES if name in chosen)
 
 
-def _blind(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> list[Array]:
+def _find_unobserved(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> list[Array]:
     """Return the motions (6,) about the reference point, SI, that move no beam (or hardly any)."""
     matrix, scale, centre = _scale(arms, directions, dof)
     # The triangle has the same right singular vectors, without a square matrix of the channels.
@@ -205,11 +207,15 @@ def _describe(motion: Array, dof: Sequence[str]) -> str:
 def unseen_motions(positions_mm: Array, directions: Array) -> list[str]:
     """Name the rigid motions (of all six) that the beams of a body do not see."""
     arms = np.asarray(positions_mm, dtype=float) * 1e-3
-    return [_describe(motion, DOF_NAMES) for motion in _blind(arms, directions, DOF_NAMES, UNOBSERVABLE)]
+    return [
+        _describe(motion, DOF_NAMES) for motion in _find_unobserved(arms, directions, DOF_NAMES, UNOBSERVABLE)
+    ]
 
 
 def _refuse(body: str, arms: Array, directions: Array, dof: tuple[str, ...]) -> None:
-    blind = "; ".join(_describe(vector, dof) for vector in _blind(arms, directions, dof, UNOBSERVABLE))
+    blind = "; ".join(
+        _describe(vector, dof) for vector in _find_unobserved(arms, directions, dof, UNOBSERVABLE)
+    )
     subset = observable_subset(arms, directions)
     step = (
         f"Choose {named('dof')} {','.join(subset)} or measure with more beams"

@@ -43,7 +43,7 @@ def fit_with_noise(
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
     if body.sd is not None and not body.relative:
         fit = _fit_known_noise(beams, value, LineNoise(body.sd[run]), rate, robust)
-        return fit, True, _unsettled(fit, measurement, run, body)
+        return fit, True, _convergence_notices(fit, measurement, run, body)
     if body.sd is None:
         relative = np.broadcast_to(1.0 / rate, value.shape)
         size, floor = np.ones(len(rate)), None
@@ -68,11 +68,11 @@ def fit_with_noise(
         f"{what} is stated for body {body.body}: its size was estimated from the residuals of the "
         "rigid fit, so chi2 cannot test rigidity there."
     )
-    return fit, False, [Notice("noise_estimated", text), *_unsettled(fit, measurement, run, body)]
+    return fit, False, [Notice("noise_estimated", text), *_convergence_notices(fit, measurement, run, body)]
 
 
 def largest_rate(value: ComplexArray, rate: Array) -> float:
-    """Return the largest |value| times ``rate`` (freq,), to a factor of sqrt 2; 0 without a finite value.
+    """Return the largest |value| times ``rate`` (freq,), within a factor of sqrt 2; 0 without a finite value.
 
     It is the larger of real and imaginary part: one pass over the data without a copy.
     """
@@ -98,7 +98,9 @@ def _size(largest: float, rate: Array, relative: Array) -> float:
     return (largest / top if np.isfinite(top) and top > 0.0 else largest) or 1.0
 
 
-def _unsettled(fit: LineFit, measurement: Measurement, run: int, body: BodyChannels) -> list[Notice]:
+def _convergence_notices(
+    fit: LineFit, measurement: Measurement, run: int, body: BodyChannels
+) -> list[Notice]:
     if fit.unsettled == 0:
         return []
     where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""

@@ -88,16 +88,18 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
         for start in range(0, lines, _LINES):
             part = slice(start, start + _LINES)
             alone = motion.covariance[run, :, part]
-            covariance[run, part] = _joint(alone, ratio[run, :, part], ref[run, part], body, place)
+            covariance[run, part] = _join_covariance(alone, ratio[run, :, part], ref[run, part], body, place)
     shared = None if motion.shared is None else _shared_errors(motion.shared, ratio, ref, body, place)
-    notices = (*motion.notices, *_noisy(motion, ref, body, place, reference))
+    notices = (*motion.notices, *_noisy_reference_notices(motion, ref, body, place, reference))
     ratio[~np.isfinite(ratio)] = np.nan
     return replace(
         motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=notices
     )
 
 
-def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int, place: int) -> ComplexArray:
+def _join_covariance(
+    own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
+) -> ComplexArray:
     """Return the joint covariance of ratios, (freq, body*dof, body*dof).
 
     ``own`` is (body, freq, dof, dof), ``ratio`` (body, freq, dof). With c the column of the reference,
@@ -141,7 +143,9 @@ def _shared_errors(
     return SharedErrors(shared.names, shared.covariance, derivatives)
 
 
-def _noisy(motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str) -> list[Notice]:
+def _noisy_reference_notices(
+    motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str
+) -> list[Notice]:
     sd = standard_deviation(motion)[:, body, :, place]
     with np.errstate(invalid="ignore"):
         weak = np.abs(ref) < _LEAST_SNR * sd

@@ -77,7 +77,7 @@ def noise_shares(laser: Index, energy: Array) -> Array | None:
     Notes
     -----
     Channels of one laser differ too. The logarithms of their energies are compared between the lasers by
-    Fisher's analysis of variance, so that what the channels of a laser scatter is what lasers must exceed.
+    Fisher's analysis of variance, so that lasers must differ by more than the channels of one laser do.
     A vibrometer that reports x, y and z instead of its beams is the case in mind: its beams lie within some
     20 degrees of z, so that x and y are several times as noisy as z.
     """

@@ -135,7 +135,7 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     for piece in cut:
         gram[:, piece.lines] = rows @ piece.weight
         weighed = room[: piece.y.size].reshape(piece.y.shape)
-        right[:, :, piece.lines] = _right(basis, np.multiply(piece.y, piece.weight, out=weighed))
+        right[:, :, piece.lines] = _right_sides(basis, np.multiply(piece.y, piece.weight, out=weighed))
     inverse = symmetric_batches.inverse(gram, size)
     condition = symmetric_batches.condition(gram, inverse, size)
     inverse[:, ~(condition < _HOPELESS)] = 0.0
@@ -144,7 +144,7 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     if np.any((condition > REFINE) & good):
         for piece in cut:
             left = (piece.y - predicted(basis, z[:, :, piece.lines])) * piece.weight
-            right[:, :, piece.lines] = _right(basis, left)
+            right[:, :, piece.lines] = _right_sides(basis, left)
         z += symmetric_batches.times(inverse, right)
     if not np.all(good):
         for piece in cut:
@@ -156,7 +156,7 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     return Weighted(z, gram, inverse, good)
 
 
-def _right(basis: Array, weighed: Array) -> Array:
+def _right_sides(basis: Array, weighed: Array) -> Array:
     """Return the right sides (m, 2, n) of weighed readings (2, channel, n)."""
     return np.stack([basis.T @ weighed[0], basis.T @ weighed[1]], axis=1)
 

@@ -26,7 +26,7 @@ def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
     return rows.strides[0] // 8
 
 
-def _fill(rows: Array) -> Array:
+def _pad_rows(rows: Array) -> Array:
     """Return rows (n, m) with zeros up to what the kernels take."""
     rows_of_six = np.zeros((len(rows), _SIZE))
     rows_of_six[:, : rows.shape[1]] = rows
@@ -76,8 +76,8 @@ class SharedPass:
         mine = np.flatnonzero(used)
         rows = np.concatenate([mine, np.flatnonzero(~used)]).astype(np.int64)
         own, room = np.arange(len(mine), dtype=np.int64), np.empty((len(mine), 2 * _TILE))
-        sums, forth = np.zeros((len(mine), 2, _WIDE)), _fill(project.T[mine])
-        there, weights = _fill(back[mine]), np.ascontiguousarray(weight[mine])
+        sums, forth = np.zeros((len(mine), 2, _WIDE)), _pad_rows(project.T[mine])
+        there, weights = _pad_rows(back[mine]), np.ascontiguousarray(weight[mine])
         done = kernels.fit_shared(
             self.value.ctypes.data,
             self.value.strides[0] // 8,
@@ -131,7 +131,7 @@ def fit_own(
         None if given is None else np.ascontiguousarray(given, dtype=float)
         for given in (noise.factor, noise.floor)
     )
-    rows, room = _fill(basis), np.empty((len(value), 3 * _BLOCK))
+    rows, room = _pad_rows(basis), np.empty((len(value), 3 * _BLOCK))
     pairs = np.ascontiguousarray(symmetric_batches.products(rows))
     sums = np.zeros((len(value), 5, _WIDE))
     kernels.fit_lines(

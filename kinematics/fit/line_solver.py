@@ -86,7 +86,7 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
     out = Solution(channels, lines, basis.shape[1])
     common = noise.common()
     if common is None:
-        _own(basis, value, noise, slice(0, lines), out)
+        _fit_unequal_weights(basis, value, noise, slice(0, lines), out)
         return out
     one_pass = SharedPass.of(value, common[1], basis.shape[1])
     if one_pass is None:
@@ -96,7 +96,9 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
     return out
 
 
-def _own(basis: Array, value: ComplexArray, noise: LineNoise, part: slice, out: Solution) -> None:
+def _fit_unequal_weights(
+    basis: Array, value: ComplexArray, noise: LineNoise, part: slice, out: Solution
+) -> None:
     """Fit a run of lines with different weights."""
     if fit_own(basis, value, noise, part, out, (REFINE, DOUBTFUL)):
         left = part.start + np.flatnonzero(~out.good[part])
@@ -145,7 +147,7 @@ def _in_one_pass(
                 factors[used.tobytes()] = factorised(basis, share, used)
             recent = factors[used.tobytes()]
         else:
-            _own(basis, value, noise, slice(at, stop), out)
+            _fit_unequal_weights(basis, value, noise, slice(at, stop), out)
             at = own = stop
 
 

@@ -60,7 +60,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
         return []
     leak = leaks(fit, weight / np.max(weight))
     wide = extended_dof(body, dof)
-    texts = _hidden(leak, dof, [name for name in DOF_NAMES if name not in wide], fit.beams.lever_m)
+    texts = _describe_hidden(leak, dof, [name for name in DOF_NAMES if name not in wide], fit.beams.lever_m)
     if wide != dof:
         texts += _describe_measured(fit, body, leak, wide)
     if not texts:
@@ -68,14 +68,15 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
     return [Notice("neglected_motion", f"body {body.body}{where}: {'; '.join(texts)}.")]
 
 
-def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) -> list[str]:
+def _describe_hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) -> list[str]:
     """Describe leaks of motions that cannot be separated from the fitted ones, dimensionless by the lever."""
     texts = []
     for name in unseen:
         rows = _affected_motions(leak, dof, name, lever)
         if not rows:
             continue
-        text = f"the beams cannot tell {name} from the fitted motion, and {_entering(leak, dof, name, rows)}"
+        leaks = _describe_entering(leak, dof, name, rows)
+        text = f"the beams cannot tell {name} from the fitted motion, and {leaks}"
         for row in [row for row in rows if name in DOF_NAMES[:3] and dof[row] in DOF_NAMES[:3]][:1]:
             size = 100.0 * _FIFTH * abs(leak[row, DOF_NAMES.index(name)])
             text += f" (if {name} is a fifth of {dof[row]}, that is {_digits(size)} % of {dof[row]})"
@@ -96,7 +97,7 @@ def _digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def _entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> str:
+def _describe_entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> str:
     """Describe how much of a motion enters the fitted ones, per unit of it."""
     column, parts = DOF_NAMES.index(name), []
     for row in rows:
@@ -150,7 +151,7 @@ def _describe_measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tupl
         rows = [row for row in entered if row in worst] or entered[:1]
         if not rows and len(extra) > 1:
             continue
-        entering = _entering(leak, dof, name, rows)
+        entering = _describe_entering(leak, dof, name, rows)
         parts.append(f"{name} {scale * rms:.3g} +- {scale * sd:.2g} {unit} rms ({entering})")
     odds = "< 1e-300" if chance < 1e-300 else f"{chance:.1g}"
     return [

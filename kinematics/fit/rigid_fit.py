@@ -100,17 +100,17 @@ class LineFit:
     @property
     def residual(self) -> ComplexArray:
         """Measured minus fitted, (channel, freq), m; zero where missing."""
-        return self._small[0] if self.value.size <= _SMALL else self.at(_WHOLE)[0]
+        return self._kept_arrays[0] if self.value.size <= _SMALL else self.at(_WHOLE)[0]
 
     @cached_property
-    def _small(self) -> tuple[ComplexArray, Array, Array]:
+    def _kept_arrays(self) -> tuple[ComplexArray, Array, Array]:
         return self.at(_WHOLE)
 
     @property
     def sd(self) -> Array:
         """Standard deviation of the real part used, (channel, freq), m; infinite where missing."""
         if self.value.size <= _SMALL:
-            return self._small[1]
+            return self._kept_arrays[1]
         sd = np.array(self.noise.at(_WHOLE))
         sd[~(np.isfinite(self.value) & np.isfinite(sd))] = np.inf
         return sd
@@ -118,7 +118,7 @@ class LineFit:
     @property
     def weights(self) -> Array:
         """1 / (2 sd^2), times the robust weight, (channel, freq)."""
-        return self._small[2] if self.value.size <= _SMALL else self.at(_WHOLE)[2]
+        return self._kept_arrays[2] if self.value.size <= _SMALL else self.at(_WHOLE)[2]
 
     @property
     def inverse(self) -> Array:

@@ -67,7 +67,7 @@ def robust_solve(
         (piece,), top = pieces(value, noise, part)
         start = weighted(basis, [piece], len(top))
         plain[:, part] = start.inverse * (2.0 / top**2)
-        fit, weight, turns, left = _settle(basis, piece, top, start, kind)
+        fit, weight, turns, left = _reweight(basis, piece, top, start, kind)
         most, unsettled = max(most, turns), unsettled + left
         chosen = np.flatnonzero(fit.good)[::kept]
         size = _sizes(basis, piece.y[:, :, chosen], piece.noise[:, chosen], fit.z[:, :, chosen])
@@ -86,7 +86,7 @@ def _sizes(basis: Array, y: Array, noise: Array, z: Array) -> Array:
     return np.asarray(np.sqrt((r[0] ** 2 + r[1] ** 2) * noise))
 
 
-def _settle(
+def _reweight(
     basis: Array, piece: Piece, top: Array, start: Weighted, kind: str
 ) -> tuple[Weighted, Array, int, int]:
     """Reweight a piece; a line that has settled is left alone.
@@ -98,13 +98,13 @@ def _settle(
         _iterate(basis, piece, top, z, start.good, "huber", _ROUGH)
     turns, left = _iterate(basis, piece, top, z, start.good, kind, TOLERANCE)
     weight = piece.noise * robust_weight(_sizes(basis, piece.y, piece.noise, z) * top, kind)[0]
-    end = weighted(basis, [_with(piece.lines, piece.y, weight)], len(top))
+    end = weighted(basis, [_make_piece(piece.lines, piece.y, weight)], len(top))
     good = end.good & start.good
     inverse = np.where(good, end.inverse, 0.0)
     return Weighted(np.where(good, z, 0.0), end.gram, inverse, good), weight, turns, left
 
 
-def _with(lines: slice, y: Array, weight: Array) -> Piece:
+def _make_piece(lines: slice, y: Array, weight: Array) -> Piece:
     return Piece(lines, y, weight, None, weight)
 
 
@@ -119,7 +119,7 @@ def _iterate(
             return turn - 1, 0
         old = z[:, :, live]
         weight = noise * robust_weight(_sizes(basis, y, noise, old) * peak, kind)[0]
-        fit = weighted(basis, [_with(slice(0, len(live)), y, weight)], len(live))
+        fit = weighted(basis, [_make_piece(slice(0, len(live)), y, weight)], len(live))
         step = fit.z - old
         moved = np.sum(step * symmetric_batches.times(fit.gram, step), axis=(0, 1)) * peak**2
         z[:, :, live] = np.where(fit.good, fit.z, old)

@@ -88,10 +88,10 @@ def assemble(
     flat = [recording for _, recording in named]
     raise_all(KinematicsError, value_faults(flat))
     _check(flat, points)
-    notices += _per(flat)
+    notices += _check_references(flat)
     places, matched, faults = _place(flat)
     notices += matched
-    raise_all(KinematicsError, [*_twice(flat, places), *faults])
+    raise_all(KinematicsError, [*_find_duplicates(flat, places), *faults])
     order = Counter(recording.order for recording in flat).most_common(1)[0][0]
     takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
     shape = (len(places.takes), len(places.lines))
@@ -199,7 +199,7 @@ def _format_position(position: Array) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in position) + ")"
 
 
-def _per(recordings: Sequence[Recording]) -> list[Notice]:
+def _check_references(recordings: Sequence[Recording]) -> list[Notice]:
     """Refuse responses to different quantities in one run; report the quantity that the motion refers to."""
     by_run: dict[str, dict[str, Place | str]] = {}
     for recording in recordings:
@@ -225,19 +225,19 @@ def _per(recordings: Sequence[Recording]) -> list[Notice]:
     return [Notice("per_reference", text)]
 
 
-def _numbers(keys: Iterable[K]) -> dict[K, int]:
+def _number_keys(keys: Iterable[K]) -> dict[K, int]:
     """Number different keys in the order of first appearance."""
     return {key: number for number, key in enumerate(dict.fromkeys(keys))}
 
 
 def _place(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; report how lines were matched."""
-    takes = _numbers((recording.run, recording.repeat, _level(recording)) for recording in recordings)
-    bodies = _numbers(recording.body for recording in recordings)
+    takes = _number_keys((recording.run, recording.repeat, _level(recording)) for recording in recordings)
+    bodies = _number_keys(recording.body for recording in recordings)
     check_bodies(tuple(bodies))
-    keys = _numbers(_channel(recording) for recording in recordings)
+    keys = _number_keys(_channel(recording) for recording in recordings)
     channels = tuple(sorted(keys, key=lambda channel: bodies[channel[0]]))
-    number = _numbers(channels)
+    number = _number_keys(channels)
     channel_of = [number[_channel(recording)] for recording in recordings]
     lengths = [len(recording.freq_hz) for recording in recordings]
     grid, faults = join_lines(
@@ -267,7 +267,7 @@ def _channel(recording: Recording) -> Channel:
     return recording.body, recording.point, (x, y, z)
 
 
-def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
+def _find_duplicates(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
     """List the values that two recordings give for one channel, run and line."""
     earlier: dict[tuple[int, int], list[int]] = {}
     faults = []

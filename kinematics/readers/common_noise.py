@@ -20,7 +20,7 @@ def with_common_noise(
     shape: tuple[int, int],
     pooled: bool,
 ) -> tuple[list[Recording], Array | None]:
-    """Keep noise of the reference apart where a whole run shares it; put it into ``sd`` elsewhere.
+    """Store noise of the reference separately where a whole run shares it; elsewhere add it to ``sd``.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def with_common_noise(
         first = changed[members[0]] if members else None
         if first is None:
             continue
-        together = not pooled and all(_same(changed[place], first) for place in members)
+        together = not pooled and all(_is_same_noise(changed[place], first) for place in members)
         for place in members:
             recording = changed[place]
             if recording.common_sd is None:
@@ -75,7 +75,9 @@ def noise_of_records(
         members = [place for place, take in enumerate(take_of) if take == run]
         groups: list[list[int]] = []
         for place in members:
-            own = next((group for group in groups if _same(recordings[group[0]], recordings[place])), None)
+            own = next(
+                (group for group in groups if _is_same_noise(recordings[group[0]], recordings[place])), None
+            )
             groups.append([place]) if own is None else own.append(place)
         if len(groups) < 2:
             continue
@@ -94,7 +96,7 @@ def noise_of_records(
     return tuple(record_noises)
 
 
-def _same(first: Recording, second: Recording) -> bool:
+def _is_same_noise(first: Recording, second: Recording) -> bool:
     """Return whether two recordings have the same noise of the reference."""
     if first.common_sd is None or second.common_sd is None:
         return False

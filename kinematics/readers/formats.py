@@ -44,7 +44,7 @@ class Head:
         return decoded(self.content[:whole])
 
 
-def _never(_head: Head) -> bool:
+def _matches_nothing(_head: Head) -> bool:
     return False
 
 
@@ -76,7 +76,7 @@ class Format:
     name: str
     module: str
     words: str = ""
-    holds: Callable[[Head], bool] = _never
+    holds: Callable[[Head], bool] = _matches_nothing
     suffixes: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     in_folders: bool = False

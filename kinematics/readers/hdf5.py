@@ -53,7 +53,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
 
 def _content(file: Any, name: str, unmapped: bool) -> Recordings | dict[str, Any]:
     if unmapped and "freq_hz" in file and ("re" in file or "value" in file):
-        return _own(file, name)
+        return _read_own_layout(file, name)
     return plain_tree(file, name)
 
 
@@ -82,7 +82,7 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
     return tree
 
 
-def _own(file: Any, name: str) -> Recordings:
+def _read_own_layout(file: Any, name: str) -> Recordings:
     faults: list[Fault] = []
     freq = np.empty(0)
     value, turned = np.empty((0, 0, 0), dtype=complex), False
@@ -110,9 +110,9 @@ def _own(file: Any, name: str) -> Recordings:
     run_names = _texts(file, "run", runs, name, faults) or [""] * runs
     direction = _vectors(file, "direction", channels, turned, name, faults)
     position = _vectors(file, "position_mm", channels, turned, name, faults)
-    spread = _like(file, "sd", value.shape, turned, name, faults)
-    coherence = _like(file, "coherence", value.shape, turned, name, faults)
-    count = _like(file, "n_avg", (1, channels, 1), turned, name, faults)
+    spread = _broadcast(file, "sd", value.shape, turned, name, faults)
+    coherence = _broadcast(file, "coherence", value.shape, turned, name, faults)
+    count = _broadcast(file, "n_avg", (1, channels, 1), turned, name, faults)
     if not points and "point" not in file and "point" not in file.attrs:
         step = "Write it as a data set of texts, or as an attribute with semicolons"
         faults.append(Fault("point", f"the names of {channels} channels", "none", name, step))
@@ -243,7 +243,7 @@ def _vectors(file: Any, key: str, count: int, turned: bool, name: str, faults: l
     return values.astype(float)
 
 
-def _like(
+def _broadcast(
     file: Any, key: str, shape: tuple[int, ...], turned: bool, name: str, faults: list[Fault]
 ) -> Array | None:
     if key not in file:
@@ -332,7 +332,7 @@ def write_hdf5(
             for name, words in texts.items():
                 if any(words):
                     file.create_dataset(name, data=list(words), dtype=h5py.string_dtype())
-        read_hdf5(stage / path.name, path.name, lambda file: _own(file, path.name))
+        read_hdf5(stage / path.name, path.name, lambda file: _read_own_layout(file, path.name))
 
 
 def _store(file: Any, name: str, values: Any) -> None:

@@ -65,7 +65,7 @@ def read_mapping_file(
     for key, values in keys.items():
         value = document.get(key, values[0] if values else "")
         if not isinstance(value, str) or (values and value not in values):
-            faults.append(Fault(key, _either(values) or "a text in quotes", value, path.name))
+            faults.append(Fault(key, _join_with_or(values) or "a text in quotes", value, path.name))
     absent = [key for key in needed if not document.get(key)]
     faults += [Fault(key, "the name of a variable", "none", path.name) for key in absent]
     if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
@@ -87,7 +87,7 @@ def read_mapping_file(
     return document
 
 
-def _either(values: Sequence[str]) -> str:
+def _join_with_or(values: Sequence[str]) -> str:
     return " or ".join([", ".join(values[:-1]), values[-1]]) if len(values) > 1 else "".join(values)
 
 

@@ -68,7 +68,7 @@ def read_measurement(
         _refuse_options(options, paths[0])
         measurement = read_ldv(paths[0], points, frame)
         return replace(measurement, inputs=inputs_of(paths, points))
-    raise_all(KinematicsError, _unused(options, formats))
+    raise_all(KinematicsError, _find_unused_options(options, formats))
     files: list[Recordings] = []
     faults: list[Fault] = []
     for path, entry in zip(paths, formats, strict=True):
@@ -117,7 +117,7 @@ def _check_names(paths: Sequence[Path]) -> None:
         )
 
 
-def _unused(options: InputOptions, formats: Sequence[Format]) -> list[Fault]:
+def _find_unused_options(options: InputOptions, formats: Sequence[Format]) -> list[Fault]:
     """List options on time series and variables that no file needs."""
     faults = []
     listed = options.series is not None and options.series.channels is not None

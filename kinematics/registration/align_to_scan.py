@@ -79,7 +79,7 @@ def _on_plate(
         plate,
         mesh,
         guess=None if first is None else scan_guess(first, mass),
-        towards=_towards(measurement),
+        towards=_mean_direction(measurement),
         witnesses=_witnesses(measurement, surfaces),
         axes=_plate_axes(mass),
         source=measurement.frame,
@@ -90,7 +90,7 @@ def _on_plate(
     return replace(placement, notices=(*first.notices, *placement.notices))
 
 
-def _towards(measurement: Measurement) -> Array:
+def _mean_direction(measurement: Measurement) -> Array:
     mean = np.concatenate([body.directions for body in measurement.bodies]).mean(axis=0)
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 

@@ -65,7 +65,7 @@ class Calibration:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Which parameters (k,) the data tell something about: their sd fell below 0.9 of the prior's."""
+        """Which parameters (k,) the data inform: their sd fell below 0.9 of the prior's."""
         return np.asarray(self.sd < _INFORMED_SHARE * self.model.prior_sd)
 
     @property
@@ -233,15 +233,15 @@ def _information(
             factor = gain[change.channels][:, None]
             slopes[change.parameter, change.channels] += factor * change.rows[:, places] / scale
         if q.ndim == 2:
-            part, pull = _alike(block, slopes, q, rows / scale, residual, z, noise)
+            part, pull = _gram_of_equal_weights(block, slopes, q, rows / scale, residual, z, noise)
         else:
-            part, pull = _each(block, slopes, q, rows / scale, residual, z, noise)
+            part, pull = _gram_by_line(block, slopes, q, rows / scale, residual, z, noise)
         information += part
         score += pull
     return 2.0 * information, 2.0 * score
 
 
-def _alike(
+def _gram_of_equal_weights(
     block: _Block, slopes: Array, q: Array, rows: Array, residual: ComplexArray, z: ComplexArray, noise: bool
 ) -> tuple[Array, Array]:
     """Return Gram matrix and score where all lines share their weights."""
@@ -260,7 +260,7 @@ def _alike(
     return flat @ flat.T, score
 
 
-def _each(
+def _gram_by_line(
     block: _Block, slopes: Array, q: Array, rows: Array, residual: ComplexArray, z: ComplexArray, noise: bool
 ) -> tuple[Array, Array]:
     """Return Gram matrix and score, line by line in pieces."""

@@ -50,7 +50,7 @@ class Fiducials:
     sd_ref_mm: Array | None = None
 
     def mirrored(self, axis: str) -> Fiducials:
-        """Return the fiducials with one axis of the left-handed vibrometer coordinates turned round.
+        """Return the fiducials with one axis of the left-handed vibrometer coordinates reversed.
 
         Raises
         ------

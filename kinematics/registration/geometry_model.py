@@ -155,7 +155,7 @@ class GeometryModel:
                 gains[self.lasers[number] == laser] = values[place]
         return gains
 
-    def _across(self, laser: int) -> Array:
+    def _transverse_axes(self, laser: int) -> Array:
         """Return two unit vectors (2, 3) across a laser's mean direction."""
         mean = self.laser_directions[laser]
         first = np.cross(mean, np.eye(3)[int(np.argmin(np.abs(mean)))])
@@ -168,7 +168,7 @@ class GeometryModel:
             place = self._places.get(("laser", laser, ""))
             if place is not None:
                 mine = self.lasers[number] == laser
-                turn = rotation_from_vector(values[place : place + 2] @ self._across(laser))
+                turn = rotation_from_vector(values[place : place + 2] @ self._transverse_axes(laser))
                 directions[mine] = directions[mine] @ turn.T
         place = self._places.get(("axes", 0, ""))
         if place is not None:
@@ -203,7 +203,7 @@ class GeometryModel:
             channels = every[self.lasers[number] == laser]
             place = self._places.get(("laser", laser, ""))
             if place is not None and len(channels):
-                for step, axis in enumerate(self._across(laser) @ whole.T):
+                for step, axis in enumerate(self._transverse_axes(laser) @ whole.T):
                     turned(place + step, channels, axis)
             place = self._places.get(("gain", laser, ""))
             if place is not None and len(channels):

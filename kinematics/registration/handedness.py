@@ -30,7 +30,7 @@ def check_axes(
     fits: Mapping[tuple[int, int], LineFit],
     kept: Mapping[tuple[int, int], float] | None = None,
 ) -> list[Notice]:
-    """Refuse positions that agree with the beams only when an axis is turned round or two are exchanged.
+    """Refuse positions that agree with the beams only when an axis is reversed or two are exchanged.
 
     Parameters
     ----------

@@ -120,8 +120,8 @@ def fit_to_surface(
     ]
     for best in sorted(fits, key=lambda fit: fit.energy)[:2]:
         fits += [refined(cloud, surface, start, None) for start in _half_turned(best.pose, surface)]
-    fits = _facing(fits, towards)
-    chosen, notices = _chosen(fits, cloud, witnesses, surface)
+    fits = _drop_hidden(fits, towards)
+    chosen, notices = _choose_placement(fits, cloud, witnesses, surface)
     fit = _finish(chosen, cloud, surface, None, axes, source, notices)
     _check_mirror(fit, cloud, surface, source)
     return fit
@@ -139,7 +139,7 @@ def _half_turned(pose: Candidate, surface: TriangleSurface) -> list[Candidate]:
     return turned
 
 
-def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:
+def _drop_hidden(fits: list[Refined], towards: Array | None) -> list[Refined]:
     """Leave out placements that put many points on faces which no laser reaches, unless all do."""
     if towards is None:
         return fits
@@ -195,13 +195,13 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
         )
 
 
-def _chosen(
+def _choose_placement(
     fits: list[Refined],
     cloud: Cloud,
     witnesses: Sequence[tuple[Array, TriangleSurface]],
     surface: TriangleSurface,
 ) -> tuple[Refined, list[Notice]]:
-    """Choose the placement; refuse when others fit alike and no other points tell them apart."""
+    """Choose the placement; refuse when others fit as well and no other points decide between them."""
     fits = sorted(fits, key=lambda fit: fit.energy)
     best = fits[0]
     apart = max(_APART_SD * max(best.scale, surface_floor(surface)), 0.03 * surface.diagonal_mm)
@@ -219,7 +219,7 @@ def _chosen(
     if len(alike) == 1:
         return best, []
     if witnesses:
-        misses = [_witness_miss(fit.pose, witnesses) for fit in alike]
+        misses = [_witness_distance(fit.pose, witnesses) for fit in alike]
         order = np.argsort(misses)
         if misses[order[0]] < 0.5 * misses[order[1]]:
             text = (
@@ -240,7 +240,7 @@ def _chosen(
     )
 
 
-def _witness_miss(pose: Candidate, witnesses: Sequence[tuple[Array, TriangleSurface]]) -> float:
+def _witness_distance(pose: Candidate, witnesses: Sequence[tuple[Array, TriangleSurface]]) -> float:
     away = np.concatenate([surface.closest(pose.points(points))[1] for points, surface in witnesses])
     return float(np.median(away))
 
@@ -282,7 +282,7 @@ def _finish(
         float("nan") if cloud.sd_mm is None else float(np.sum((fit.distance[used] / sd[used]) ** 2)) + pulled
     )
     if guess is not None and cloud.sd_mm is None and inconsistent(pulled, 6):
-        notices = [*notices, _against_guess(pulled, cloud.kind)]
+        notices = [*notices, _contradiction_notice(pulled, cloud.kind)]
     scale = 1.0
     if inconsistent(chi2, n_dof):
         scale = chi2 / n_dof
@@ -329,7 +329,7 @@ def _misfit_notice(scale: float, kind: str) -> Notice:
     )
 
 
-def _against_guess(pulled: float, kind: str) -> Notice:
+def _contradiction_notice(pulled: float, kind: str) -> Notice:
     return Notice(
         "surface_points_inconsistent",
         f"the {kind} points and the fiducials contradict each other (chi2 {pulled:.3g} for 6).",

@@ -97,7 +97,7 @@ def candidates(
             rotation, shift = _step(
                 local, rotation, shift, tree, samples, normals, max(width, 0.02) * size, plane
             )
-        miss = _misses(local, rotation, shift, tree, samples, normals, towards)
+        miss = _pose_distances(local, rotation, shift, tree, samples, normals, towards)
         order = np.argsort(miss)[:keep]
         rotation, shift, miss = rotation[order], shift[order], miss[order]
     shift = shift - rotation @ middle
@@ -110,7 +110,7 @@ def candidates(
 
 
 def separation(pose: Candidate, other: Candidate, points_mm: Array) -> float:
-    """Return how far the farthest point lies apart under two poses, mm."""
+    """Return the largest distance between the places of a point under two poses, mm."""
     return float(np.max(np.linalg.norm(pose.points(points_mm) - other.points(points_mm), axis=1)))
 
 
@@ -174,7 +174,7 @@ def _rotations(vectors: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def _misses(
+def _pose_distances(
     local: Array,
     rotation: Array,
     shift: Array,

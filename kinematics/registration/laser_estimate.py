@@ -74,10 +74,10 @@ class LaserEstimate:
     @property
     def p_value(self) -> float:
         """Probability of an estimate so far from 0 by the stated sd, both against the mean of all lasers."""
-        return compare_with_priors(self.values, self.covariance, self.prior_sd, self._against_mean)[2]
+        return compare_with_priors(self.values, self.covariance, self.prior_sd, self._mean_free_projection)[2]
 
     @property
-    def _against_mean(self) -> Array:
+    def _mean_free_projection(self) -> Array:
         """Projection (p, p) of errors to what they are against the mean of all lasers, for each kind."""
         kinds = len(self.values) // self.count
         return np.asarray(np.kron(np.eye(kinds), np.eye(self.count) - 1.0 / self.count), dtype=float)
@@ -93,7 +93,7 @@ class LaserEstimate:
         """
         from scipy.special import ndtr
 
-        variance = np.diag(self._against_mean) * self.prior_sd**2 - self.sd**2
+        variance = np.diag(self._mean_free_projection) * self.prior_sd**2 - self.sd**2
         observed = variance > LEAST_GAINED * self.prior_sd**2
         if not np.any(observed):
             return 1.0
@@ -114,7 +114,7 @@ class LaserEstimate:
         """
         from scipy.special import ndtri
 
-        whole = np.diag(self._against_mean)
+        whole = np.diag(self._mean_free_projection)
         gained = 1.0 - (self.sd / self.prior_sd) ** 2 / whole
         observed = gained * whole > LEAST_GAINED
         if not np.any(observed):

@@ -191,7 +191,8 @@ def _check(
         tuple(open_),
     )
     return _with_verdict(
-        surface_check, _alone(rows @ observed, distance, joint, chi2, surface_check) if p < _UNLIKELY else []
+        surface_check,
+        _find_culprit(rows @ observed, distance, joint, chi2, surface_check) if p < _UNLIKELY else [],
     )
 
 
@@ -258,7 +259,9 @@ def _shift(rows: Array, seen: Array, distance: Array, joint: Array) -> tuple[Arr
     return seen @ (covariance @ (design.T @ (weight @ distance))), seen @ covariance @ seen.T
 
 
-def _alone(design: Array, distance: Array, joint: Array, chi2: float, check: SurfaceCheck) -> list[str]:
+def _find_culprit(
+    design: Array, distance: Array, joint: Array, chi2: float, check: SurfaceCheck
+) -> list[str]:
     """Return the one point without which the others agree with the surface, if there is one."""
     from scipy.special import chdtrc
 

@@ -57,7 +57,7 @@ def read_surface_points(path: Path, kind: str) -> Cloud:
 
 
 def mirrored(cloud: Cloud, axis: str) -> Cloud:
-    """Return points with one axis of left-handed coordinates turned round.
+    """Return points with one axis of left-handed coordinates reversed.
 
     Raises
     ------

@@ -96,11 +96,11 @@ class ContrastSums:
         noise = self.remainder / rest
         if noise <= 0.0:
             return (1.0 if self.energy <= 0.0 else 0.0), 0.0
-        widen = self._correlation() * self._unequal(rest) * (1.0 + doubt)
+        widen = self._correlation() * self._freedom_loss(rest) * (1.0 + doubt)
         ratio = self.energy / own / noise
         return float(special.fdtrc(2.0 * own / widen, 2.0 * rest / widen, ratio)), noise
 
-    def _unequal(self, rest: float) -> float:
+    def _freedom_loss(self, rest: float) -> float:
         """Return by what factor unequal noise lowers the degrees of freedom.
 
         Energies per channel and line are sums of exponentials over the takes; with e = sum |r|^2 over m takes

@@ -66,10 +66,10 @@ def pool_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         places, takes, take_notices = _takes_of(measurement, run)
         notices += take_notices
         if len(places) == 1:
-            parts.append(_alone(measurement, places[0]))
+            parts.append(_take_single_run(measurement, places[0]))
             continue
         shapes = _shapes(measurement, places)
-        report = _compare(measurement, run, takes, shapes, _single(alarm, runs))
+        report = _compare(measurement, run, takes, shapes, _probability_of_one(alarm, runs))
         part, from_scatter = _pool(shapes, takes, report.sd_factor)
         reports.append(replace(report, noise_from_repeats=from_scatter))
         parts.append(part)
@@ -92,7 +92,7 @@ def separate_repeats(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         notices += take_notices
         if len(places) > 1:
             shapes = _shapes(measurement, places)
-            report = _compare(measurement, run, takes, shapes, _single(alarm, runs))
+            report = _compare(measurement, run, takes, shapes, _probability_of_one(alarm, runs))
             reports.append(replace(report, were_pooled=False))
             notices += report.notices(len(runs) > 1)
     return Pooled(replace(measurement, takes=(), notices=tuple(notices)), tuple(reports))
@@ -107,7 +107,7 @@ def _compare(
     return replace(report, shift=shift, shift_share=share)
 
 
-def _single(alarm: float, runs: Sequence[str]) -> float:
+def _probability_of_one(alarm: float, runs: Sequence[str]) -> float:
     """Return the probability of an alarm in one of several runs."""
     return 1.0 - (1.0 - alarm) ** (1.0 / len(runs))
 
@@ -158,7 +158,7 @@ def _with_believed_noise(stack: Stack) -> Stack:
     return replace(stack, noise=noise, doubt=doubt)
 
 
-def _alone(measurement: Measurement, place: int) -> tuple[ComplexArray, Array | None]:
+def _take_single_run(measurement: Measurement, place: int) -> tuple[ComplexArray, Array | None]:
     value = np.concatenate([body.displacement[place] for body in measurement.bodies])
     if any(body.sd is None for body in measurement.bodies):
         return value, None

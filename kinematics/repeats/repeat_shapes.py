@@ -120,8 +120,8 @@ class Shapes:
     def data(self, lines: Lines) -> ComplexArray:
         """Return measured values over their noise (n, take, channel), zero where any take lacks them."""
         value, sd = self.stack.value(lines), self.stack.sd(lines)
-        whole = np.all(_usable(value, sd), axis=0)
-        return _white(value, whole, self.take_scale[lines], self.noise_scale[:, lines])
+        whole = np.all(_is_usable(value, sd), axis=0)
+        return _whiten(value, whole, self.take_scale[lines], self.noise_scale[:, lines])
 
     def common(self, lines: Lines, data: ComplexArray) -> ComplexArray:
         """Return the common response (n, channel) of ``data`` (n, take, channel) at some lines."""
@@ -156,28 +156,28 @@ def shapes_of(stack: Stack) -> Shapes:
     take_scale, noise_scale = np.empty((lines, takes)), np.empty((stack.channels, lines))
     for part in stack.blocks():
         value, sd = stack.value(part), stack.sd(part)
-        used = _usable(value, sd)
+        used = _is_usable(value, sd)
         take_scale[part], noise_scale[:, part] = _noise_scales(sd, used, stack.doubt > 0.0)
         whole = np.all(used, axis=0)
-        data = _white(value, whole, take_scale[part], noise_scale[:, part])
+        data = _whiten(value, whole, take_scale[part], noise_scale[:, part])
         counts[part] = np.sum(whole, axis=0)
         values, vectors = np.linalg.eigh(data @ data.conj().transpose(0, 2, 1))
         strength[part], own = np.maximum(values[:, -1], 0.0), vectors[:, :, -1]
         gain[part] = own * np.exp(-1j * np.angle(np.sum(own, axis=1)))[:, None]
-        clear[part] = _clear(values, counts[part], takes)
-    log_gain, phase = _overall(np.asarray(gain * take_scale, dtype=complex), strength, clear)
+        clear[part] = _is_above_noise(values, counts[part], takes)
+    log_gain, phase = _average_gains(np.asarray(gain * take_scale, dtype=complex), strength, clear)
     stand_in = np.exp(log_gain + 1j * phase) / take_scale
     stand_in = stand_in / np.linalg.norm(stand_in, axis=1, keepdims=True)
     gain = np.where(clear[:, None], gain, stand_in)
     return Shapes(stack, gain, strength, counts, clear, log_gain, phase, take_scale, noise_scale)
 
 
-def _usable(value: ComplexArray, sd: Array) -> NDArray[np.bool_]:
+def _is_usable(value: ComplexArray, sd: Array) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         return np.asarray(np.isfinite(value.real) & np.isfinite(sd) & (sd > 0.0))
 
 
-def _white(value: ComplexArray, whole: NDArray[np.bool_], take: Array, channel: Array) -> ComplexArray:
+def _whiten(value: ComplexArray, whole: NDArray[np.bool_], take: Array, channel: Array) -> ComplexArray:
     """Return values (n, take, channel) over noise take (n, take) x channel (channel, n)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         data = value / channel[None]
@@ -207,7 +207,7 @@ def _noise_scales(sd: Array, used: NDArray[np.bool_], doubted: bool) -> tuple[Ar
     return take, channel
 
 
-def _clear(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bool_]:
+def _is_above_noise(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bool_]:
     """Return the lines whose common part is well above the noise."""
     scatter = np.maximum(np.sum(values[:, :-1], axis=1), 0.0)
     freedom = np.maximum((takes - 1) * (counts - 1), 1)
@@ -216,7 +216,7 @@ def _clear(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bo
     return np.asarray((counts >= _LEAST_CHANNELS) & (values[:, -1] > _CLEAR_RATIO * noise * level))
 
 
-def _overall(gain: ComplexArray, strength: Array, clear: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _average_gains(gain: ComplexArray, strength: Array, clear: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the logarithm of the amplitude and the phase (take,) of the gains over all lines."""
     lines = clear if np.any(clear) else strength > 0.0
     if not np.any(lines):

@@ -163,7 +163,7 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
         rest = freedom * (count - 2 - len(others))
         p, noise = contrast.compared(freedom, rest, stated, doubt)
         if p is not None:
-            length = np.linalg.norm(gain * _beside(gain, [*others, way]), axis=1)
+            length = np.linalg.norm(gain * _subtract_projection(gain, [*others, way]), axis=1)
             lever = float(np.sqrt(np.mean(length**2))) / float(np.ptp(way))
             energies.append((RepeatTest(name, p, lever), contrast.energy, noise))
     worst = outliers.worst(freedom, doubt)
@@ -180,7 +180,7 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
     return tests
 
 
-def _beside(gain: NDArray[np.complex128], columns: Sequence[Array]) -> Array:
+def _subtract_projection(gain: NDArray[np.complex128], columns: Sequence[Array]) -> Array:
     """Return the last column (take,) less its projection on a constant and the others."""
     base = np.column_stack([np.ones(len(columns[-1])), *columns[:-1]])
     weights = np.sqrt(np.mean(np.abs(gain) ** 2, axis=0))[:, None]

@@ -43,7 +43,7 @@ def scatter_noise(shapes: Shapes) -> Array | None:
         share = np.where(shapes.clear[part][:, None] & (whole > 0.0), size / np.maximum(whole, 1e-300), 0.0)
         degrees[:, part] = np.where(present, 2.0 * (takes - 1) * np.maximum(1.0 - share, 0.05), 0.0).T
     width = int(np.clip(np.ceil(_WANTED_FREEDOM / (2.0 * (takes - 1))), 1, lines))
-    together = _together(shapes, width)
+    together = _correlated_lines(shapes, width)
     start = np.clip(np.arange(lines) - width // 2, 0, lines - width)
     typical, number = np.zeros(channels), np.zeros(channels)
     most = 0.0
@@ -65,7 +65,7 @@ def scatter_noise(shapes: Shapes) -> Array | None:
     return np.sqrt(energy, out=energy)
 
 
-def _together(shapes: Shapes, width: int) -> float:
+def _correlated_lines(shapes: Shapes, width: int) -> float:
     """Return how many of ``width`` neighbouring lines scatter as one."""
     if width < 2:
         return 1.0

@@ -31,7 +31,7 @@ _MOST_DEG = 60.0
 
 def detectable_blocks(result: Points2Dof) -> list[Markup]:
     """Return how large a fault would have to be to be found, per body and point, and what never shows."""
-    return [*_detectable_items(result), *_never(result)]
+    return [*_detectable_items(result), *_undetectable_items(result)]
 
 
 def _detectable_items(result: Points2Dof) -> list[Markup]:
@@ -120,7 +120,7 @@ def _point_rows(body: BodyChannels, kinds: list[tuple[str, Array]]) -> list[tupl
     return rows
 
 
-def _never(result: Points2Dof) -> list[Markup]:
+def _undetectable_items(result: Points2Dof) -> list[Markup]:
     """Return what errors that leave no residual at all would do to the motion."""
     q, rows = full_motion(result.motion), []
     dof = result.motion.dof

@@ -145,7 +145,7 @@ def _draw_body(
 
 
 def frame(view: Axes, sight: View, scenery: Scenery, middle: Array, half: Array) -> None:
-    """Set limits, titles and axis names; an axis that runs against its picture is turned round."""
+    """Set limits, titles and axis names; an axis that runs against its picture is reversed."""
     ticks = []
     for place, signed in ((0, sight.right), (1, sight.up)):
         centre, side = sight.flat(middle)[place], float(np.abs(sight.axes[place]) @ half)
@@ -160,16 +160,17 @@ def frame(view: Axes, sight: View, scenery: Scenery, middle: Array, half: Array)
     view.set_ylabel(ticks[1])
     eye = scenery.side(sight.eye)
     view.set_title(
-        f"seen from {eye} ({_minus(sight.eye)})" if eye else f"seen from {_minus(sight.eye)}", fontsize=10
+        f"seen from {eye} ({_typeset_minus(sight.eye)})" if eye else f"seen from {_typeset_minus(sight.eye)}",
+        fontsize=10,
     )
     view.tick_params(labelsize=8)
 
 
 def _turn_round(value: float, _place: object = None) -> str:
-    return _minus(f"{0.0 - value:g}")
+    return _typeset_minus(f"{0.0 - value:g}")
 
 
-def _minus(signed: str) -> str:
+def _typeset_minus(signed: str) -> str:
     return signed.replace("-", "−")
 
 

@@ -262,7 +262,7 @@ def _draw_rms(
 
 
 def _margin(view: Axes, verdicts: list[ChannelVerdict], height: float) -> None:
-    """Write the verdicts beside their rows, moved apart where they would touch."""
+    """Write the verdicts next to their rows, shifted where they would overlap."""
     rows = [k for k, v in enumerate(verdicts) if v.verdict != "ok"]
     if not rows:
         return

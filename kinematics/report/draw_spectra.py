@@ -35,7 +35,9 @@ _MOST_VERTICES = 25_000
 
 def vertices_of(motion: RigidMotion, runs: int) -> int:
     """Return about how many vertices the curves of some runs have: many are better drawn as pixels."""
-    return 6 * runs * len(motion.bodies) * len(motion.dof) * min(len(motion.freq_hz), _most(motion, runs))
+    return (
+        6 * runs * len(motion.bodies) * len(motion.dof) * min(len(motion.freq_hz), _count_lines(motion, runs))
+    )
 
 
 def is_light(motion: RigidMotion, runs: int) -> bool:
@@ -43,7 +45,7 @@ def is_light(motion: RigidMotion, runs: int) -> bool:
     return vertices_of(motion, runs) <= _MOST_VERTICES
 
 
-def _most(motion: RigidMotion, runs: int) -> int:
+def _count_lines(motion: RigidMotion, runs: int) -> int:
     """Return how many lines of a curve are drawn."""
     curves = max(1, runs * len(motion.bodies) * len(motion.dof))
     return int(np.clip(40_000 // curves, 400, 1600))
@@ -61,7 +63,7 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
     figure = new_figure(11.0, 1.85 * count + 0.8)
     axes = figure.subplots(count, 2, sharex=True, squeeze=False)
     sd = standard_deviation(motion)
-    most = _most(motion, len(runs))
+    most = _count_lines(motion, len(runs))
     for place, name in enumerate(motion.dof):
         scale, label = unit(name, motion.reference)
         amplitude, phase = axes[place]
@@ -143,7 +145,7 @@ def chi2_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
             if not np.any(good):
                 continue
             ratio = np.where(good, motion.chi2[run, body] / np.maximum(n_dof, 1), np.nan)
-            lines = decimate_lines(ratio, _most(motion, len(runs)))
+            lines = decimate_lines(ratio, _count_lines(motion, len(runs)))
             label = run_label(name, motion.runs[run], len(motion.runs))
             view.plot(
                 freq[lines],

@@ -56,12 +56,12 @@ def repeats_section(result: Points2Dof) -> Section:
         ]
         if rows:
             section.add(page.table(("what was compared", "size", "p-value", ""), rows, words=True))
-        table = page.table(*_takes(repeat))
+        table = page.table(*_tabulate_repeats(repeat))
         section.add(page.folded("All repeats", table))
     return section
 
 
-def _takes(repeats: RunRepeats) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def _tabulate_repeats(repeats: RunRepeats) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return header and rows of the table of all repeats."""
     header: tuple[str, ...] = ("repeat", "relative amplitude", "relative phase (°)")
     rows: list[tuple[str, ...]] = [

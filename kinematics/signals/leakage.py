@@ -51,7 +51,7 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     chance = (0.5 * moment) ** 2 * noise_of_differences(taper)
     excess = np.mean(np.abs(bias) ** 2 / variance, axis=0) - chance
     wide = chance * (1.0 + 4.0 / np.sqrt(len(value)))
-    beyond = (excess > 1.0 + wide) & _even(power)[1:-1]
+    beyond = (excess > 1.0 + wide) & _find_even_lines(power)[1:-1]
     count = int(np.sum(beyond))
     if count == 0:
         return []
@@ -80,7 +80,7 @@ def noise_of_differences(taper: Array) -> float:
     return float((6.0 * near[0] - 8.0 * near[1] + 2.0 * near[2]) / near[0])
 
 
-def _even(power: Array) -> NDArray[np.bool_]:
+def _find_even_lines(power: Array) -> NDArray[np.bool_]:
     """Return the lines around which the excitation has much the same power."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 

@@ -50,7 +50,7 @@ class SineFit:
         Change of the amplitude from the first to the second half of the record over its noise, the largest
         of all channels; changes below a thousandth of the amplitude do not count.
     share : ndarray, (channel,)
-        Share of the power of the signal, its mean apart, that the line has.
+        Share of the power of the signal, without its mean, in the line.
     run_hz : float
         Change of the frequency from start to end of the record, ``freq_hz`` its mean; 0 where none is seen.
     """
@@ -140,12 +140,12 @@ def fit_sine(
     if how.refine:
         freq_hz = _refine(signals, sample_rate_hz, freq_hz, how, where)
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
-    base = _base(count, sample_rate_hz, freq_hz, how, run_hz)
+    base = _regressors(count, sample_rate_hz, freq_hz, how, run_hz)
     coefficients = _solve(base, signals.T)
     residual_signals = signals - (base @ coefficients).T
     orders = _orders(sample_rate_hz, freq_hz, how)
     pairs = (coefficients[0 : 2 * orders : 2] - 1j * coefficients[1 : 2 * orders : 2]).T
-    residual = _near(residual_signals, sample_rate_hz, freq_hz)
+    residual = _nearby_spectrum(residual_signals, sample_rate_hz, freq_hz)
     variance = np.mean(np.abs(residual) ** 2, axis=1) / 2.0
     sd = np.sqrt(variance)
     power = np.maximum(np.var(signals, axis=1), np.finfo(float).tiny)
@@ -155,7 +155,7 @@ def fit_sine(
         sd,
         pairs[:, 1:],
         residual,
-        _unsteady(residual_signals, sample_rate_hz, freq_hz, pairs[:, 0], sd),
+        _amplitude_change(residual_signals, sample_rate_hz, freq_hz, pairs[:, 0], sd),
         0.5 * np.abs(pairs[:, 0]) ** 2 / power,
         run_hz,
     )
@@ -166,7 +166,7 @@ def _orders(rate: float, freq: float, how: SteppedSine) -> int:
     return max(1, min(how.harmonics, int(0.49 * rate / freq)))
 
 
-def _base(count: int, rate: float, freq: float, how: SteppedSine, run_hz: float = 0.0) -> Array:
+def _regressors(count: int, rate: float, freq: float, how: SteppedSine, run_hz: float = 0.0) -> Array:
     """Return cos and sin of the line and its harmonics, then the drift, (sample, column).
 
     The phase of a frequency that runs evenly is that of its mean at both ends of the record.
@@ -204,7 +204,7 @@ def _refine(signals: Array, rate: float, freq: float, how: SteppedSine, where: s
     half = count // 2
     plain = replace(how, harmonics=1)
     for _ in range(6):
-        base = _base(half, rate, coarse, plain)
+        base = _regressors(half, rate, coarse, plain)
         halves, energy = [], np.full(len(level), 1e-20)
         for part in (level[:, :half].T, level[:, half : 2 * half].T):
             fitted = _solve(base, part)
@@ -238,7 +238,7 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
     third = signals.shape[1] // 3
     if third < _LEAST_THIRD or third * freq / rate < _FEWEST_CYCLES:
         return 0.0
-    base = _base(third, rate, freq, replace(how, drift=min(how.drift, 1)))
+    base = _regressors(third, rate, freq, replace(how, drift=min(how.drift, 1)))
     parts, noise = [], np.zeros(len(signals))
     for number in range(3):
         samples = signals[:, number * third : (number + 1) * third].T
@@ -255,8 +255,8 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
     return bend * rate / (2.0 * np.pi * third**2) * signals.shape[1]
 
 
-def _near(residual: Array, rate: float, freq: float) -> ComplexArray:
-    """Return spectral samples of the residual beside the line, (channel, offset), scaled as its error.
+def _nearby_spectrum(residual: Array, rate: float, freq: float) -> ComplexArray:
+    """Return spectral samples of the residual next to the line, (channel, offset), scaled as its error.
 
     Offsets lie at least three bins away, where the fit took nothing out, and keep off 0 Hz; a Hann window
     keeps other frequencies out.
@@ -276,7 +276,7 @@ def _near(residual: Array, rate: float, freq: float) -> ComplexArray:
     return np.asarray(spectrum[:, bins[chosen] % count]) * 2.0 / count / np.sqrt(np.mean(taper**2))
 
 
-def _unsteady(residual: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
+def _amplitude_change(residual: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
     """Return the largest change of an amplitude between the halves of a record over its noise."""
     count = residual.shape[1]
     mixed = residual * _mixer(count, rate, freq)

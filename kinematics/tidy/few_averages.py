@@ -108,7 +108,7 @@ def _steady(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | 
     shared, wider = _common(logs - trend, expected, good)
     trend = trend + shared
     level, log_level = variance / np.exp(trend), logs - trend
-    centre, _ = _around(log_level, good.astype(float), _NEAR, True)
+    centre, _ = _average_neighbours(log_level, good.astype(float), _NEAR, True)
     ratio = level / np.exp(centre)
     alone = chdtrc(freedom, freedom * ratio / _ROUNDING) < _APART
     alone |= chdtr(freedom, freedom * ratio * _ROUNDING) < _APART
@@ -117,7 +117,7 @@ def _steady(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | 
         return None
     weight = np.where(used, freedom, 0.0)
     half = _best_half(level, weight, used)
-    mean, number = _around(level, weight, half, True)
+    mean, number = _average_neighbours(level, weight, half, True)
     own = expected + 2.0 / np.maximum(number, 1.0)
     scatter = float(np.sum((log_level - np.log(mean))[used] ** 2) / np.sum(own[used]))
     if not _LEAST_SCATTER < scatter < _MOST_SCATTER:
@@ -125,7 +125,7 @@ def _steady(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | 
     excess = scatter - 1.0 - 3.0 * np.sqrt(3.0 / np.sum(used))
     width = 2 * half + 1
     if excess <= 0.02:
-        mean, number = _around(level, weight, half, False)
+        mean, number = _average_neighbours(level, weight, half, False)
         mean = mean * number / np.maximum(number - 2.0, 1.0)
         shrunk = np.where(used, mean, level * freedom / np.maximum(freedom - 2.0, 1.0))
         return shrunk * wider * np.exp(trend), width
@@ -190,7 +190,7 @@ def _spread(unknown: Array, count: NDArray[np.intp]) -> Array:
     return np.asarray(fdtri(own, other, 0.95) * own / chdtri(own, 0.05))
 
 
-def _around(values: Array, weight: Array, half: int, without: bool) -> tuple[Array, Array]:
+def _average_neighbours(values: Array, weight: Array, half: int, without: bool) -> tuple[Array, Array]:
     """Return the weighted mean of up to ``half`` lines on both sides, and its sum of weights.
 
     ``without`` leaves out the line itself and the next on both sides, with which a window of the analyser
@@ -219,7 +219,7 @@ def _best_half(level: Array, weight: Array, used: Mask) -> int:
     best, chosen = np.inf, 4
     half = 4
     while half <= max(4, level.shape[1] // 2):
-        mean, _ = _around(level, weight, half, True)
+        mean, _ = _average_neighbours(level, weight, half, True)
         mean = np.maximum(mean, 1e-12)
         score = float(np.sum(weight[used] * (np.log(mean[used]) + level[used] / mean[used])))
         if score < best:

@@ -162,7 +162,7 @@ def _spacing(codes: Index, channel: Index, unique: Array) -> Array:
 def _without_chains(
     new: NDArray[np.bool_], ascending: Array, wide: Array, strict: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Keep apart the frequencies of a group that is wider than two of its frequencies may be."""
+    """Split a group that is wider than two of its frequencies may differ."""
     starts = np.flatnonzero(new)
     ends = np.append(starts[1:], len(new)) - 1
     limit = np.append(wide, np.inf)

@@ -94,7 +94,7 @@ def _assemble(rows: Rows, columns: Columns, table: Table, frame: str) -> Measure
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
     value = value.reshape(shape) / rate
     sd, relative, counts = _noise(table, columns, at, value, np.abs(rate))
-    notices = [*_absent(rows, table, at, shape), *_in_text_order(rows, table)]
+    notices = [*_missing_row_notices(rows, table, at, shape), *_in_text_order(rows, table)]
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
         notices.append(Notice("sd_missing", f"{count} values have no {columns.sd} and were not used."))
@@ -137,7 +137,7 @@ def _assemble(rows: Rows, columns: Columns, table: Table, frame: str) -> Measure
     )
 
 
-def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) -> list[Notice]:
+def _missing_row_notices(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) -> list[Notice]:
     """Report channels without rows at lines that other channels of their body have in the same run."""
     if len(at) == np.prod(shape):
         return []

@@ -65,7 +65,9 @@ def check_positions(
             if body.codes[row] < 0 or point.codes[row] < 0:
                 continue
             old = f"{positions[number].tolist()} in line {table.lines[first[number]]}"
-            faults.append(_two_positions(key_of(row), old, rows[row], table.where(row, ", ".join(POSITION))))
+            faults.append(
+                _two_positions_fault(key_of(row), old, rows[row], table.where(row, ", ".join(POSITION)))
+            )
     if listed is not None:
         for number, row in enumerate(first.tolist()):
             if body.codes[row] < 0 or point.codes[row] < 0:
@@ -76,7 +78,7 @@ def check_positions(
                 faults.append(_not_listed(key, listed, table.where(row, "point")))
             elif columns.positions and np.max(np.abs(positions[number] - known)) > _SAME_MM:
                 old = f"{known.tolist()} in {listed.file}"
-                faults.append(_two_positions(key, old, positions[number], table.where(row)))
+                faults.append(_two_positions_fault(key, old, positions[number], table.where(row)))
             else:
                 positions[number], spread[number] = known, listed.sd_mm[key]
     return positions, spread
@@ -131,7 +133,7 @@ def _not_listed(key: tuple[str, str], listed: Points, where: Place) -> Fault:
     return Fault(f"point {key[1]} of body {key[0]}", f"listed in {listed.file}", got, where, step)
 
 
-def _two_positions(key: tuple[str, str], old: str, new: Array, where: Place) -> Fault:
+def _two_positions_fault(key: tuple[str, str], old: str, new: Array, where: Place) -> Fault:
     return Fault(
         f"the position of point {key[1]} of body {key[0]}",
         "one",

@@ -137,7 +137,7 @@ def _place(
     directions, which = check_directions(short, columns, faults)
     place, place_first = numbered(body.codes * (len(point.names) + 1) + point.codes)
     positions, spread = check_positions(short, columns, listed, place, place_first, faults)
-    take, takes = _takes(short, columns)
+    take, takes = _number_takes(short, columns)
     known = (body.codes >= 0) & (point.codes >= 0) & np.isfinite(directions[:, 0])
     rows = np.flatnonzero(usable & known[blocks.of_row])
     if not rows.size:
@@ -174,7 +174,7 @@ def _place(
     )
 
 
-def _takes(table: Table, columns: Columns) -> tuple[Index, tuple[Take, ...]]:
+def _number_takes(table: Table, columns: Columns) -> tuple[Index, tuple[Take, ...]]:
     """Number the takes of the rows in the order of first appearance."""
     ones = TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
     run = table.texts["run"] if columns.run else ones

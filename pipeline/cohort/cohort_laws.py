@@ -288,7 +288,7 @@ def cohort_laws(
         members = [law for law in fitted if law.family == name]
         q_values = false_discovery(np.array([law.law.p_value for law in members]))
         with_q += [replace(law, q_value=float(q)) for law, q in zip(members, q_values, strict=True)]
-    notices += [*table.notices, *_unresolved(with_q)]
+    notices += [*table.notices, *_unresolved_notices(with_q)]
     return CohortLaws(tuple(ears), excluded, table, tuple(with_q), _components(table), tuple(notices))
 
 
@@ -356,7 +356,7 @@ def _components(table: LogTable) -> Components | None:
     return independent_parameters(values, own)
 
 
-def _unresolved(laws: Sequence[CohortLaw]) -> list[Notice]:
+def _unresolved_notices(laws: Sequence[CohortLaw]) -> list[Notice]:
     """Return a warning about planned laws that the data cannot settle."""
     open_laws = [
         f"{cohort_law.response} ~ {cohort_law.predictor}"

@@ -1,4 +1,4 @@
-"""The intrinsic scatter about a law, apart from the errors of measurement."""
+"""The intrinsic scatter about a law, without the errors of measurement."""
 
 from __future__ import annotations
 

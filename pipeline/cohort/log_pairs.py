@@ -1,4 +1,4 @@
-"""Logarithms of a predictor and a response over many ears, with what is known of their errors."""
+"""Logarithms of a predictor and a response over many ears, with the covariance of their errors."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def run(
             client.submit(run_order, order, key=f"stapeskit-{token}-{order.task.name}", pure=False): order
             for order in orders
         }
-        _follow(client, {future: order.task.name for future, order in futures.items()}, ended)
+        _report_ends(client, {future: order.task.name for future, order in futures.items()}, ended)
     finally:
         mark.unlink(missing_ok=True)
         client.close(timeout=2)
@@ -85,7 +85,7 @@ def _connect(address: str) -> Any:
         ) from fault
 
 
-def _follow(client: Any, futures: dict[Any, str], ended: Callable[[str, End], None]) -> None:
+def _report_ends(client: Any, futures: dict[Any, str], ended: Callable[[str, End], None]) -> None:
     """Report each study as it ends; give the others up when this process is interrupted."""
     waiting = dict(futures)
     try:

@@ -92,7 +92,7 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
 
 
 def best(suspects: Sequence[Explanation], stated: bool) -> tuple[Explanation, list[Explanation]]:
-    """Return the explanation of the greatest likelihood and those that the data cannot tell from it."""
+    """Return the likeliest explanation, and those that the data cannot distinguish from it."""
     freedom = float(max(explanation.n_dof for explanation in suspects))
 
     def score(candidate: Explanation) -> float:

@@ -54,7 +54,7 @@ def _part(name: str) -> str:
     return (_PARTS / name).read_text(encoding="utf-8")
 
 
-def _whole(cell: object) -> Markup:
+def _keep_on_one_line(cell: object) -> Markup:
     """Return the text of a cell whose numbers stay in one line."""
     from markupsafe import Markup, escape
 
@@ -214,7 +214,7 @@ def table(
         '{% if h %}<th scope="col">{{ h }}</th>{% else %}<td></td>{% endif %}{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=[printed(name) for name in header],
-        rows=[[_whole(cell) if words else _print_cell(cell) for cell in row] for row in listed],
+        rows=[[_keep_on_one_line(cell) if words else _print_cell(cell) for cell in row] for row in listed],
         words=words,
         two=named_by == 2,
         few=len(listed) <= _FEW_ROWS,

@@ -146,7 +146,7 @@ class RigidMotion:
         Parameters
         ----------
         sd : ndarray, broadcastable to (run, freq)
-            Standard deviation of its real (= imaginary) part; 0 takes such an error away.
+            Standard deviation of its real (= imaginary) part; 0 removes such an error.
 
         Notes
         -----

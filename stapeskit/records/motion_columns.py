@@ -24,24 +24,24 @@ class MotionColumns:
     dof: tuple[str, ...]
     per_reference: bool
 
-    def _of(self, part: str) -> list[str]:
+    def _column_names(self, part: str) -> list[str]:
         end = _PER_REFERENCE if self.per_reference else ""
         return [f"{name}_{part}_{DOF_UNITS[name]}{end}" for name in self.dof]
 
     @property
     def real(self) -> list[str]:
         """Real parts of q."""
-        return self._of("re")
+        return self._column_names("re")
 
     @property
     def imaginary(self) -> list[str]:
         """Imaginary parts of q."""
-        return self._of("im")
+        return self._column_names("im")
 
     @property
     def deviations(self) -> list[str]:
         """Standard deviations of both parts."""
-        return self._of("sd")
+        return self._column_names("sd")
 
     @property
     def needed(self) -> list[str]:

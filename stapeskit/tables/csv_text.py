@@ -82,7 +82,7 @@ def open_sheet(path: Path) -> Sheet:
             break
     separator = separator if separator in (",", ";", "\t") and separator in text else _separator(text)
     try:
-        header = [_plain(name) for name in next(csv.reader([text], delimiter=separator))]
+        header = [_normalise_name(name) for name in next(csv.reader([text], delimiter=separator))]
     except csv.Error as fault:
         where = Place(path.name, "line", (line - 1,))
         step = "End lines with a line feed, and put quotes around whole names only"
@@ -175,7 +175,7 @@ def _separator(header: str) -> str:
     return max((",", ";", "\t"), key=lambda mark: (bare.count(mark), mark == ","))
 
 
-def _plain(name: str) -> str:
+def _normalise_name(name: str) -> str:
     """Write a column's name in lower case with underscores: ``Re [µm/s]`` is ``re_um_s``."""
     name = name.strip().strip('"').lower()
     for odd, even in (("µ", "u"), ("μ", "u"), ("²", "2"), ("^2", "2")):

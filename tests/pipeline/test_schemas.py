@@ -25,11 +25,11 @@ def test_results_obey_their_schema(name, finished):
 
 
 def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):
-    from fitting.dof2kd import plan2kd
+    from fitting.fit_files import plan_files
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plan.toml").write_text("lines = 40\n", encoding="utf-8")
-    plan2kd(tmp_path / "plan.toml", tmp_path / "plan.json")
+    plan_files(tmp_path / "plan.toml", tmp_path / "plan.json")
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
     checker = jsonschema.Draft202012Validator(schema("plan"))
     checker.check_schema(schema("plan"))

@@ -1,4 +1,4 @@
-"""A Maxwell branch beside the spring (standard linear solid): s = i w / (1 + i w T), T estimated."""
+"""A Maxwell branch parallel to the spring (standard linear solid): s = i w / (1 + i w T), T estimated."""
 
 from __future__ import annotations
 

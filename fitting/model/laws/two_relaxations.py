@@ -1,4 +1,4 @@
-"""Two Maxwell branches of equal damping beside the spring, their times T and c T, both estimated.
+"""Two Maxwell branches of equal damping parallel to the spring, their times T and c T, both estimated.
 
 Data of one decade of frequencies hardly determine two free times, so that the logarithm of c has a prior
 about each of two usual ratios: one branch a decade is the usual spacing of Prony series, half a decade

@@ -162,7 +162,7 @@ def _matrix(elements: _Elements, depth: int) -> tuple[str, Any]:
     if kind == _CHAR:
         return name, _text(elements, shape)
     if kind == _CELL:
-        return name, [_inner(elements, depth) for _ in range(_possible(count, elements))]
+        return name, [_read_inner(elements, depth) for _ in range(_check_count(count, elements))]
     if kind in (_STRUCT, _OBJECT):
         return name, _structs(elements, count, kind == _OBJECT, depth)
     real = _resize(elements, count)
@@ -171,7 +171,7 @@ def _matrix(elements: _Elements, depth: int) -> tuple[str, Any]:
     return name, real.astype(real.dtype.newbyteorder("=")).reshape(shape, order="F")
 
 
-def _possible(count: int, elements: _Elements) -> int:
+def _check_count(count: int, elements: _Elements) -> int:
     """Return a count of elements that the bytes left can hold."""
     if 8 * count > len(elements.data) - elements.place:
         raise _DamageError(f"{count} elements in {len(elements.data) - elements.place} bytes")
@@ -185,7 +185,7 @@ def _resize(elements: _Elements, count: int) -> np.ndarray[Any, Any]:
     return values
 
 
-def _inner(elements: _Elements, depth: int) -> Any:
+def _read_inner(elements: _Elements, depth: int) -> Any:
     kind, body = elements.next()
     if kind != _MATRIX:
         raise _DamageError(f"type {kind} where a variable belongs")
@@ -201,8 +201,8 @@ def _structs(elements: _Elements, count: int, is_object: bool, depth: int) -> An
     if width <= 0 or len(raw) % width:
         raise _DamageError("field names of no length")
     names = [raw[k : k + width].split(b"\0")[0].decode("utf-8", "replace") for k in range(0, len(raw), width)]
-    _possible(count * len(names), elements)
-    structs = [{name: _inner(elements, depth) for name in names} for _ in range(count if names else 0)]
+    _check_count(count * len(names), elements)
+    structs = [{name: _read_inner(elements, depth) for name in names} for _ in range(count if names else 0)]
     return structs[0] if len(structs) == 1 else structs
 
 

@@ -153,7 +153,7 @@ def _elements(parts: list[Variables], where: str) -> list[Recordings]:
 
 def _from_layout(variables: Variables, layout: Layout, point: str = "") -> Recordings:
     if not layout.each:
-        return _plain(variables, layout, point)
+        return _read_signals(variables, layout, point)
     elements = variables.get(layout.each)
     if not isinstance(elements, list) or not all(isinstance(element, dict) for element in elements):
         want = "a struct array or a cell array of structs"
@@ -169,7 +169,7 @@ def _from_layout(variables: Variables, layout: Layout, point: str = "") -> Recor
     return _join(blocks, variables.where)
 
 
-def _plain(variables: Variables, layout: Layout, point: str) -> Recordings:
+def _read_signals(variables: Variables, layout: Layout, point: str) -> Recordings:
     """Read the signals of a layout; report all faults of its variables together."""
     faults: list[Fault] = []
     recordings: list[Recording] = []

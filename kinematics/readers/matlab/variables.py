@@ -72,13 +72,13 @@ class Variables:
         KinematicsError
             No numbers, or complex ones.
         """
-        value = self._numbers(name)
+        value = self._get_numbers(name)
         if np.iscomplexobj(value):
             step = "Say which variable is what in a mapping"
             raise KinematicsError.of(f"the variable {name}", "real numbers", "complex ones", self.where, step)
         return value.astype(float)
 
-    def _numbers(self, name: str) -> NDArray[Any]:
+    def _get_numbers(self, name: str) -> NDArray[Any]:
         value = stacked(self.get(name))
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fciub" or value.size == 0:
             step = "Say which variable is what in a mapping"
@@ -102,7 +102,7 @@ class Variables:
                 want = f"as large as {signal.value_re}"
                 raise KinematicsError.of(signal.value_im, want, "another size", self.where)
             return from_parts(shaped[0], shaped[1])
-        values = self._numbers(signal.value)
+        values = self._get_numbers(signal.value)
         if not np.iscomplexobj(values):
             if values.ndim == 2 and values.shape[1] == 2 * count:
                 values = from_parts(values[:, 0::2], values[:, 1::2])

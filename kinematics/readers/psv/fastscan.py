@@ -75,9 +75,9 @@ def read(path: Path) -> Recordings:
     order, notices = chosen_order((line.signals[0].unit.order for line in lines), path.name)
     lines = [line for line in lines if line.signals[0].unit.order == order]
     lines.sort(key=lambda line: line.freq_hz)
-    faults = [*_twice(lines), *_several_scans(lines, path.name)]
+    faults = [*_find_duplicates(lines), *_several_scans(lines, path.name)]
     recordings = _recordings(lines, path.name, faults)
-    notices += _treated(lines, path.name)
+    notices += _treated_notices(lines, path.name)
     if any(len(line.signals) > 1 for line in lines):
         notices.append(axes_notice(path.name))
     stated = all(line.stated for line in lines)
@@ -142,7 +142,7 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
     return in_mm(block.numbers[:, columns], scale or 1.0), not is_none(label)
 
 
-def _twice(lines: Sequence[_Line]) -> list[Fault]:
+def _find_duplicates(lines: Sequence[_Line]) -> list[Fault]:
     """List the frequencies that two files hold."""
     faults = []
     for before, after in pairwise(lines):
@@ -166,7 +166,7 @@ def _several_scans(lines: Sequence[_Line], name: str) -> list[Fault]:
     return [Fault("the source of the files", "one measurement", got, name, step)]
 
 
-def _treated(lines: Sequence[_Line], name: str) -> list[Notice]:
+def _treated_notices(lines: Sequence[_Line], name: str) -> list[Notice]:
     """Warn of values that were interpolated or filtered, not measured."""
     marks = [
         key for key in ("interpolated", "filtered") if any(_yes(line.block.fields.get(key)) for line in lines)

@@ -156,7 +156,7 @@ def blocks(path: Path, faults: list[Fault]) -> list[Block]:
     tables: list[Block] = []
     start, before = 0, len(faults)
     while (first := _first_row(lines, start)) is not None:
-        start, named = _after_rows(lines, first), start
+        start, named = _find_table_end(lines, first), start
         with collect_faults(faults):
             tables.append(_block(lines, named, (first, start), path.name, faults))
     if not tables and len(faults) == before:
@@ -177,7 +177,7 @@ def _is_row(line: str) -> bool:
     return 2 * sum(bool(cell) and value_of(cell) is not None for cell in cells) >= max(len(cells), 1)
 
 
-def _after_rows(lines: list[str], first: int) -> int:
+def _find_table_end(lines: list[str], first: int) -> int:
     """Return where a table ends: at an empty line or at the header of the next one."""
     last = first
     while last < len(lines) and lines[last].strip() and _field(lines[last]) is None:
@@ -208,7 +208,7 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
         raise KinematicsError.of(
             "the table", "one name and one unit to each column", got, Place(file, "line", (named + 1,))
         )
-    numbers = _numbers(table, first + 1, columns, file, faults)
+    numbers = _parse_numbers(table, first + 1, columns, file, faults)
     return Block(file, named + 1, fields, columns, below, numbers)
 
 
@@ -241,7 +241,9 @@ def value_of(cell: str) -> float | None:
     return value if cell.isascii() and "_" not in cell else None
 
 
-def _numbers(table: list[str], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]) -> Array:
+def _parse_numbers(
+    table: list[str], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]
+) -> Array:
     """Return the numbers of the rows with a cell for every column; report the other rows."""
     step = "It may be cut short: export it again"
     good = array("d")

@@ -126,7 +126,7 @@ def _channel(table: Table, row: int, faults: list[Fault]) -> Channel:
     direction = np.full(3, np.nan)
     if role == "response":
         direction = _direction(texts, table, row, where, faults)
-    position = _three(table, row, ("x_mm", "y_mm", "z_mm"))
+    position = _read_vector(table, row, ("x_mm", "y_mm", "z_mm"))
     if np.any(np.isinf(position)) or np.sum(np.isnan(position)) in (1, 2):
         faults.append(Fault("x_mm, y_mm, z_mm", "three finite numbers or empty", "others", where))
     return Channel(
@@ -145,7 +145,7 @@ def _channel(table: Table, row: int, faults: list[Fault]) -> Channel:
     )
 
 
-def _three(table: Table, row: int, names: tuple[str, str, str]) -> Array:
+def _read_vector(table: Table, row: int, names: tuple[str, str, str]) -> Array:
     return np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in names])
 
 
@@ -159,7 +159,7 @@ def _direction(
             faults.append(Fault("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
             return np.full(3, np.nan)
         return axis
-    vector = _three(table, row, ("dir_x", "dir_y", "dir_z"))
+    vector = _read_vector(table, row, ("dir_x", "dir_y", "dir_z"))
     length = float(np.linalg.norm(vector))
     if np.all(np.isnan(vector)):
         return vector

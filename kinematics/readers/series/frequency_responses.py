@@ -181,14 +181,14 @@ def _groups(
         return lead, np.array(signals)
 
     if fixed:
-        alive, dead_notices = _alive(series, fixed, 0)
+        alive, dead_notices = _drop_silent_channels(series, fixed, 0)
         notices += dead_notices
         records = tuple(row(alive, k) for k in range(lengths[fixed[0].name])) if alive else ()
         if alive:
             points = tuple(channel.point or "1" for channel in alive)
             groups.append(_Group(tuple(alive), points, records, series.file))
     for k in range(lengths[rows[0].name] if rows else 0):
-        alive, dead_notices = _alive(series, rows, k)
+        alive, dead_notices = _drop_silent_channels(series, rows, k)
         notices += dead_notices
         if alive:
             place = f"{series.file}, row {k + 1}"
@@ -199,7 +199,9 @@ def _groups(
     return groups, notices
 
 
-def _alive(series: Series, channels: Sequence[Channel], k: int) -> tuple[list[Channel], list[Notice]]:
+def _drop_silent_channels(
+    series: Series, channels: Sequence[Channel], k: int
+) -> tuple[list[Channel], list[Notice]]:
     """Leave out channels without any signal in a row: missing points are rows of zeros or NaN."""
     alive: list[Channel] = []
     dead: list[Channel] = []

@@ -251,15 +251,15 @@ def _npz(path: Path) -> dict[str, Any]:
     return tree
 
 
-def _flat(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
+def _flatten(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
     """Return the numbers in a tree under names with dots."""
     arrays: dict[str, NDArray[Any]] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            arrays.update(_flat(value, f"{start}{name}."))
+            arrays.update(_flatten(value, f"{start}{name}."))
         elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
             for number, entry in enumerate(value, 1):
-                arrays.update(_flat(entry, f"{start}{name}({number})."))
+                arrays.update(_flatten(entry, f"{start}{name}({number})."))
         elif isinstance(value, list) and value and all(isinstance(entry, np.ndarray) for entry in value):
             sizes = {entry.size for entry in value}
             if len(sizes) == 1 and all(entry.dtype.kind in "fiu" for entry in value):
@@ -270,7 +270,7 @@ def _flat(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
 
 
 def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series:
-    flat = _flat(tree)
+    flat = _flatten(tree)
     low = {name.lower(): name for name in reversed(list(flat))}
     matched = _match(names, list(flat), file)
     rate = next((low[name] for name in RATES if name in low and flat[low[name]].size == 1), "")

@@ -56,9 +56,9 @@ class Coherences:
         return computed, computed is not None
 
     def _from_auto(self, response: Function) -> Array | None:
-        own = self._auto(place_of(response), response.ordinate.kind, response)
+        own = self._find_auto_spectrum(place_of(response), response.ordinate.kind, response)
         node, direction = response.reference_node, response.reference_direction
-        reference = self._auto(
+        reference = self._find_auto_spectrum(
             (node, "", abs(direction), response.load_case), response.denominator.kind, response
         )
         if own is None or reference is None or own is reference:
@@ -71,7 +71,7 @@ class Coherences:
         # More than 1: an H2 estimate, or spectra of another scale; they cannot be distinguished.
         return None if np.max(good) > MOST_COHERENCE else np.clip(ratio, 0.0, 1.0)
 
-    def _auto(self, key: Key, kind: int, response: Function) -> Function | None:
+    def _find_auto_spectrum(self, key: Key, kind: int, response: Function) -> Function | None:
         """Return the one auto spectrum of a quantity at a point and direction."""
         autos = (function for function in self.auto.get(key, []) if function.ordinate.kind == kind)
         return only_alike(autos, response)

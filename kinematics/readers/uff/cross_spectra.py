@@ -104,14 +104,16 @@ def _ends(function: Function) -> tuple[object, ...]:
 
 def _pair(cross: Function, functions: Sequence[Function]) -> _Pair | None:
     """Find the auto spectra of a cross spectrum; None without a single one of the reference."""
-    reference = _auto(cross, cross.reference_node, cross.reference_direction, functions)
-    response = _auto(cross, cross.node, cross.direction, functions)
+    reference = _find_auto_spectrum(cross, cross.reference_node, cross.reference_direction, functions)
+    response = _find_auto_spectrum(cross, cross.node, cross.direction, functions)
     if reference is None or reference is response:
         return None
     return _Pair(cross, reference, response)
 
 
-def _auto(cross: Function, node: int, direction: int, functions: Sequence[Function]) -> Function | None:
+def _find_auto_spectrum(
+    cross: Function, node: int, direction: int, functions: Sequence[Function]
+) -> Function | None:
     key = (AUTO, node, abs(direction), cross.load_case)
     autos = (f for f in functions if (f.kind, f.node, abs(f.direction), f.load_case) == key)
     return only_alike(autos, cross)

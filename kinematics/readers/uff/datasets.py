@@ -142,11 +142,11 @@ def _dataset(content: bytes, start: int, place: tuple[int, int], file: str) -> t
 def _text(number: int, place: tuple[int, int], body: bytes) -> Dataset:
     if number != 58:
         return Dataset(number, place[0], tuple(lines_of(body.decode("latin-1"))), line=place[1])
-    head, data = _after_lines(body, 0, _HEADER_LINES)
+    head, data = _take_lines(body, 0, _HEADER_LINES)
     return Dataset(58, place[0], head, body[data:], line=place[1])
 
 
-def _after_lines(content: bytes, start: int, count: int) -> tuple[tuple[str, ...], int]:
+def _take_lines(content: bytes, start: int, count: int) -> tuple[tuple[str, ...], int]:
     """Return ``count`` lines from ``start`` on, and where the next one begins."""
     lines, position = [], start
     for _ in range(count):
@@ -180,7 +180,7 @@ def _binary(
     if not _HEADER_LINES <= count <= 100:
         faults.append(Fault("the header of a dataset 58b", "11 lines long", f"{count} lines", where, step))
     raise_all(KinematicsError, faults)
-    head, start = _after_lines(content, number.end(), count)
+    head, start = _take_lines(content, number.end(), count)
     if len(head) < count:
         raise KinematicsError.of("a dataset 58b", f"of {count} lines of header", len(head), where, CUT)
     needed = values_size(head, f"{where}, record 7")

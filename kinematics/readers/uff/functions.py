@@ -61,7 +61,7 @@ class Function:
         Identification, sequence and load case numbers.
     entity, node, direction
         Response: name, number, and +-1..3 translation, +-4..6 rotation, 0 scalar.
-    reference_entity, reference_node, reference_direction
+    reference_node, reference_direction
         Of the reference.
     x : ndarray, (n,)
     y : ndarray, (n,), complex
@@ -80,7 +80,6 @@ class Function:
     entity: str
     node: int
     direction: int
-    reference_entity: str
     reference_node: int
     reference_direction: int
     x: Array
@@ -151,8 +150,8 @@ def read_function(dataset: Dataset, file: str) -> Function:
     )
 
 
-def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, int, str, int, int]:
-    """Read record 6: format 2(I5,I10),2(1X,10A1,I10,I4)."""
+def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, int, int, int]:
+    """Read record 6, format 2(I5,I10),2(1X,10A1,I10,I4), without the name of the reference."""
     ends = np.cumsum(_WIDTHS)
     cells = [record[end - width : end].strip() for end, width in zip(ends, _WIDTHS, strict=True)]
     if not all(_is_whole(cell) for place, cell in enumerate(cells) if place not in (4, 7)):
@@ -167,7 +166,8 @@ def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, in
                 "record 6 of a function", "function type, node and direction", shown(record), where, step
             )
         cells = list(loose.groups())
-    numbers = [_whole(cell) if place not in (4, 7) else cell for place, cell in enumerate(cells)]
+    del cells[7]
+    numbers = [cell if place == 4 else _parse_integer(cell) for place, cell in enumerate(cells)]
     return tuple(numbers)  # type: ignore[return-value]
 
 
@@ -175,14 +175,14 @@ def _is_whole(cell: str) -> bool:
     return re.fullmatch(r"[+-]?\d*", cell) is not None and cell not in ("+", "-")
 
 
-def _whole(cell: str) -> int:
+def _parse_integer(cell: str) -> int:
     return int(cell) if cell else 0
 
 
 def _axis(record: str) -> Axis:
     """Read records 8 to 11: format I10,3I5,2(1X,20A1)."""
     cells = [record[0:10], record[10:15], record[15:20], record[20:25]]
-    numbers = [_whole(cell.strip()) if _is_whole(cell.strip()) else 0 for cell in cells]
+    numbers = [_parse_integer(cell.strip()) if _is_whole(cell.strip()) else 0 for cell in cells]
     label, unit = record[26:46].strip(), record[47:67].strip()
     return Axis(numbers[0], numbers[1], numbers[2], label, unit)
 

@@ -175,7 +175,7 @@ def _reals(text: str) -> list[float]:
     return [] if text[last:].strip() else numbers
 
 
-def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
+def _parse_integers(text: str, count: int, thing: str, where: str) -> list[int]:
     words = text.split()[:count]
     if len(words) < count or not all(re.fullmatch(r"[+-]?\d{1,18}", word) for word in words):
         raise KinematicsError.of(thing, f"{count} whole numbers", shown(text), where, "Export it again")
@@ -197,13 +197,13 @@ def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, 
         for row, line in lines:
             where = dataset.at(file, row)
             with collect_faults(faults):
-                label, defined, measured, _ = _wholes(line[:40], 4, "a node", where)
+                label, defined, measured, _ = _parse_integers(line[:40], 4, "a node", where)
                 position = _vectors(line[40:], 3, f"the position of node {label}", where)[0]
                 nodes.append((label, (position, defined, measured, where)))
         return nodes
     for (row, head), (below, line) in zip(lines[::2], [*lines[1::2], (0, "")], strict=False):
         with collect_faults(faults):
-            label, _, measured, _ = _wholes(head, 4, "a node", dataset.at(file, row))
+            label, _, measured, _ = _parse_integers(head, 4, "a node", dataset.at(file, row))
             where = dataset.at(file, below or row)
             position = _vectors(line, 3, f"the position of node {label}", where)[0]
             nodes.append((label, (position, 0, measured, where)))
@@ -232,7 +232,7 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
     where = dataset.at(file, row)
     if len(part) < 4:
         raise KinematicsError.of("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT)
-    label, shape, parent, _, _ = _wholes(part[0], 5, "a coordinate system", where)
+    label, shape, parent, _, _ = _parse_integers(part[0], 5, "a coordinate system", where)
     thing = f"the definition of coordinate system {label}"
     origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
     x = on_x - origin
@@ -250,7 +250,7 @@ def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
     where = dataset.at(file, row)
     if len(part) < 6:
         raise KinematicsError.of("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT)
-    label, shape = _wholes(part[0], 2, "a coordinate system", where)
+    label, shape = _parse_integers(part[0], 2, "a coordinate system", where)
     thing = f"the matrix of coordinate system {label}"
     rows = _vectors(" ".join(part[2:]), 12, thing, where)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -135,7 +135,7 @@ def direction_label(node: int, direction: int) -> str:
 
 
 def point_name(function: Function) -> str:
-    """Return the name of a point: its node, of node 0 the name of the entity."""
+    """Return the name of a point: the number of its node, or the name of the entity where that is 0."""
     if function.node == 0 and not is_none(function.entity):
         return function.entity
     return str(function.node)

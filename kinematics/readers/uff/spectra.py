@@ -90,8 +90,8 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
             coherent[motion.function.place] = known.of(motion.function, file)
     raise_all(KinematicsError, faults)
     if not usable:
-        raise KinematicsError(_nothing(functions, others, file))
-    chosen, notices = _chosen(usable, others, geometry, file)
+        raise KinematicsError(_no_motion_fault(functions, others, file))
+    chosen, notices = _choose_functions(usable, others, geometry, file)
     runs = _runs(chosen)
     coherence_of = {motion.function.place: coherent[motion.function.place][0] for motion in chosen}
     recordings = [
@@ -109,7 +109,7 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
     )
 
 
-def _chosen(
+def _choose_functions(
     usable: list[Motion], others: Counter[str], geometry: Geometry, file: str
 ) -> tuple[list[Motion], list[Notice]]:
     """Choose the functions to use: responses rather than spectra, one quantity of each channel."""
@@ -138,7 +138,7 @@ def _chosen(
     return chosen, notices
 
 
-def _nothing(functions: Sequence[Function], others: Mapping[str, int], file: str) -> Fault:
+def _no_motion_fault(functions: Sequence[Function], others: Mapping[str, int], file: str) -> Fault:
     """Return the fault of a file without motion over frequency, with what it holds instead."""
     listed = ", ".join(f"{count} {name}" for name, count in others.items() if count) or KINDS[COHERENCE]
     step = "Export complex spectra or frequency responses of velocity or displacement"

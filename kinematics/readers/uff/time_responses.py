@@ -72,7 +72,7 @@ def read_responses(
     that was recorded again for each group of responses belongs to the responses behind it, or before it
     where the file begins with responses.
     """
-    times = [function for function in functions if function.kind == TIME and not _is_other(function)]
+    times = [function for function in functions if function.kind == TIME and not _is_unusable(function)]
     other_count = len(functions) - len(times)
     recordings: list[Recording] = []
     notices: list[Notice] = []
@@ -106,7 +106,7 @@ def read_responses(
     )
 
 
-def _is_other(function: Function) -> bool:
+def _is_unusable(function: Function) -> bool:
     """Return whether a time response is over something else than time, or complex."""
     return function.abscissa.kind not in (0, 1, _TIME) or not function.real
 
@@ -220,7 +220,7 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]
     if lead is None or counts == {len(lead.records)}:
         return [[*responses, *([] if lead is None else [lead])]]
     if counts == {1}:
-        return _in_turn(responses, lead, file, faults)
+        return _assign_responses(responses, lead, file, faults)
     known = ", ".join(
         f"{signal.channel.name} {len(signal.records)}" for signal in [lead, *responses][:_MOST_NAMED]
     )
@@ -229,7 +229,7 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]
     return []
 
 
-def _in_turn(
+def _assign_responses(
     responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[Fault]
 ) -> list[list[_Signal]]:
     """Assign to each record of the reference the responses that follow, or precede, it in the file."""

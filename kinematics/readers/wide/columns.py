@@ -93,7 +93,7 @@ def looks_wide(names: Sequence[str]) -> bool:
 
 
 def beams_of(names: Sequence[str]) -> tuple[list[Beam], list[str]]:
-    """Return the beams that the names tell, and the names that tell nothing."""
+    """Return the beams that the column names describe, and the names that describe none."""
     by_beam: dict[tuple[str, str], dict[str, int]] = {}
     unknown = []
     for column, name in enumerate(names):

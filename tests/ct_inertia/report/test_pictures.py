@@ -11,7 +11,7 @@ from ct_inertia.report.pictures import (
     VIEWS,
     Body,
     Scene,
-    _framing,
+    _frame_views,
     _picture_from_scan,
     render_scenes,
 )
@@ -41,7 +41,7 @@ def scene():
 
 
 def panels(scene):
-    centres, half = _framing(scene)
+    centres, half = _frame_views(scene)
     return [
         (scene.bodies, _picture_from_scan(scene.frame, view), centre, half)
         for view, centre in zip(VIEWS, centres, strict=True)

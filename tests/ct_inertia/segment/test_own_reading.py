@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ct_inertia.segment.candidates import labelled_pieces
-from ct_inertia.segment.find_stapes import _takes_in
+from ct_inertia.segment.find_stapes import _shows_more_bone
 
 SPACING = np.full(3, 0.05)
 
@@ -30,7 +30,7 @@ def ring(half_width):
 def test_a_body_larger_than_usual_is_not_replaced_by_itself_without_its_rim():
     large, core = seen(ring(4.0)), seen(ring(3.0))
     assert 0.05 < large.stapes.oddness < 0.3
-    assert not _takes_in(core, (large, large))
+    assert not _shows_more_bone(core, (large, large))
 
 
 def test_a_body_that_holds_a_slab_of_something_else_is_replaced_by_itself_without_it():
@@ -38,4 +38,4 @@ def test_a_body_that_holds_a_slab_of_something_else_is_replaced_by_itself_withou
     slab = np.zeros_like(alone)
     slab[11:30, 65:75, 20:60] = True
     both = seen(alone | slab)
-    assert _takes_in(seen(alone), (both, both))
+    assert _shows_more_bone(seen(alone), (both, both))

@@ -275,8 +275,9 @@ def test_a_resonance_of_the_holder_is_named_near_its_frequency() -> None:
     assert fit.diagnosis.named.name in ("holder_2548_hz", "holder_2805_hz")
 
 
-@pytest.mark.parametrize(("cause", "size"), [("second_run", 5.0), ("second_run", -8.0), ("step", 8.0)])
+@pytest.mark.parametrize(("cause", "size"), [("second_run", -8.0), ("step", 8.0)])
 def test_a_step_of_the_stiffness_is_named_with_its_size_and_is_in_the_intervals(cause, size) -> None:
+    """Of a second run that is 5 % stiffer `test_model_error.py` shows the same."""
     for seed in range(3):
         case = case_of(cause, seed, size=size)
         fit = fitted(case)

@@ -46,6 +46,8 @@ def test_intervals_hold_where_a_stiffness_changes_over_the_measurement(
         named = fit.diagnosis.named
         assert named.name.split("_at_")[0] == name
         assert name == "drift" or named.size == pytest.approx(100.0 * np.log1p(0.01 * size), abs=0.6)
+        off = join(fit.stiffness, fit.damping) - join(case.stiffness[BLOCK], case.damping[BLOCK])
+        assert np.abs(off / np.sqrt(np.diag(fit.covariance))).max() < 4.0
         held.append(inside(fit, case))
     assert np.mean(held) > 0.9
 

@@ -1,4 +1,4 @@
-"""From motion file and mass file to a fit and its files: one library call for the command."""
+"""From files to files, as the command dof2kd works: a fit or a plan with its record, page and exports."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class WrittenFit:
     files: tuple[Path, ...]
 
 
-def dof2kd(
+def fit_files(
     motion_path: Path,
     mass_path: Path,
     options: KDOptions,
@@ -93,7 +93,7 @@ def dof2kd(
     return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))
 
 
-def plan2kd(
+def plan_files(
     path: Path, out: Path, *, force: bool = False, config: Path | None = None
 ) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
     """Read a plan, compute its expected uncertainty, write ``out`` (plan.json) and the page of the same name.
@@ -127,6 +127,6 @@ def plan2kd(
 
 
 def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:
-    """Return the result file, its page and exports, beside the files that are read."""
+    """Return the set of outputs (result file, page, exports) with the files that are read."""
     names = (out.name, out.with_suffix(".html").name, *(file_name(out.stem, name) for name in export))
     return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from fitting.cli import work
-from fitting.dof2kd import dof2kd
 from fitting.errors import FittingError
+from fitting.fit_files import fit_files
 from fitting.fit_kd import fit_kd
 from fitting.measure_kd import footplate_outline
 from fitting.model.mass_file import read_mass
@@ -111,8 +111,8 @@ def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
 
 
 def test_h5_and_csv_give_the_same(files: Path) -> None:
-    first = dof2kd(files / "dof.csv", files / "M.csv", KDOptions(), files / "a.json").fit
-    second = dof2kd(files / "dof.h5", files / "M.csv", KDOptions(), files / "b.json").fit
+    first = fit_files(files / "dof.csv", files / "M.csv", KDOptions(), files / "a.json").fit
+    second = fit_files(files / "dof.h5", files / "M.csv", KDOptions(), files / "b.json").fit
     assert first.stiffness == pytest.approx(second.stiffness, rel=1e-9)
     assert first.covariance == pytest.approx(second.covariance, rel=1e-6)
 
@@ -121,7 +121,7 @@ def test_exact_data_survive_the_files(tmp_path: Path) -> None:
     write_motion(tmp_path, "dof", counted_motion(1e-4, None))
     np.savetxt(tmp_path / "M.csv", M, delimiter=",", fmt="%.17g")
     for estimator in ("ml", "irls", "pinv", "constrained"):
-        fit = dof2kd(
+        fit = fit_files(
             tmp_path / "dof.csv", tmp_path / "M.csv", KDOptions(estimator=estimator), tmp_path / "kd.json"
         ).fit
         root = np.sqrt(np.outer(np.diag(K), np.diag(K)))
@@ -314,7 +314,7 @@ def test_sources_have_words() -> None:
 
 def test_out_must_be_json(files: Path) -> None:
     with pytest.raises(FittingError, match=r"ends with \.json"):
-        dof2kd(files / "dof.csv", files / "M.csv", KDOptions(), files / "kd.csv")
+        fit_files(files / "dof.csv", files / "M.csv", KDOptions(), files / "kd.csv")
 
 
 def test_every_word_in_m_csv_is_reported_at_once_and_its_header_in_one_sentence(tmp_path: Path) -> None:
