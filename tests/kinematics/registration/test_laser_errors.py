@@ -134,7 +134,7 @@ def test_lasers_and_positions_share_what_a_displaced_point_makes_of_the_estimate
     measurement, made = measured(count=5)
     sd, step = 0.05e-3, 1e-6
     body = replace(measurement.bodies[0], position_sd_mm=np.full(len(made.points), 1e3 * sd))
-    change = readings(made.positions_mm + [0.0, 1e3 * step, 0.0], made.directions, made.q)
+    change = readings(made.positions_mm + 1e3 * step * np.eye(3)[1], made.directions, made.q)
     change -= readings(made.positions_mm, made.directions, made.q)
     change *= np.array([name == made.points[0] for name in made.points])[:, None]
     before, after = (
