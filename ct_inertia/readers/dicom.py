@@ -27,6 +27,8 @@ from stapeskit.warnings import Notice
 
 # Share of the usual distance of slices by which another one may differ: a missing slice doubles it.
 _UNEVEN = 0.02
+# Share of a pixel by which slices may lie beside the line along their normal: rounding of written positions.
+_ASIDE = 0.1
 # Lossless JPEG unpacks some 50 MB a second; a slow machine takes a tenth of that.
 _PROCESSOR_S, _BYTES_PER_S = 5.0, 5e6
 # Address space, of which little is used.
@@ -154,6 +156,7 @@ def _read_folder(folder: Path, options: ReadOptions) -> Volume:
     if np.ptp(places) > 0.0:
         slices = [slices[k] for k in np.argsort(places, kind="stable")]
         step = _even_step(np.sort(places), folder)
+        _check_square(slices, folder)
         spacing_of_series = np.array([*slices[0].spacing[:2], step])
     elif options.spacing_mm is not None:
         text = (
@@ -256,6 +259,20 @@ def _even_step(places: Array, folder: Path) -> float:
             "Slices are missing: export the whole series again",
         )
     return float(np.mean(steps))
+
+
+def _check_square(slices: Sequence[_Slice], folder: Path) -> None:
+    """Refuse slices that lie beside each other, as a tilted gantry makes them: their voxels are no boxes."""
+    shift = np.array([one.origin - slices[0].origin for one in slices]) @ slices[0].direction[:, :2]
+    worst = int(np.argmax(np.max(np.abs(shift), axis=1)))
+    if np.any(np.abs(shift[worst]) > _ASIDE * slices[0].spacing[:2]):
+        raise CtInertiaError.of(
+            "the slices of the series",
+            "one behind the other along their normal",
+            f"slice {worst + 1} {np.linalg.norm(shift[worst]):.3g} mm beside the first one (tilted gantry)",
+            folder.name,
+            "Resample the series to a grid of right angles, and export that",
+        )
 
 
 def _array(slices: Sequence[_Slice]) -> NDArray[Any]:

@@ -163,7 +163,7 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
         key = (
             recording.body,
             recording.point,
-            np.round(recording.direction, 6).tobytes(),
+            (np.round(recording.direction, 6) + 0.0).tobytes(),  # -0.0 and 0.0 are one direction
             recording.run,
             recording.repeat,
             str(recording.level),

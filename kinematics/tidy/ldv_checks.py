@@ -133,9 +133,11 @@ def check_directions(table: Table, columns: Columns, faults: list[Fault]) -> tup
         code = np.where(unknown, 0, np.argmax(np.abs(rows), axis=1) * 2 + (rows.sum(axis=1) < 0.0))
         return rows, code
     parts = np.column_stack([table.numbers[name] for name in DIRECTION])
-    with np.errstate(invalid="ignore", over="ignore"):
-        mixed = np.round(parts * 1e7) @ np.array([1.0, 33554467.0, 1125900906842597.0])
-    code, first = numbered(mixed)
+    with np.errstate(over="ignore"):
+        x, y, z = (numbered(part)[0] for part in np.round(parts * 1e7).T)
+    # Numbers of at most the rows each: their products are exact, which a sum of the components is not.
+    beside, _ = numbered(x * (int(y.max(initial=0)) + 1) + y)
+    code, first = numbered(beside * (int(z.max(initial=0)) + 1) + z)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.linalg.norm(parts[first], axis=1)
         bad = ~(np.abs(length - 1.0) <= 1e-3)

@@ -63,6 +63,16 @@ def test_a_ball_is_measured_to_a_tenth_of_a_percent():
     assert scale.factor == pytest.approx(1.01, abs=3.0 * scale.sd + 5e-4)
 
 
+def test_a_ball_alone_gives_its_ratio_and_the_sd_of_a_ratio(monkeypatch):
+    monkeypatch.setattr("ct_inertia.grey.ball_diameter.ball_diameter", lambda *_: (0.5, 3e-4))
+    volume = Volume(np.zeros((2, 2, 2), np.float32), np.full(3, H), np.zeros(3), np.eye(3))
+    known = options(scale_ball=[(0.0, 0.0, 0.0, 0.51, 4e-4)], voxel_size_sd_percent=20.0)
+    found = voxel_scale(known, volume)
+    assert (found.factor, found.sd) == pytest.approx((0.51 / 0.5, 5e-4 / 0.5), rel=1e-4)
+    sure = voxel_scale(dataclasses.replace(known, voxel_size_sd_percent=1e-7), volume)
+    assert sure.factor == pytest.approx(1.0, abs=1e-6)
+
+
 def test_what_is_no_ball_alone_in_air_is_refused():
     volume = volume_with_ball()
     for place, size in (((0.1, 0.1, 0.1), 0.6), ((0.78, 0.82, 0.76), 0.05), ((1.05, 0.82, 0.76), 0.3)):

@@ -191,6 +191,21 @@ def test_frames_from_the_far_end_to_the_near_one_stay_where_they_are(tmp_path):
         assert volume.spacing_mm == pytest.approx(SPACING)
 
 
+@pytest.mark.parametrize(("aside_voxels", "good"), [(0.05, True), (2.0, False)])
+def test_dicom_slices_beside_each_other_are_refused(tmp_path, aside_voxels, good):
+    series = f.dicom(tmp_path / "d", picture(np.int16))
+    place = f"{aside_voxels * SPACING[0]}\\0\\{-SPACING[2]}"
+    tags = {"0020|0032": place, "0008|0018": "1.2.826.0.1.3680043.2.1125.31.99", "0020|0013": "99"}
+    (one_more,) = f.dicom(tmp_path / "e", picture(np.int16)[:1], **tags).iterdir()
+    one_more.replace(series / "0_0.dcm")
+    if good:
+        assert read_volume(series).array.shape[0] == 1 + len(picture(np.int16))
+        return
+    with pytest.raises(CtInertiaError) as caught:
+        read_volume(series)
+    assert [fault.thing for fault in caught.value.faults] == ["the slices of the series"]
+
+
 def test_the_first_versions_of_ome_zarr_have_no_axes(tmp_path):
     group = zarr.open_group(tmp_path / "a.zarr", mode="w", zarr_format=2)
     array = group.create_array("0", shape=(1, 1, 7, 6, 5), dtype="u2", chunks=(1, 1, 4, 4, 4))

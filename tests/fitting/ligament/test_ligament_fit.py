@@ -33,6 +33,9 @@ def test_the_height_is_the_mean_of_both_weighted_by_their_variances(ligament: Li
     value, sd = made.height
     assert value == pytest.approx((1e-4 / 1.0 + 4e-4 / 4.0) / (1.0 + 0.25))
     assert sd == pytest.approx(1e-5 / np.sqrt(1.25))
+    # Heights Y11 and -Y20 whose errors go against each other: their mean is known better than either.
+    covariance[[4, 6], [4, 6]], covariance[[4, 6], [6, 4]] = 4e-10, 1e-10
+    assert made.height == pytest.approx((2.5e-4, np.sqrt(0.25 * (4.0 + 4.0 - 2.0) * 1e-10)))
 
 
 def test_a_small_turn_gives_the_coupling_from_which_the_tilt_is_read(ligament: LigamentFit) -> None:
@@ -46,7 +49,15 @@ def test_a_small_turn_gives_the_coupling_from_which_the_tilt_is_read(ligament: L
         turned = turn @ axial @ turn.T
         coupling = np.zeros((3, 3))
         coupling[0, 0], coupling[0, 1] = turned[1, 0] / 3000.0, turned[1, 2] / 5000.0
-        made = replace(ligament, inplane=inplane, plane_stiffness=piston, coupling=coupling)
+        spread = 1e-8 * np.eye(9)
+        made = replace(
+            ligament,
+            inplane=inplane,
+            plane_stiffness=piston,
+            coupling=coupling,
+            coupling_covariance=spread,
+        )
+        assert [sd for _, sd in made.tilt_rad] == pytest.approx([1e-4 / 0.8, 1e-4 / (2.0 / 3.0)])
         assert made.tilt_rad[place][0] == pytest.approx(1e-3, rel=1e-6)
         assert made.tilt_rad[1 - place][0] == pytest.approx(0.0, abs=1e-9)
 

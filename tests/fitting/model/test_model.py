@@ -148,6 +148,8 @@ def test_units_of_damping() -> None:
     assert VISCOUS.unit("N m") == "N m s"
     assert DampingLaw("hysteretic").unit("N") == "N"
     assert DampingLaw("fractional", 0.5).unit("N/m") == "N s^0.5/m"
+    assert DampingLaw("relaxation", 2e-5).unit("N/m") == "N s/m"
+    assert DampingLaw("two_relaxations", 2e-5).unit("N m") == "N m s"
 
 
 def test_a_passive_model_is_never_called_unstable() -> None:

@@ -128,6 +128,10 @@ def test_a_mass_error_scales_all_entries_and_no_frequency() -> None:
     stiffness, _ = planned.standard_deviation
     assert np.diag(stiffness) == pytest.approx(0.03 * np.diag(planned.fit.stiffness), rel=1e-3)
     assert STATED_MASS in planned.sources
+    diagonal = [name[1] == name[2] for name in planned.fit.parameters]
+    assert planned.relative_of_all[diagonal] == pytest.approx(0.03, rel=1e-2)
+    assert {"K11", "D33"} <= set(replace(planned, mass_sd=0.11).weak_entries)
+    assert replace(planned, mass_sd=0.09).weak_entries == ()
     assert planned.fit.derived.frequency_sd_hz.max() < 1.0
 
 
@@ -135,6 +139,7 @@ def test_halves_of_stated_errors_stand_among_the_changes() -> None:
     found = expect(Plan(noise_m_s=2e-6))
     names = [option.name for option in found.options]
     sources = {option.name: option.sources for option in found.options}
+    assert "band up to 10000 Hz, same spacing" in names
     for name, source in (
         ("points known twice as well", "position"),
         ("registration twice as good", "registration"),

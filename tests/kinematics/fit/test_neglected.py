@@ -7,6 +7,9 @@ import re
 import numpy as np
 import pytest
 
+from kinematics.fit.beams import beam_set
+from kinematics.fit.neglected_motion import leaks
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import points2dof
@@ -45,6 +48,15 @@ def test_the_bias_of_one_oblique_beam_is_the_tangent(angle, printed, towards):
     assert f" {100.0 * np.tan(np.radians(angle)):.0f} % of it enters y" in text
     assert f"(if {towards} is a fifth of y, that is {printed} % of y)" in text
     assert np.allclose(fitted[:, 0] / 1e-7 - 1.0, 0.2 * np.tan(np.radians(angle)), rtol=1e-4)
+
+
+def test_a_leak_is_what_the_fit_makes_of_one_unit_of_a_motion():
+    rng = np.random.default_rng(7)
+    places = np.repeat(stapes_points(rng, 9), 2, axis=0)
+    beams = beam_set("stapes", places, np.tile([oblique(30.0), oblique(20.0, "z")], (9, 1)), PAPER_DOF)
+    sd = np.repeat(np.geomspace(1e-11, 1e-9, 18)[:, None], 6, axis=1)
+    fit = fit_lines(beams, beams.all_rows.astype(complex), sd)
+    assert leaks(fit, sd[:, 0] ** -2.0) == pytest.approx(fit.q.T.real, rel=1e-9, abs=1e-9)
 
 
 def test_a_rotation_that_enters_is_told_per_unit():

@@ -156,6 +156,11 @@ def test_files_that_measure_the_same_points_are_runs():
     made = assemble([recordings(), second], None, InputOptions(run=("push=a", "tilt=tilt.uff")))
     assert made.runs == ("push", "tilt")
     assert codes(made) == []
+    signed = tuple(
+        replace(one, direction=np.where(one.direction == 0.0, -0.0, one.direction))
+        for one in second.recordings
+    )
+    assert assemble([recordings(), replace(second, recordings=signed)]).runs == ("a", "tilt")
 
 
 def test_runs_and_bodies_in_four_files():

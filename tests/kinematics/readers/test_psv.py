@@ -9,6 +9,7 @@ import pytest
 
 from kinematics.readers.psv import fastscan as psv_fastscan
 from kinematics.readers.psv import per_point as psv_points
+from kinematics.readers.psv.signals import frequency_hz
 from kinematics.readers.psv.text_blocks import fields_of
 from kinematics.readers.recognise_format import format_of
 from stapeskit.faults import StapeskitError
@@ -45,6 +46,11 @@ def test_a_folder_of_frequencies(tmp_path):
             np.testing.assert_allclose(one.value, VALUES[:, number, axis], rtol=1e-8)
             np.testing.assert_allclose(one.position_mm, POINTS[number] * 1e3)
             assert (one.order, one.per) == (1, "")
+
+
+@pytest.mark.parametrize("text", ["1500 Hz", "1,5 kHz", "1.5e3Hz", " 0.0015 MHz ", "1500000 mHz"])
+def test_frequencies_in_words(text):
+    assert frequency_hz(text, "") == pytest.approx(1500.0, rel=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
 from kinematics.registration.laser_errors import LaserPriors, Lasers, laser_parts
-from tests.kinematics.simulated import scene
+from tests.kinematics.simulated import readings, scene
 
 FREQ = np.linspace(400.0, 5000.0, 40)
 
@@ -127,6 +127,24 @@ def test_stated_position_errors_leave_the_lasers_open():
     shared = points2dof(vague).motion.shared
     values = np.linalg.eigvalsh(shared.covariance / np.sqrt(np.outer(*[np.diag(shared.covariance)] * 2)))
     assert values[0] > -1e-9
+
+
+def test_lasers_and_positions_share_what_a_displaced_point_makes_of_the_estimate():
+    """What is left of a laser, e - e', has the covariance -sd^2 de'/dp with the error p of a coordinate."""
+    measurement, made = measured(count=5)
+    sd, step = 0.05e-3, 1e-6
+    body = replace(measurement.bodies[0], position_sd_mm=np.full(len(made.points), 1e3 * sd))
+    change = readings(made.positions_mm + 1e3 * step * np.eye(3)[1], made.directions, made.q)
+    change -= readings(made.positions_mm, made.directions, made.q)
+    change *= np.array([name == made.points[0] for name in made.points])[:, None]
+    before, after = (
+        agreement(replace(measurement, bodies=(replace(body, displacement=body.displacement + shift),)))
+        for shift in (0.0, change)
+    )
+    gains = slice(0, 3)
+    expected = -(sd**2) * (after.values - before.values)[gains] / step
+    found = before.across[0, made.points[0]][gains, 1]
+    assert found == pytest.approx(expected, abs=0.03 * np.abs(expected).max())
 
 
 def test_lasers_beyond_what_is_stated_are_reported():

@@ -152,6 +152,17 @@ def test_small_errors_of_unit_vectors_are_taken_out(tmp_path):
     assert np.linalg.norm(body.directions[0]) == pytest.approx(1.0, abs=1e-15)
 
 
+@pytest.mark.parametrize("along", range(3))
+def test_beams_at_either_side_of_an_axis_keep_their_own_directions(tmp_path, along):
+    angles = np.radians(np.geomspace(1e-3, 30.0, 12))
+    beams = np.concatenate([np.outer(np.sin(angles), side) for side in np.delete(np.eye(3), along, 0)])
+    beams = np.concatenate([beams, -beams])
+    beams[:, along] = np.tile(np.cos(angles), 4)
+    rows = [f"s,{n},{n},0,0,{d[0]!r},{d[1]!r},{d[2]!r},7,1,2" for n, d in enumerate(beams.tolist())]
+    read = read_ldv(table(tmp_path, WITH_BEAMS, rows)).bodies[0]
+    assert read.directions == pytest.approx(beams, abs=1e-7)
+
+
 def test_the_two_ways_of_reading_agree(tmp_path):
     rng = np.random.default_rng(5)
     rows = []

@@ -9,6 +9,7 @@ import pytest
 
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import rotation_from_vector
+from stapeskit.records.mass_checks import Checked
 from stapeskit.records.mass_record import MassMatrix, frame_derivative, read_mass_record
 from stapeskit.spatial import matrix_from_parameters, twist_transfer
 from tests.kinematics.records import (
@@ -227,6 +228,18 @@ def test_no_junk_anywhere_ends_in_a_traceback(tmp_path, junk):
         else:
             with contextlib.suppress(StapeskitError):
                 read_mass_record(written)
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-2, 1.0])
+@pytest.mark.parametrize(("one_two", "two_one", "good"), [
+    (1.0, 1.0, True), (-0.5, -0.5, True), (1.01, 1.01, False), (-1.01, -1.01, False), (0.5, 0.4, False),
+])  # fmt: skip
+def test_a_covariance_is_judged_by_its_correlations_whatever_its_size(size, one_two, two_one, good):
+    scale = np.array([3e-6, 1e-9, 1e-12])
+    correlations = np.array([[1.0, one_two, 0.0], [two_one, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    checked = Checked({}, "mass.json")
+    matrix = checked.covariance_of((size**2 * correlations * np.outer(scale, scale)).tolist(), "a", scale)
+    assert (matrix is not None, checked.faults == []) == (good, good)
 
 
 def test_mass_matrix_checks_its_parts():
