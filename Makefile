@@ -95,7 +95,7 @@ docs: $(READY)
 site: docs $(SITE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-pictures: $(READY)
+pictures: demo
 	$(BIN)/python tools/draw_experiment.py
 	$(BIN)/python tools/draw_conventions.py
 	$(BIN)/python tools/draw_overview.py demo

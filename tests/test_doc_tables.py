@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.doc_tables import DOCS, TABLES, filled
+from tools.doc_tables import DOCS, TABLES, fill_tables
 
 _NAMES = re.compile(r"`([\w/]+(?:\.\w+)?)`")
 PAGES = {path.name: path.read_text(encoding="utf-8") for path in sorted(Path(DOCS).glob("*.md"))}
@@ -13,7 +13,7 @@ PAGES = {path.name: path.read_text(encoding="utf-8") for path in sorted(Path(DOC
 
 @pytest.mark.parametrize("page", PAGES)
 def test_tables_of_a_page_are_current(page):
-    assert filled(PAGES[page]) == PAGES[page], "run make docs"
+    assert fill_tables(PAGES[page]) == PAGES[page], "run make docs"
 
 
 @pytest.mark.parametrize("name", TABLES)

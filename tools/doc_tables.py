@@ -50,7 +50,7 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 
 
-def filled(text: str) -> str:
+def fill_tables(text: str) -> str:
     """Return a page with its tables made anew."""
     return _BLOCK.sub(lambda block: f"{block[1]}{TABLES[block[2]]()}{block[3]}", text)
 
@@ -58,4 +58,4 @@ def filled(text: str) -> str:
 if __name__ == "__main__":
     for page in sorted(DOCS.glob("*.md")):
         before = page.read_text(encoding="utf-8")
-        page.write_text(filled(before), encoding="utf-8")
+        page.write_text(fill_tables(before), encoding="utf-8")

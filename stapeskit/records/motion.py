@@ -232,7 +232,7 @@ class RowColumn:
         wrong = (values < 0.0) | (values > LARGEST_COUNT)
         return wrong | (np.isfinite(values) & (values != np.round(values))) if self.whole else wrong
 
-    def filled(self, values: Array) -> NDArray[Any]:
+    def fill_missing(self, values: Array) -> NDArray[Any]:
         """Return cells (rows,) with the value of missing ones."""
         full = np.where(np.isnan(values), self.missing, values)
         return full.astype(int) if self.whole else full

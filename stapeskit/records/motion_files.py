@@ -275,7 +275,7 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
             cells[at] = table.numbers[column.name]
         elif column.optional:
             continue
-        stored[column.name] = column.filled(cells)
+        stored[column.name] = column.fill_missing(cells)
     covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
     reference = ""
     if columns.per_reference:
