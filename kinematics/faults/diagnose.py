@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
-from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
+from kinematics.faults.packed_readings import MOST_CHANNELS, Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.score_information import SHIFTS
 from kinematics.faults.search import FALSE_ALARM, Search
@@ -29,9 +29,6 @@ from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 
-# Errors of positions, and noise that is not stated, are estimated with matrices of channel x channel, 128 MB
-# each at this number of channels.
-MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
 # Share of the energy of noise below which a misfit is rounding.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
+from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.fit.laser_groups import laser_channels
 from kinematics.fit.rigid_fit import fit_noise
 
@@ -14,7 +14,7 @@ from kinematics.fit.rigid_fit import fit_noise
 _MOST = 0.5
 
 
-def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
+def conjugated(suspect: MisfittingBody) -> Iterator[Cause]:
     """Yield the laser whose conjugate fits the others best.
 
     Notes
@@ -36,9 +36,4 @@ def conjugated(suspect: MisfittingBody) -> Iterator[Explanation]:
     if misfit > _MOST * float(np.nansum(fit.chi2)):
         return
     name = suspect.body.channel_name(own[0]).split(" ", 1)[1]
-    text = (
-        f"all {len(own)} beams along that of channel {name} read the conjugate of what the others show "
-        "(amplitudes of e^{-iwt})"
-    )
-    step = "Turn the sign of their im or phase_deg round"
-    yield Explanation.of("conjugated_laser", "sign", own, (text, step), 1.0, suspect.with_value(turned))
+    yield Remedy(own, suspect.with_value(turned), 1.0), {"number": len(own), "beam": name}

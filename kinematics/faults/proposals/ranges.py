@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
-from kinematics.faults.diagnose import MOST_CHANNELS
+from kinematics.faults.packed_readings import MOST_CHANNELS
+from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.fit.neglected_motion import extended_beams
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import list_some
@@ -20,7 +20,7 @@ _FACTORS = np.array([2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0])
 _LEAST_POINTS, _LINES = 4, 200
 
 
-def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
+def ranges(suspect: MisfittingBody) -> Iterator[Cause]:
     """Yield the points that read a known factor more, or less, than the others.
 
     Notes
@@ -39,19 +39,18 @@ def ranges(suspect: MisfittingBody) -> Iterator[Explanation]:
     size = _relative_sizes(suspect.value[live], basis, owner)
     for ratio, other in _two_groups(size):
         channels = live[other[owner]].tolist()
-        points = list_some([str(name) for name in names[other]])
-        text = (
-            f"{np.sum(other)} of {len(names)} points read {ratio:.4g} times what the others show ({points}): "
-            "in another range or unit, or in rms beside peak values"
-        )
-        step = "Check the range and the unit of their rows, and correct the values"
-        remedied = suspect.value.copy()
-        remedied[channels] /= ratio
-        put_right = suspect.with_value(remedied)
+        words = {
+            "others": int(np.sum(other)),
+            "number": len(names),
+            "ratio": ratio,
+            "points": list_some([str(name) for name in names[other]]),
+        }
+        value = suspect.value.copy()
+        value[channels] /= ratio
+        put_right = suspect.with_value(value)
         # The stated sd was multiplied with the readings, or was not.
         for sd in (put_right.sd, body.sd) if suspect.known else (put_right.sd,):
-            one = replace(put_right, sd=sd)
-            yield Explanation.of("unit_slip", "gain", channels, (text, step), ratio, one)
+            yield Remedy(channels, replace(put_right, sd=sd), ratio), words
 
 
 def _relative_sizes(value: ComplexArray, basis: Array, owner: NDArray[np.intp]) -> Array:

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.causes.conjugated import conjugated
-from kinematics.faults.causes.gains import gains
-from kinematics.faults.causes.mains import mains
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
-from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
-from kinematics.faults.causes.ranges import ranges
+from kinematics.faults.alternatives import BENDS, Proposal, proposed
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
+from kinematics.faults.proposals.misfitting_body import MisfittingBody
+from kinematics.faults.proposals.outliers import likely_outliers, with_far_values
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
-Cause = Callable[[MisfittingBody], Iterator[Explanation]]
 # Bound on the probability of outliers by chance; see ``likely_outliers``.
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
-CAUSES: tuple[Cause, ...] = (conjugated, mains, ranges, outliers, gains)
 
 
 def explain_misfit(
@@ -61,26 +55,33 @@ def explain_misfit(
     if not bends and not likely_outliers(suspect.plain, diagnosis.course):
         return None
     suspect = with_far_values(suspect)
-    p_value = min((finding.p_value for finding in diagnosis.findings), default=_CERTAIN)
-    for cause in CAUSES if bends else (outliers,):
-        for explanation in cause(suspect):
-            again, stated, _notices = fit_with_noise(placed, run, explanation.remedied, fit.beams, "none")
-            remaining = diagnose(placed, explanation.remedied, again, stated)
-            most = 0 if cause is gains else _NEXT_TO_IT if bends else len(remaining.findings)
-            if remaining.bends or len(remaining.findings) > most:
-                continue
-            if explanation.alike:
-                findings = tuple(_or(explanation.finding, finding) for finding in diagnosis.findings)
-                return replace(diagnosis, findings=findings), fit
-            if not bends and diagnosis.findings and len(remaining.findings) >= len(diagnosis.findings):
-                continue
-            remedied = None if cause is gains else explanation.remedied
-            finding = replace(explanation.finding, p_value=p_value, remedied=remedied)
-            return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
+    for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
+        remedy = cause.value
+        again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
+        remaining = diagnose(placed, remedy.body, again, stated)
+        most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else len(remaining.findings)
+        if remaining.bends or len(remaining.findings) > most:
+            continue
+        if remedy.alike:
+            findings = tuple(_or(cause, finding) for finding in diagnosis.findings)
+            return replace(diagnosis, findings=findings), fit
+        if not bends and diagnosis.findings and len(remaining.findings) >= len(diagnosis.findings):
+            continue
+        finding = Finding(
+            cause.entry.verdict,
+            remedy.channels,
+            min((one.p_value for one in diagnosis.findings), default=_CERTAIN),
+            size=remedy.size,
+            text=cause.text,
+            code=cause.entry.code,
+            step=cause.step,
+            remedied=None if cause.entry.of_channels else remedy.body,
+        )
+        return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
     return None
 
 
-def _or(cause: Finding, finding: Finding) -> Finding:
+def _or(cause: Proposal, finding: Finding) -> Finding:
     """Return a finding that says of a body that bends that a cause would look alike."""
     step = f"So few channels do not tell this from another cause: {cause.text}. {cause.step}"
     return replace(finding, step=step) if finding.kind == "flexible" else finding

@@ -6,7 +6,7 @@ join the two bodies in every run and at every line, and that a ligament gives no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.spatial import DOF_NAMES, dof_indices
 
+Order = NDArray[np.intp]
 # Share of the motion that one ligament of constant matrices leaves even of right data.
 MODEL = 0.02
 # Weighs rotations against translations: about half the length of a footplate.
@@ -123,6 +124,11 @@ class Pair:
         unit_m = np.where(np.array(places) < 3, 1.0, LEVER_M)
         return cls(q[:, 0], q[:, 1], sd, motion.freq_hz, weight, (structure, base), motion.runs, unit_m)
 
+    def lines(self, structure: Order | slice, base: Order | slice) -> Pair:
+        """Return the pair with lines of the structure beside others of the base."""
+        sd = np.stack([self.sd[:, 0, structure], self.sd[:, 1, base]], axis=1)
+        return replace(self, structure=self.structure[:, structure], base=self.base[:, base], sd=sd)
+
     def complete_lines(self) -> NDArray[np.intp]:
         """Return the lines at which both bodies are determined in all runs."""
         good = np.isfinite(self.structure.real) & np.isfinite(self.base.real)
@@ -196,12 +202,6 @@ class Pair:
         low = freq <= np.quantile(freq, _LOW)
         cosine = float(np.sum((weight * unit.real)[low]) / np.sum(weight[low]))
         return Lag(deviations, int(np.sum(unit.imag[sure] < 0.0)), int(np.sum(sure)), cosine)
-
-
-def ligament_misfit(motion: RigidMotion, structure: str, base: str, derivatives: int) -> float | None:
-    """Return the misfit of one ligament to two bodies as they are labelled; None as of `Pair.misfit`."""
-    pair = Pair.of(motion, structure, base, derivatives=derivatives)
-    return None if pair is None else pair.misfit()
 
 
 def joins_better(given: float, other: float) -> bool:

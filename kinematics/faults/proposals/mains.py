@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
-from stapeskit.option_names import named
+from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 
 # Public grids: 50 Hz in most countries, 60 Hz in the Americas and parts of Asia (IEC 60038).
 _MAINS_HZ = (50.0, 60.0)
@@ -22,7 +21,7 @@ _LEAST = 2
 _LISTED = 8
 
 
-def mains(suspect: MisfittingBody) -> Iterator[Explanation]:
+def mains(suspect: MisfittingBody) -> Iterator[Cause]:
     """Yield lines near multiples of 50 or 60 Hz, when loud lines are mostly these.
 
     Notes
@@ -57,10 +56,7 @@ def mains(suspect: MisfittingBody) -> Iterator[Explanation]:
     mains_hz = freq[near & loud]
     names = ", ".join(f"{value:.6g}" for value in mains_hz[:_LISTED])
     names += f" and {len(mains_hz) - _LISTED} more" if len(mains_hz) > _LISTED else ""
-    text = f"the lines at multiples of {base:.0f} Hz hold mains hum in addition to the motion: {names} Hz"
     ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in mains_hz[:_LISTED])
-    step = f"Leave these lines out (dof2kd {named('exclude')} {ranges}), or remove them from the file"
-    value = np.where(near[None], np.nan, suspect.value)
-    channels = list(range(len(suspect.body.points)))
-    size = float(np.mean(near & loud))
-    yield Explanation.of("mains_lines", "noise", channels, (text, step), size, suspect.with_value(value))
+    remedied = suspect.with_value(np.where(near[None], np.nan, suspect.value))
+    remedy = Remedy(list(range(len(suspect.body.points))), remedied, float(np.mean(near & loud)))
+    yield remedy, {"base": base, "lines": names, "ranges": ranges}

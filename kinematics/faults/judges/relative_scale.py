@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.mislabelled.two_bodies import MODEL, Pair
+from kinematics.faults.proposals.two_bodies import MODEL, Pair
 
 # Undamped resonances of a stapes on its ligament of which the likeliest counts: those of the paper lie from
 # 1.7 to 3.9 kHz; the lowest leaves room for a soft ligament, the highest for a stiff one.
