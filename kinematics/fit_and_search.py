@@ -10,7 +10,7 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.diagnose import Diagnosis, too_large
 from kinematics.faults.judges.explain import explain_misfit
-from kinematics.faults.judges.search_all_bodies import find_mislabelled
+from kinematics.faults.judges.row_labels import find_mislabelled
 from kinematics.faults.packed_readings import MOST_CHANNELS
 from kinematics.faults.screening import Screened
 from kinematics.faults.sequential_records import search_body

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinematics.faults.proposals import body_labels, exchanges, line_orders, row_places, unit_slips
-from kinematics.faults.proposals.conjugated import conjugated
 from kinematics.faults.proposals.gains import drifting_points, scattered_gains
-from kinematics.faults.proposals.mains import mains
 from kinematics.faults.proposals.outliers import outliers
-from kinematics.faults.proposals.ranges import ranges
 from kinematics.faults.proposals.two_bodies import BAD
+from kinematics.faults.proposals.whole_parts import conjugated, mains, ranges
 from stapeskit.option_names import written
 from stapeskit.warnings import Notice
 
@@ -118,6 +116,7 @@ _LEADS = (
     "{structure} leads {base} at {leading} of {sure} lines ({lead:.0f} standard deviations), which no "
     "passive ligament does"
 )
+_RELABEL = "Correct body, run or freq_hz of these rows"
 _PUT_RIGHT = "Check the ranges of the vibrometer, and correct the values of that body"
 ALTERNATIVES: dict[str, Alternative] = {
     "points in another unit": Alternative(
@@ -189,19 +188,25 @@ ALTERNATIVES: dict[str, Alternative] = {
         row_places.conjugated,
         "conjugate of what it should read (amplitudes of e^{{-iwt}})",
         verdict="sign",
+        step="Turn the sign of its im or phase_deg round",
     ),
     "shifted rows": Alternative(
         "rows",
         row_places.shifted,
         "rows of {rows} belong {lines} {way}: their frequencies are off by {hertz:.4g} Hz",
+        step=_RELABEL,
     ),
     "rows of another run": Alternative(
-        "rows", row_places.other_runs, "rows of {rows} under run {run} are those of run {other}"
+        "rows",
+        row_places.other_runs,
+        "rows of {rows} under run {run} are those of run {other}",
+        step=_RELABEL,
     ),
     "rows of another body": Alternative(
         "rows",
         row_places.other_bodies,
         "{rows} moves with body {other}, at its own position: it belongs to {other}",
+        step=_RELABEL,
     ),
     "rows of two bodies": Alternative(
         "rows", row_places.points_of_bodies, "{rows} and point {point} of body {other} exchanged"

@@ -1,4 +1,4 @@
-"""Points of a body that were read in another range or unit than its others, or in rms beside peak values."""
+"""Causes of a misfit on many channels that change whole lasers, lines or points of a body."""
 
 from __future__ import annotations
 
@@ -10,14 +10,94 @@ from numpy.typing import NDArray
 
 from kinematics.faults.packed_readings import MOST_CHANNELS
 from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
+from kinematics.fit.laser_groups import laser_channels
 from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.rigid_fit import fit_noise
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import list_some
 
+# Share of the misfit that must go.
+_MOST = 0.5
+# Public grids: 50 Hz in most countries, 60 Hz in the Americas and parts of Asia (IEC 60038).
+_MAINS_HZ = (50.0, 60.0)
+# How far from a multiple a line may lie: windows and the drift of the mains widen it.
+_WIDTHS_HZ = (0.6, 1.5, 3.0, 6.0)
+# Probability of a loud line by chance, and of so many of them near multiples.
+_LOUD, _CHANCE = 1e-3, 1e-4
+# Of the loud lines so many lie near multiples; the lines near multiples are at most this share of all.
+_NEAR, _OF_ALL = 0.7, 0.6
+_LEAST = 2
+_LISTED = 8
 # Ratios of rms and peak values, and of the ranges of vibrometers, in steps of 1, 2, 5.
 _FACTORS = np.array([2.0**0.5, 2.0, 2.5, 4.0, 5.0, 10.0])
 # Fewer points show no two groups. Lines that are compared: they bound the time.
 _LEAST_POINTS, _LINES = 4, 200
+
+
+def conjugated(suspect: MisfittingBody) -> Iterator[Cause]:
+    """Yield the laser whose conjugate fits the others best.
+
+    Notes
+    -----
+    The file holds the conjugate: of velocities, i w times displacements, that turns the sign of
+    the displacements too.
+    """
+    value, fit = suspect.value, suspect.plain
+    sign = (-1.0) ** suspect.placed.order
+    groups = laser_channels(suspect.body.directions, list(range(len(value))))
+    if not 1 < len(groups) <= 8:
+        return
+    tried = []
+    for own in groups:
+        turned = value.copy()
+        turned[own] = sign * turned[own].conj()
+        tried.append((float(np.nansum(fit_noise(fit.beams, turned, fit.noise).chi2)), own, turned))
+    misfit, own, turned = min(tried, key=lambda entry: (entry[0], len(entry[1])))
+    if misfit > _MOST * float(np.nansum(fit.chi2)):
+        return
+    name = suspect.body.channel_name(own[0]).split(" ", 1)[1]
+    yield Remedy(own, suspect.with_value(turned), 1.0), {"number": len(own), "beam": name}
+
+
+def mains(suspect: MisfittingBody) -> Iterator[Cause]:
+    """Yield lines near multiples of 50 or 60 Hz, when loud lines are mostly these.
+
+    Notes
+    -----
+    The residuals of a line over those that most have, as chi2 of its degrees of freedom over the median of
+    all lines, and the number of loud lines near multiples by the hypergeometric distribution.
+    """
+    from scipy.special import chdtrc
+    from scipy.stats import hypergeom
+
+    freedom, freq = suspect.robust.n_dof, suspect.freq_hz
+    free = (freedom > 0) & np.any(np.isfinite(suspect.size), axis=0)
+    if np.sum(free) < 5:
+        return
+    mean = np.nanmean(suspect.size[:, free], axis=0)
+    loud = np.zeros(len(freq), dtype=bool)
+    loud[free] = chdtrc(freedom[free], freedom[free] * mean / max(float(np.median(mean)), 1e-300)) < _LOUD
+    best: tuple[float, float, NDArray[np.bool_]] | None = None
+    for base in _MAINS_HZ:
+        for width in _WIDTHS_HZ:
+            multiple = np.round(freq / base)
+            near = (np.abs(freq - base * multiple) <= width) & (multiple >= 1.0)
+            both = int(np.sum(near & loud))
+            if both < _LEAST or both < _NEAR * np.sum(loud) or np.mean(near) > _OF_ALL:
+                continue
+            p = float(hypergeom.sf(both - 1, len(freq), int(np.sum(loud)), int(np.sum(near))))
+            if p < _CHANCE and (best is None or p < best[0]):
+                best = p, base, near
+    if best is None:
+        return
+    _p, base, near = best
+    mains_hz = freq[near & loud]
+    names = ", ".join(f"{value:.6g}" for value in mains_hz[:_LISTED])
+    names += f" and {len(mains_hz) - _LISTED} more" if len(mains_hz) > _LISTED else ""
+    ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in mains_hz[:_LISTED])
+    remedied = suspect.with_value(np.where(near[None], np.nan, suspect.value))
+    remedy = Remedy(list(range(len(suspect.body.points))), remedied, float(np.mean(near & loud)))
+    yield remedy, {"base": base, "lines": names, "ranges": ranges}
 
 
 def ranges(suspect: MisfittingBody) -> Iterator[Cause]:
