@@ -8,12 +8,11 @@ from itertools import product
 
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
-from kinematics.faults.diagnose import Diagnosis, too_large
+from kinematics.faults.diagnose import Diagnosis, search_body, too_large
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled
 from kinematics.faults.packed_readings import MOST_CHANNELS
 from kinematics.faults.screening import Screened
-from kinematics.faults.sequential_records import search_body
 from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit

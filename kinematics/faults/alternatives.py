@@ -28,7 +28,11 @@ class Alternative:
     Attributes
     ----------
     of : str
-        What the readings are then taken from, which decides how likely they are; see JUDGES.
+        What is proposed otherwise, and so what decides. Every slip of ``units`` is reported, and else of the
+        ``speed``; an ``exchange`` is fitted as a fault without a size (``search``); ``rows`` are judged by
+        the motion that other channels show (``row_labels``), a ``misfit`` by what is left to be found
+        (``explain``), ``lines`` by the ``course`` of the motion (``line_order``), and a ``pair`` of bodies,
+        their ``size`` and ``lag`` by one ligament (``phase_convention``).
     propose : callable
         From that to what stands in its place, and what the sentence says of it.
     sentence : str
@@ -93,21 +97,6 @@ def proposed(of: str, given: Any, misfit: float = float("inf")) -> Iterator[Prop
             for value, words in entry.propose(given):
                 yield Proposal(name, value, words)
 
-
-JUDGES = {
-    "units": "every one that is proposed is reported (`slip_notices`)",
-    "speed": "the same, where no other unit is wrong",
-    "exchange": "the likeliest are fitted as faults without a size (`search`)",
-    "rows": "by the motion that other channels show (`judges.row_labels`)",
-    "two rows": "the same, at two lines that are far off the others",
-    "misfit": "the first that leaves nothing to be found (`judges.explain`)",
-    "lines": "by the course of the motion, or by the ligament (`judges.line_order`)",
-    "course": "by the jumps of the motion (`judges.line_order`)",
-    "pair": "by the misfit of one ligament (`judges.phase_convention`)",
-    "lag": "by the power that the base gives to the structure (`judges.phase_convention`)",
-    "size": "by the evidence for one ligament (`judges.phase_convention`)",
-}
-"""What alternatives are of, and what decides about them."""
 
 # A cause of a body that does not seem to bend is looked for among outliers alone.
 BENDS = 1.0
@@ -362,13 +351,7 @@ ALTERNATIVES: dict[str, Alternative] = {
 
 
 def slip_notices(measurement: Any) -> list[Notice]:
-    """Return one warning for each unit that does not fit its header.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        Positions in mm, frequencies in Hz, displacements in m, as the headers say.
-    """
+    """Return one warning for each unit of a Measurement that does not fit its header."""
     slips = [proposal.notice() for proposal in proposed("units", measurement)]
     # A wrong unit of frequencies, or of one body, makes velocities wrong too.
     return slips or [proposal.notice() for proposal in proposed("speed", measurement)]

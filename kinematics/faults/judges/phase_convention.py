@@ -7,9 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinematics.faults.alternatives import Proposal, proposed
-from kinematics.faults.judges.relative_scale import log_evidence, unrelated_evidence
 from kinematics.faults.proposals.body_labels import REACH, rms, scaled
-from kinematics.faults.proposals.two_bodies import LEVER_M, Pair, joins_better
+from kinematics.faults.proposals.two_bodies import (
+    LEVER_M,
+    Pair,
+    joins_better,
+    log_evidence,
+    unrelated_evidence,
+)
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
