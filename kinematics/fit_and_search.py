@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -164,12 +164,17 @@ def with_lasers(
         again = _freed_of_lasers(searched, lasers, beams, robust)
         if again is not None:
             return again
-    others = _freed_of_lasers(searched, lasers, beams, robust, _apart_from_lasers(searched, lasers))
-    return others if others is not None and others.unexplained < searched.unexplained else None
+    if searched.unexplained < 2:  # less would be nothing
+        return None
+    for left_out in _apart_from_lasers(searched, lasers):
+        again = _freed_of_lasers(searched, lasers, beams, robust, left_out)
+        if again is not None and again.unexplained < searched.unexplained:
+            return again
+    return None
 
 
-def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> dict[tuple[int, int], list[int]]:
-    """Return the channels that the lasers are estimated without, by (run, body).
+def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> Iterator[dict[tuple[int, int], list[int]]]:
+    """Yield channels that the lasers are estimated without, by (run, body), the fewest first.
 
     Notes
     -----
@@ -183,19 +188,23 @@ def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> dict[tuple[int
         for key, diagnosis in searched.diagnoses.items()
     }
     left_out = channels_at_fault(others)
-    for key in searched.fits.keys() - left_out.keys():
-        places: dict[str, list[int]] = {}
-        for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
-            places.setdefault(searched.placed.bodies[key[1]].points[channel], []).append(channel)
-        suspects = list(places.values())[:_SUSPECTS]
-        out: list[int] = []
-        for _ in range(min(_MOST_POINTS, len(places) // 3)):
-            out += min(
-                (own for own in suspects if not set(own) & set(out)),
-                key=lambda own: _left_by_lasers(searched, lasers, key, [*out, *own]),
-            )
-        left_out[key] = out
-    return left_out
+    steps = {key: _worst_points(searched, lasers, key) for key in searched.fits.keys() - left_out.keys()}
+    for turn in range(max(map(len, steps.values()), default=1)):
+        yield left_out | {key: own[min(turn, len(own) - 1)] for key, own in steps.items()}
+
+
+def _worst_points(searched: SearchedFits, lasers: Lasers, key: tuple[int, int]) -> list[list[int]]:
+    """Return the channels of one, two ... points of a body without which lasers leave least of it."""
+    points = searched.placed.bodies[key[1]].points
+    places: dict[str, list[int]] = {}
+    for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
+        places.setdefault(points[channel], []).append(channel)
+    steps: list[list[int]] = []
+    for _ in range(min(_MOST_POINTS, len(places) // 3)):
+        out = steps[-1] if steps else []
+        tried = [[*out, *own] for own in list(places.values())[:_SUSPECTS] if not set(own) & set(out)]
+        steps.append(min(tried, key=lambda own: _left_by_lasers(searched, lasers, key, own)))
+    return steps or [[]]
 
 
 def _left_by_lasers(
@@ -224,17 +233,14 @@ def _freed_of_lasers(
     """
     stated = all(searched.known.values())
     placed, fits, values = searched.placed, searched.fits, None
-    for _ in range(1 if stated else _ROUNDS):
+    for turn in range(1 if stated else _ROUNDS):
+        if not stated and (turn or left_out):
+            fits = _fits_without(placed, left_out or {}, fits, beams, robust)
         estimate = lasers.estimate(placed, fits, left_out, values)
         if not (estimate.explains_misfit if stated and left_out is None else estimate.as_stated):
             return None
         values = estimate.values
         placed = lasers.corrected(searched.placed, values)
-        if not stated:
-            fits = {
-                (run, number): fit_with_noise(placed, run, placed.bodies[number], beams[number], robust)[0]
-                for run, number in fits
-            }
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
@@ -243,6 +249,24 @@ def _freed_of_lasers(
         return None
     again = replace(_explain(first, fitted), applied=values)
     return again if left_out is not None or again.clean else None
+
+
+def _fits_without(
+    placed: Measurement,
+    left_out: Mapping[tuple[int, int], Sequence[int]],
+    keys: Iterable[tuple[int, int]],
+    beams: Sequence[BeamSet],
+    robust: str,
+) -> dict[tuple[int, int], LineFit]:
+    """Return the fits, with the noise that they show, without some channels."""
+    fits = {}
+    for run, number in keys:
+        body = placed.bodies[number]
+        displacement = body.displacement.copy()
+        displacement[run, list(left_out.get((run, number), ()))] = np.nan
+        body = replace(body, displacement=displacement)
+        fits[run, number] = fit_with_noise(placed, run, body, beams[number], robust)[0]
+    return fits
 
 
 def corrected_fits(

@@ -26,7 +26,7 @@ def accused(seed, fault, sd):
 def test_the_fault_is_named_and_no_laser(sd):
     faults = ("sign", "position", "label_swap", "direction")
     right = 0
-    for seed in range(12):
+    for seed in range(8):
         found, culprits = accused(300 + seed, faults[seed % 4], sd)
         right += found == dict.fromkeys(culprits, faults[seed % 4])
-    assert right >= 11
+    assert right >= 7  # 1 of 24 without an estimate apart from the fault
