@@ -220,7 +220,9 @@ def _correction(
         return None
     if finding.kind == "noise" and not again:
         return replace(corrected, action=RAISED)
-    if finding.fault is None or finding.rivals or again or not _is_determined(finding, fit.beams.lever_m):
+    factor = finding.factor_at(placed.freq_hz)
+    determined = _is_determined(finding, fit.beams.lever_m, factor)
+    if finding.fault is None or finding.rivals or again or not determined:
         out = sorted({c for suspect in (finding, *finding.rivals) for c in suspect.channels})
         if _spares(body, fit, out):
             return replace(corrected, action=LEFT_OUT, channels=out)
@@ -233,14 +235,19 @@ def _correction(
         values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(covariance)))
         covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     finding = replace(finding, covariance=covariance)
-    return replace(corrected, finding=finding, before=body, factor=finding.factor_at(placed.freq_hz))
+    return replace(corrected, finding=finding, before=body, factor=factor)
 
 
-def _is_determined(finding: Finding, lever_m: float) -> bool:
-    """Return whether the size of a fault is known better than by what is common."""
+def _is_determined(finding: Finding, lever_m: float, factor: ComplexArray) -> bool:
+    """Return whether the size of a fault is known better than by what is common.
+
+    Readings that are divided by a factor (p + 1, freq) next to zero hold its error many times.
+    """
     if finding.fault is None or not finding.fault.size:
         return True
-    scale = finding.fault.scale(lever_m)
+    scale = finding.fault.scale(lever_m) * (
+        max(float(np.min(np.abs(factor[0]))), 1e-100) if len(factor) else 1.0
+    )
     scaled = finding.covariance / np.outer(scale, scale)
     return bool(np.max(np.linalg.eigvalsh(scaled)) < 1.0)
 
