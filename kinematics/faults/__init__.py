@@ -25,8 +25,8 @@ How a diagnosis flows, from a measurement to the verdicts:
         flexible_body     patterns that many points share
         findings          what was found: from the fit to its words and what undoes it
     alternatives          how readings can have been labelled, scaled or ordered otherwise, one entry each
-      proposals/          the functions that yield them: unit_slips, exchanges of names and coordinates, causes
-                          that many channels share (whole_parts, outliers, gains), places of rows
+      proposals/          the functions that yield them: unit_slips, exchanges of names and coordinates,
+                          causes that many channels share (whole_parts, outliers, gains), places of rows
                           (row_places), orders of lines (line_orders), labels of bodies (body_labels)
       judges/             what decides: what is left to be found (explain), the motion that others show
                           (row_labels), the course of a motion (line_order), one ligament between two

@@ -133,15 +133,8 @@ def corrections_of(
 ) -> list[Correction]:
     """Return what is done about each finding that can be acted on.
 
-    Parameters
-    ----------
-    placed : Measurement
-        As it was searched.
-    fits : dict of LineFit
-        By (run, body).
-    diagnoses : dict of Diagnosis
-    before : iterable of Correction
-        Of earlier rounds: what is found again in the same channels is left out.
+    Fits and diagnoses by (run, body), of ``placed`` as it was searched; what was corrected ``before`` and is
+    found again in the same channels is left out.
 
     Notes
     -----

@@ -26,19 +26,8 @@ def explain_misfit(
 ) -> tuple[Diagnosis, LineFit] | None:
     """Return the diagnosis by a cause other than a body that bends, and the fit without that cause.
 
-    Parameters
-    ----------
-    fit : LineFit
-        Of the degrees of freedom that are wanted.
-    known : bool
-        The noise is stated.
-    diagnosis : Diagnosis
-        By the faults of single channels, points and lasers.
-
-    Returns
-    -------
-    tuple or None
-        None when no cause leaves a body that moves rigidly.
+    None when no cause leaves a body that moves rigidly. Arguments as of ``search_body``, whose diagnosis, by
+    the faults of single channels, points and lasers, is explained.
 
     Notes
     -----

@@ -97,12 +97,7 @@ def reordered_bodies(
 ) -> list[Reordered]:
     """Return the bodies whose lines are in a wrong order: those sorted as text come first.
 
-    Parameters
-    ----------
-    derivatives : int
-        Time derivatives in what was measured: the readings are what has another order.
-    structure, base : str
-        Bodies that one ligament joins.
+    ``derivatives`` as of ``Pair.of``: the readings are what has another order.
 
     Notes
     -----

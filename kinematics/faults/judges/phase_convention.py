@@ -45,18 +45,8 @@ def phase_notice(
     exchanged, runs of one of them exchanged or its frequencies shifted leave no single ligament for all
     lines and runs. A body alone is judged by the course of its phase.
 
-    Parameters
-    ----------
-    motion : RigidMotion
-        Absolute motion, or motion per unit of any reference.
-    mass : MassRecord, optional
-        Weighs the degrees of freedom; without it the translations count alone.
-    derivatives : int
-        Time derivatives in what was measured.
-    structure, base : str
-        Bodies that one ligament joins.
-    rigid : bool
-        All bodies move rigidly: the size of a motion that is not known well is not judged.
+    The motion is absolute, or per unit of any reference; ``mass`` and ``derivatives`` as of ``Pair.of``.
+    Where a body bends (not ``rigid``) the size of its motion is not known well, and is not judged.
     """
     if len(motion.bodies) == 1:
         return _alone(motion)

@@ -51,10 +51,6 @@ _Entry = tuple[_Suspect, Proposal, float]
 def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> dict[Key, list[Finding]]:
     """Name the rows of one point or channel that carry the label of another body, point, run or frequency.
 
-    Parameters
-    ----------
-    motions : mapping of (run, body) to CleanMotion
-
     Notes
     -----
     Rows y are held against rows p of a motion that other channels measured, with the variance of both:

@@ -241,13 +241,9 @@ def _misfit(columns: Array, target: ComplexArray, variance: Array) -> float:
 
 
 def log_evidence(pair: Pair, related: bool = True) -> float:
-    """Return the logarithm of the probability density of the structure's motion, given that of its base.
+    """Return the log probability density of the structure's motion, given that of its base.
 
-    Parameters
-    ----------
-    pair : Pair
-    related : bool
-        One ligament joins the two; otherwise any constant matrix does.
+    By one ligament that joins the two (``related``), or else by any constant matrix.
 
     Notes
     -----
