@@ -25,9 +25,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.faults.mislabelled.body_labels import compare_labels
-from kinematics.faults.mislabelled.body_sizes import size_notices
-from kinematics.faults.mislabelled.two_bodies import Pair
+from kinematics.faults.judges.phase_convention import compare_labels, size_notices
+from kinematics.faults.proposals.two_bodies import Pair
 
 LEVER_M = 1e-3
 UNIT_M = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])

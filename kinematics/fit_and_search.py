@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+import numpy as np
+
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
-from kinematics.faults.causes.explain import explain_misfit
-from kinematics.faults.diagnose import MOST_CHANNELS, Diagnosis, too_large
-from kinematics.faults.mislabelled.search_all_bodies import find_mislabelled
+from kinematics.faults.diagnose import Diagnosis, search_body, too_large
+from kinematics.faults.judges.explain import explain_misfit
+from kinematics.faults.judges.row_labels import find_mislabelled
+from kinematics.faults.packed_readings import MOST_CHANNELS
 from kinematics.faults.screening import Screened
-from kinematics.faults.sequential_records import search_body
 from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.laser_errors import Lasers
+from kinematics.registration.laser_notices import channels_at_fault
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.warnings import Notice
 
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
+# Points at fault that lasers are estimated without at most, and how many of the worst are tried.
+_MOST_POINTS, _SUSPECTS = 3, 12
 # Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
 _AT_SINGLE_LINES = {"sparse_outliers", "mains_lines"}
 
@@ -58,6 +63,12 @@ class SearchedFits:
     def clean(self) -> bool:
         """Whether nothing was found."""
         return not any(diagnosis.findings for diagnosis in self.diagnoses.values())
+
+    @property
+    def unexplained(self) -> int:
+        """Number of findings; a body that bends, which explains any misfit, counts as two."""
+        found = [finding for diagnosis in self.diagnoses.values() for finding in diagnosis.findings]
+        return len(found) + sum(finding.kind == "flexible" for finding in found)
 
 
 def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
@@ -136,40 +147,126 @@ def _not_searched_notice(body: BodyChannels) -> Notice:
 def with_lasers(
     searched: SearchedFits, lasers: Lasers, beams: Sequence[BeamSet], robust: str
 ) -> SearchedFits | None:
-    """Return the fits with the lasers corrected, where that explains all that was found.
+    """Return the fits with the lasers corrected, where that explains what was found, or part of it.
 
-    A scatter of the lasers no larger than stated is no fault. None where it is larger, where it leaves
-    anything to be found, or where single values or lines are at fault.
+    A scatter of the lasers no larger than stated is no fault. None where it is larger, or where no less
+    remains to be explained.
+
+    Notes
+    -----
+    Next to a fault of something else the lasers are estimated without the channels at fault, and what remains
+    of it is named with the lasers corrected: their scatter would be blamed on lasers, or on its neighbours.
+    """
+    if searched.clean:
+        return None
+    codes = {finding.code for diagnosis in searched.diagnoses.values() for finding in diagnosis.findings}
+    if not codes & _AT_SINGLE_LINES:
+        again = _freed_of_lasers(searched, lasers, beams, robust)
+        if again is not None:
+            return again
+    if searched.unexplained < 2:  # less would be nothing
+        return None
+    for left_out in _apart_from_lasers(searched, lasers):
+        again = _freed_of_lasers(searched, lasers, beams, robust, left_out)
+        if again is not None and again.unexplained < searched.unexplained:
+            return again
+    return None
+
+
+def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> Iterator[dict[tuple[int, int], list[int]]]:
+    """Yield channels that the lasers are estimated without, by (run, body), the fewest first.
+
+    Notes
+    -----
+    Those at fault but for whole lasers; of a body that is at fault as a whole the points whose absence helps
+    most, one after the other, as every misfit looks like a body that bends next to lasers that scatter.
+    """
+    others = {
+        key: replace(
+            diagnosis, findings=tuple(found for found in diagnosis.findings if found.owner != "laser")
+        )
+        for key, diagnosis in searched.diagnoses.items()
+    }
+    left_out = channels_at_fault(others)
+    steps = {key: _worst_points(searched, lasers, key) for key in searched.fits.keys() - left_out.keys()}
+    for turn in range(max(map(len, steps.values()), default=1)):
+        yield left_out | {key: own[min(turn, len(own) - 1)] for key, own in steps.items()}
+
+
+def _worst_points(searched: SearchedFits, lasers: Lasers, key: tuple[int, int]) -> list[list[int]]:
+    """Return the channels of one, two ... points of a body without which lasers leave least of it."""
+    points = searched.placed.bodies[key[1]].points
+    places: dict[str, list[int]] = {}
+    for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
+        places.setdefault(points[channel], []).append(channel)
+    steps: list[list[int]] = []
+    for _ in range(min(_MOST_POINTS, len(places) // 3)):
+        out = steps[-1] if steps else []
+        tried = [[*out, *own] for own in list(places.values())[:_SUSPECTS] if not set(own) & set(out)]
+        steps.append(min(tried, key=lambda own: _left_by_lasers(searched, lasers, key, own)))
+    return steps or [[]]
+
+
+def _left_by_lasers(
+    searched: SearchedFits, lasers: Lasers, key: tuple[int, int], left_out: Sequence[int]
+) -> float:
+    """Return the misfit that lasers leave of a body without some channels, over that of noise."""
+    estimate = lasers.estimate(searched.placed, {key: searched.fits[key]}, {key: left_out})
+    return (estimate.energy - estimate.fall) / estimate.freedom if estimate.freedom > 0 else np.inf
+
+
+def _freed_of_lasers(
+    searched: SearchedFits,
+    lasers: Lasers,
+    beams: Sequence[BeamSet],
+    robust: str,
+    left_out: Mapping[tuple[int, int], Sequence[int]] | None = None,
+) -> SearchedFits | None:
+    """Return the fits with the lasers corrected by an estimate that is as stated, searched again.
+
+    ``left_out`` are channels at fault; without it nothing may be found any more.
 
     Notes
     -----
     Where the noise is not stated its size comes from the misfit itself, which the lasers add to: they are
     estimated and the noise is fitted in turn, and what is left decides, not by how much the misfit fell.
     """
-    codes = {finding.code for diagnosis in searched.diagnoses.values() for finding in diagnosis.findings}
-    if searched.clean or codes & _AT_SINGLE_LINES:
-        return None
     stated = all(searched.known.values())
     placed, fits, values = searched.placed, searched.fits, None
-    for _ in range(1 if stated else _ROUNDS):
-        estimate = lasers.estimate(placed, fits, applied=values)
-        if not (estimate.explains_misfit if stated else estimate.as_stated):
+    for turn in range(1 if stated else _ROUNDS):
+        if not stated and (turn or left_out):
+            fits = _fits_without(placed, left_out or {}, fits, beams, robust)
+        estimate = lasers.estimate(placed, fits, left_out, values)
+        if not (estimate.explains_misfit if stated and left_out is None else estimate.as_stated):
             return None
         values = estimate.values
         placed = lasers.corrected(searched.placed, values)
-        if not stated:
-            fits = {
-                (run, number): fit_with_noise(placed, run, placed.bodies[number], beams[number], robust)[0]
-                for run, number in fits
-            }
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     first, fitted = _search(placed, screens, beams, robust)
-    if not first.clean:  # whatever explains it, something is found
+    if left_out is None and not first.clean:  # whatever explains it, something is found
         return None
-    again = _explain(first, fitted)
-    return replace(again, applied=values) if again.clean else None
+    again = replace(_explain(first, fitted), applied=values)
+    return again if left_out is not None or again.clean else None
+
+
+def _fits_without(
+    placed: Measurement,
+    left_out: Mapping[tuple[int, int], Sequence[int]],
+    keys: Iterable[tuple[int, int]],
+    beams: Sequence[BeamSet],
+    robust: str,
+) -> dict[tuple[int, int], LineFit]:
+    """Return the fits, with the noise that they show, without some channels."""
+    fits = {}
+    for run, number in keys:
+        body = placed.bodies[number]
+        displacement = body.displacement.copy()
+        displacement[run, list(left_out.get((run, number), ()))] = np.nan
+        body = replace(body, displacement=displacement)
+        fits[run, number] = fit_with_noise(placed, run, body, beams[number], robust)[0]
+    return fits
 
 
 def corrected_fits(

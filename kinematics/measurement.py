@@ -90,6 +90,16 @@ class BodyChannels:
         """Return ``body point (direction)`` for messages."""
         return f"{self.body} {self.points[channel]} ({direction_name(self.reported_directions[channel])})"
 
+    def with_run(self, run: int, displacement: ComplexArray, sd: Array | None = None) -> BodyChannels:
+        """Return the body with other readings (channel, freq) of one run, and their sd where it has any."""
+        value = self.displacement.copy()
+        value[run] = displacement
+        if self.sd is None or sd is None:
+            return replace(self, displacement=value)
+        spread = np.array(self.sd)
+        spread[run] = sd
+        return replace(self, displacement=value, sd=spread)
+
 
 def direction_name(direction: Array) -> str:
     """Write a direction as ``x``, ``-z`` or three numbers."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import Correction, correction_notices, shown
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.mislabelled.line_order import order_notices, put_in_order, reordered_bodies
-from kinematics.faults.mislabelled.phase_convention import phase_notice
+from kinematics.faults.judges.line_order import order_notices, put_in_order, reordered_bodies
+from kinematics.faults.judges.phase_convention import phase_notice
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import unseen_motions
 from kinematics.fit.frf_ratio import parse_reference, per_reference

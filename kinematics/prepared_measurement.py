@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kinematics.errors import KinematicsError
+from kinematics.faults.alternatives import slip_notices
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screen_values
-from kinematics.faults.unit_slips import unit_slips
 from kinematics.fit.beams import BeamSet
 from kinematics.fit_and_search import beam_sets
 from kinematics.fit_options import Options
@@ -64,7 +64,7 @@ def prepare_measurement(
     whole = all(is_whole(body) for body in measurement.bodies)
     if not whole:
         raise_all(KinematicsError, empty_faults(measurement))
-    slips = unit_slips(measurement)
+    slips = slip_notices(measurement)
     repeats = pool_repeats(measurement) if options.repeats == "pool" else separate_repeats(measurement)
     placed = repeats.measurement.mapped(placement.transform)
     beams = beam_sets(placed, options.dof)

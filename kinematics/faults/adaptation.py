@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.diagnose import Diagnosis
@@ -43,8 +42,6 @@ class Correction:
         The body before its geometry is corrected.
     factor : ndarray, (p + 1, freq), complex
         By what the readings are divided, and its relative derivatives; empty for geometry.
-    lines : ndarray, (freq,), int
-        From which line the readings of each line are taken, before the factor; empty where they stay.
     """
 
     run: int
@@ -56,7 +53,6 @@ class Correction:
     finding: Finding
     before: BodyChannels | None = None
     factor: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
-    lines: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def fault(self) -> Fault | None:
@@ -93,47 +89,30 @@ class Correction:
 
     def _body(self, measurement: Measurement, body: BodyChannels) -> BodyChannels:
         finding, fault, own = self.finding, self.fault, self.channels
-        if self.action == LEFT_OUT:
-            return _with_readings(body, self.run, own, np.nan)
         if self.action == RAISED:
             return _louder(measurement, body, self.run, own, finding.size)
         if finding.remedied is not None:
-            return _remedied(body, self.run, finding.remedied)
+            sd = finding.remedied.sd
+            return body.with_run(
+                self.run, finding.remedied.displacement[self.run], None if sd is None else sd[self.run]
+            )
+        value, spread = body.displacement[self.run].copy(), None
+        if self.action == LEFT_OUT:
+            value[own] = np.nan
+            return body.with_run(self.run, value)
         if len(self.factor):
-            lines = self.lines if len(self.lines) else slice(None)
-            values = body.displacement[self.run, own][:, lines] / self.factor[0]
-            body = _with_readings(body, self.run, own, values)
-            if body.sd is None:
-                return body
-            sd = np.array(body.sd)
-            sd[self.run, own] = sd[self.run, own][:, lines] / np.abs(self.factor[0])
-            return replace(body, sd=sd)
+            value[own] /= self.factor[0]
+            if body.sd is not None:
+                spread = np.array(body.sd[self.run])
+                spread[own] /= np.abs(self.factor[0])
+            return body.with_run(self.run, value, spread)
         if fault is None:
             return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * finding.size))
         arms, directions = fault.geometry(body.positions_mm * 1e-3, body.directions, self.parameters)
-        spread = body.position_sd_mm.copy()
+        sd_mm = body.position_sd_mm.copy()
         if fault.kind == "position":
-            spread[own] = np.nan  # the error that is left is that of the estimate
-        return replace(body, positions_mm=arms * 1e3, directions=directions, position_sd_mm=spread)
-
-
-def _with_readings(
-    body: BodyChannels, run: int, channels: list[int], values: ComplexArray | float
-) -> BodyChannels:
-    displacement = body.displacement.copy()
-    displacement[run, channels] = values
-    return replace(body, displacement=displacement)
-
-
-def _remedied(body: BodyChannels, run: int, remedied: BodyChannels) -> BodyChannels:
-    """Return a body with the readings of one run, and their sd, as they are without a cause."""
-    displacement = body.displacement.copy()
-    displacement[run] = remedied.displacement[run]
-    if body.sd is None or remedied.sd is None:
-        return replace(body, displacement=displacement)
-    sd = body.sd.copy()
-    sd[run] = remedied.sd[run]
-    return replace(body, displacement=displacement, sd=sd)
+            sd_mm[own] = np.nan  # the error that is left is that of the estimate
+        return replace(body, positions_mm=arms * 1e3, directions=directions, position_sd_mm=sd_mm)
 
 
 def _louder(
@@ -154,15 +133,8 @@ def corrections_of(
 ) -> list[Correction]:
     """Return what is done about each finding that can be acted on.
 
-    Parameters
-    ----------
-    placed : Measurement
-        As it was searched.
-    fits : dict of LineFit
-        By (run, body).
-    diagnoses : dict of Diagnosis
-    before : iterable of Correction
-        Of earlier rounds: what is found again in the same channels is left out.
+    Fits and diagnoses by (run, body), of ``placed`` as it was searched; what was corrected ``before`` and is
+    found again in the same channels is left out.
 
     Notes
     -----
@@ -241,7 +213,9 @@ def _correction(
         return None
     if finding.kind == "noise" and not again:
         return replace(corrected, action=RAISED)
-    if finding.fault is None or finding.rivals or again or not _is_determined(finding, fit.beams.lever_m):
+    factor = finding.factor_at(placed.freq_hz)
+    determined = _is_determined(finding, fit.beams.lever_m, factor)
+    if finding.fault is None or finding.rivals or again or not determined:
         out = sorted({c for suspect in (finding, *finding.rivals) for c in suspect.channels})
         if _spares(body, fit, out):
             return replace(corrected, action=LEFT_OUT, channels=out)
@@ -254,14 +228,19 @@ def _correction(
         values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(covariance)))
         covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     finding = replace(finding, covariance=covariance)
-    return replace(corrected, finding=finding, before=body, factor=finding.factor_at(placed.freq_hz))
+    return replace(corrected, finding=finding, before=body, factor=factor)
 
 
-def _is_determined(finding: Finding, lever_m: float) -> bool:
-    """Return whether the size of a fault is known better than by what is common."""
+def _is_determined(finding: Finding, lever_m: float, factor: ComplexArray) -> bool:
+    """Return whether the size of a fault is known better than by what is common.
+
+    Readings that are divided by a factor (p + 1, freq) next to zero hold its error many times.
+    """
     if finding.fault is None or not finding.fault.size:
         return True
-    scale = finding.fault.scale(lever_m)
+    scale = finding.fault.scale(lever_m) * (
+        max(float(np.min(np.abs(factor[0]))), 1e-100) if len(factor) else 1.0
+    )
     scaled = finding.covariance / np.outer(scale, scale)
     return bool(np.max(np.linalg.eigvalsh(scaled)) < 1.0)
 

@@ -1,14 +1,13 @@
-"""The catalogue of faults: each kind is one entry, and all that the search and the report know of it.
+"""The catalogue of faults with a size: each kind is one entry, and all that search and report know of it.
 
-To add a kind, add an entry to KINDS (a fault with a size) or to EXCHANGES (names or coordinates exchanged).
+To add a kind, add an entry to KINDS; what has no size is an entry of ``alternatives.ALTERNATIVES``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
@@ -108,10 +107,6 @@ def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Move
     return arms, turned_beams
 
 
-# Directions that differ by less are written alike: rounding of six digits in a file.
-_SAME_BEAM = 1e-6
-# Suspected points of which three may carry each other's names: 40 cycles, tried in some milliseconds.
-_IN_CYCLES = 10
 _SETS = ("channel", "point", "laser")
 # Owners of faults of many points: to leave their channels out would leave too little.
 OF_MANY = ("laser", "lasers", "body")
@@ -219,7 +214,7 @@ class Fault:
     Attributes
     ----------
     kind : str
-        In KINDS, or ``label_swap`` or ``coordinates`` of EXCHANGES.
+        In KINDS, or ``label_swap`` or ``coordinates`` of an exchange.
     owner : str
         ``channel``, ``point``, ``laser``, ``body``; of exchanges also ``points``, ``beams``, ``lasers``.
     channels : list of int
@@ -279,99 +274,3 @@ class Fault:
         factor = self.entry.factor
         held = () if factor is None else ((self.channels, partial(factor, p)),)
         return replace(assumed, arms_m=arms, directions=directions, factors=(*assumed.factors, *held))
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What exchanges are made of: channels by point and laser, and positions as in the user's file."""
-
-    data: Packed
-    points: dict[str, list[int]]
-    lasers: list[list[int]]
-    reported_mm: Array
-    file_from_here: Array
-
-    def swap(self, owner: str, first: list[int], second: list[int], places: int, text: str) -> Fault:
-        """Exchange the directions of two lists of channels, one by one."""
-        beams = self.data.assumed.directions
-        apart = beams[second] - beams[first]
-        return Fault("label_swap", owner, [*first, *second], 0.0, np.vstack([apart, -apart]), places, text)
-
-    def renamed(self, wrong: Sequence[str], right: Sequence[str], places: int, text: str) -> Iterator[Fault]:
-        """Give the rows of some points the positions of others, and their beams where these differ."""
-        arms, beams = self.data.assumed.arms_m, self.data.assumed.directions
-        rows = [self.points[name] for name in wrong]
-        others = [self.points[name] for name in right]
-        channels = [channel for own in rows for channel in own]
-        apart = [arms[other[0]] - arms[own[0]] for own, other in zip(rows, others, strict=True)]
-        shift = np.repeat(apart, [len(own) for own in rows], axis=0)
-        yield Fault("label_swap", "points", channels, shift, places=places, text=text)
-        alike = [
-            np.argmax(beams[own] @ beams[other].T, axis=1) for own, other in zip(rows, others, strict=True)
-        ]
-        if all(sorted(k) == list(range(len(other))) for k, other in zip(alike, others, strict=True)):
-            taken = [other[c] for k, other in zip(alike, others, strict=True) for c in k]
-            turn = beams[taken] - beams[channels]
-            if np.max(np.abs(turn)) > _SAME_BEAM:
-                yield Fault("label_swap", "points", channels, shift, turn, places, f"{text} with their beams")
-
-
-def _points(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange the positions of two points, or of three in a cycle, and their beams where these differ."""
-    number = len(layout.points)
-    for pair in combinations(names, 2):
-        text = f"points {pair[0]} and {pair[1]} exchanged"
-        yield from layout.renamed(pair, pair[::-1], number * (number - 1) // 2, text)
-    for three in combinations(names[:_IN_CYCLES], 3):
-        for right in (three, three[::-1]):
-            wrong = (*right[1:], right[0])
-            words = ", ".join(f"{a} are those of {b}" for a, b in zip(wrong, right, strict=True))
-            places = number * (number - 1) * (number - 2) // 3
-            yield from layout.renamed(wrong, right, places, f"three points exchanged: the rows of {words}")
-
-
-def _beams(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange the directions of two beams of one point."""
-    for name in names[:4]:
-        for one, two in combinations(layout.points[name], 2):
-            text = f"two beams of point {name} exchanged"
-            yield layout.swap("beams", [one], [two], len(layout.data.live), text)
-
-
-def _lasers(layout: Layout, _names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange the directions of two lasers at all points that both see."""
-    points = layout.data.points
-    for one, two in combinations(layout.lasers, 2):
-        same = {points[c]: c for c in two}
-        first = [c for c in one if points[c] in same]
-        if len(first) > 2:
-            second = [same[points[c]] for c in first]
-            yield layout.swap("lasers", first, second, 3, "two lasers exchanged at all points")
-
-
-def _coordinates(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange two coordinates of one point, or of all of them, as in the user's file."""
-    every = [c for own in layout.points.values() for c in own]
-    for name, own in [*((name, layout.points[name]) for name in names[:4]), ("", every)]:
-        reported = layout.reported_mm[own]
-        for one, two in combinations(range(3), 2):
-            right = reported.copy()
-            right[:, [one, two]] = reported[:, [two, one]]
-            shift = (right - reported) @ layout.file_from_here * 1e-3
-            axes = f"{'xyz'[one]}_mm and {'xyz'[two]}_mm"
-            if name:
-                value = ", ".join(f"{axis}_mm {v:.4g}" for axis, v in zip("xyz", right[0], strict=True))
-                owner, places = "point", 3 * len(layout.points)
-                text = f"{axes} of point {name} look exchanged: {value} would be right"
-            else:
-                owner, places, text = "body", 3, f"{axes} of all points look exchanged"
-            yield Fault("coordinates", owner, list(own), shift, places=places, text=text)
-
-
-# Proposals of exchanges: layout and names of the suspected points, the most suspected first, to faults.
-EXCHANGES: tuple[Callable[[Layout, Sequence[str]], Iterator[Fault]], ...] = (
-    _points,
-    _beams,
-    _lasers,
-    _coordinates,
-)

@@ -15,23 +15,22 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
-from kinematics.faults.packed_readings import Assumed, Packed, Source, initial
+from kinematics.faults.packed_readings import MOST_CHANNELS, Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.score_information import SHIFTS
 from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.uncertain_positions import Nuisance, information_of, likeliest_size
+from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
-from kinematics.fit.reference_noise import holds_record_noise
+from kinematics.fit.reference_noise import bound_record_noise, holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 
-# Errors of positions, and noise that is not stated, are estimated with matrices of channel x channel, 128 MB
-# each at this number of channels.
-MOST_CHANNELS = 4000
 # A finding next to others must be surer: what remains holds the errors of their estimates.
 _NEXT = 0.1
 # Share of the energy of noise below which a misfit is rounding.
@@ -327,4 +326,39 @@ def _diagnosis(findings: list[Finding], first: Search, last: Search, kept: float
     )
 
 
-__all__ = ["FALSE_ALARM", "Diagnosis", "Finding", "diagnose"]
+def search_body(
+    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool
+) -> tuple[Diagnosis, LineFit]:
+    """Search one body in one run for faults, and return the fit in which they were looked for.
+
+    Notes
+    -----
+    Where records have the noise of a reference to themselves, a fault counts only while the motion of least
+    variance shows one, and is named by the usual fit: the culprit is left out and the motion found anew.
+    """
+    basis = extended_beams(body, fit.beams.dof).basis
+    bound = bound_record_noise(placed, run, body, basis)
+    if bound is None or not known:
+        return diagnose(placed, body, fit, known), fit
+    usual = fit_with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
+
+    def search_without(without: list[int], out: list[int]) -> Diagnosis:
+        """Search without some channels, in a motion that may hold nothing of others."""
+        moved = bound_record_noise(placed, run, body, basis, without=without, left=out)
+        again = usual if moved is None else fit_with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
+        return diagnose(placed, body, again, known, out)
+
+    findings: list[Finding] = []
+    first = last = search_without([], [])
+    most = max(2, len(set(body.points)) // 3)
+    while last.findings:
+        out = sorted({channel for finding in findings for channel in finding.channels})
+        named = diagnose(placed, body, usual, known, out)
+        found = (named.findings or last.findings)[0]
+        if found.kind == "flexible" or found.owner in OF_MANY or len(findings) >= most:
+            whole = named if named.findings else last
+            return replace(whole, findings=(*findings, *whole.findings[:1])), usual
+        findings.append(found)
+        out = sorted({*out, *found.channels})
+        last = search_without(out, out)
+    return replace(last, findings=tuple(findings), kept=first.kept), usual

@@ -55,13 +55,7 @@ def no_structure(channels: int) -> Structure:
 
 
 def structure_of(state: State, scale: float = 1.0) -> Structure:
-    """Search for patterns in whitened residuals.
-
-    Parameters
-    ----------
-    state : State
-    scale : float
-        Least variance of the noise by which patterns are judged.
+    """Search for patterns in whitened residuals; ``scale`` is the least variance of the noise.
 
     Notes
     -----

@@ -41,6 +41,9 @@ _MOST_VALUES = 60_000
 _ALL_IN_PICKED = 1e-6
 # A ridge that keeps lines solvable whose channels do not determine the motion.
 RIDGE = 1e-12
+# Errors of positions, and noise that is not stated, are estimated with matrices of channel x channel, 128 MB
+# each at this number of channels.
+MOST_CHANNELS = 4000
 # Least eigenvalue of a correlation of noise.
 _SINGULAR = 0.05
 

@@ -89,16 +89,8 @@ def scaled(covariance: Array) -> Array:
 def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
     """Return whether independent noise may show what residuals have in common within points.
 
-    Only the half of the points that show least is looked at: a fault of one point is no correlation of all.
-
-    Parameters
-    ----------
-    state : State
-        Of data without correlation.
-    residual : ndarray, (channel, n), complex
-        Residuals over noise.
-    samples : float
-        Independent values of a channel in them.
+    Parameters as of ``point_covariance``. Only the half of the points that show least is looked at: a fault
+    of one point is no correlation of all.
 
     Notes
     -----

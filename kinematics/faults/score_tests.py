@@ -35,15 +35,7 @@ class Tested:
 
 
 def score_tests(near: Marginal, owners: dict[str, Sequence[Sequence[int]]]) -> list[Tested]:
-    """Test every kind of fault at every place.
-
-    Parameters
-    ----------
-    near : Marginal
-        A fit with the most probable nuisance parameters.
-    owners : dict of str to sequences of channels
-        The places: ``channel``, ``point``, ``laser``, ``body``.
-    """
+    """Test every kind of fault at every place of each owner, near the most probable nuisance parameters."""
     tests = []
     varying = len(near.state.data.tau) >= LEAST_SEGMENTS
     for owner, places in owners.items():

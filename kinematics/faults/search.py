@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
-from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.alternatives import proposed
+from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
 from kinematics.faults.packed_readings import Packed
+from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit, log_evidence
 from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import Tested, of_one_size, score_tests
@@ -354,8 +356,8 @@ class Search:
                     name = self.data.points[own]
                     stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
-        layout = Layout(self.data, self.points, self._lasers(), *self.reported)
-        exchanges = [fault for proposed in EXCHANGES for fault in proposed(layout, order)]
+        layout = Layout(self.data, self.points, self._lasers(), *self.reported, order)
+        exchanges = [replace(found.value, text=found.text) for found in proposed("exchange", layout)]
         exchanges.sort(key=self.refit.sight)
         return exchanges[:_EXCHANGED]
 

@@ -16,6 +16,8 @@ Fitted = Any
 Sentence = Callable[[Fitted, BodyChannels], tuple[str, str]]
 # A factor this near to -1 is a wrong sign.
 _SIGN = 0.35
+# Standard deviations within which a factor is zero.
+_NOTHING = 3.0
 # A coordinate is determined when its sd is below this share of the rms distance of the points, and the
 # undetermined directions hold less than this of its axis.
 _DETERMINED, _OF_AXIS = 0.5, 0.1
@@ -70,6 +72,8 @@ def factor(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
         return "sign", f"factor {factor.real:.3f} +- {sd[0]:.2g}"
     if not np.max(sd) < np.linalg.norm(p):
         return "gain", "a factor that these data do not determine"
+    if abs(factor) < _NOTHING * sd[0]:
+        return "gain", f"reads nothing of the motion: factor 0 within {_NOTHING * sd[0]:.2g}"
     if len(p) == 1:
         return "gain", f"factor {factor.real:.4g} +- {sd[0]:.2g}"
     turn = np.rad2deg(np.angle(factor))

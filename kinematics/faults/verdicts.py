@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.faults.catalogue import ADVICE
-from kinematics.faults.diagnose import Diagnosis, Finding
-from kinematics.faults.findings import channel_list, describe
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.arrays import Array
 from stapeskit.tables.text_cells import as_text_cell

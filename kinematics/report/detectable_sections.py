@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinematics.faults.detectable import SHIFT_UM, TURN_DEG, Detectable, detectable, invisible
-from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
-from kinematics.faults.mislabelled.body_sizes import rms_would_show
-from kinematics.faults.mislabelled.two_bodies import Pair
-from kinematics.faults.unit_slips import FASTEST, SLOWEST
+from kinematics.faults.judges.phase_convention import rms_would_show
+from kinematics.faults.packed_readings import MOST_CHANNELS
+from kinematics.faults.proposals.two_bodies import Pair
+from kinematics.faults.proposals.unit_slips import FASTEST, SLOWEST
+from kinematics.faults.search import FALSE_ALARM
 from kinematics.measurement import direction_name
 from kinematics.registration.prior_errors import shown
 from kinematics.report.draw_motion import full_motion

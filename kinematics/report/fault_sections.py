@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 # Maps and rows of a page; the channels table holds all.
 _MOST_MAPS = 4
 _MOST_ROWS = 2000
-_CONJUGATE = "Turn the sign of its im or phase_deg round."
-_RELABEL = "Correct body, run or freq_hz of these rows."
 
 
 @dataclass(frozen=True)
@@ -145,13 +143,7 @@ def _fault_row(group: Group, several: bool) -> tuple[str, ...]:
 
 def _step(verdict: ChannelVerdict) -> str:
     """Return what to do about a verdict."""
-    if verdict.step:
-        return f"{verdict.step}."
-    if verdict.verdict == "sign" and verdict.estimate.startswith("conjugate"):
-        return _CONJUGATE
-    if verdict.verdict == "label_swap" and "exchanged" not in verdict.estimate:
-        return _RELABEL
-    return written(ADVICE[verdict.verdict][1])
+    return f"{verdict.step}." if verdict.step else written(ADVICE[verdict.verdict][1])
 
 
 def _join_names(names: Sequence[str], most: int = 6) -> str:

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.catalogue import ADVICE, EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.alternatives import proposed
+from kinematics.faults.catalogue import ADVICE, KINDS, Fault
 from kinematics.faults.packed_readings import Source, initial, packed
+from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import score_tests
@@ -150,8 +152,8 @@ def test_exchanges_are_undone_by_themselves():
         name: [c for c, own in enumerate(made.points) if own == name] for name in dict.fromkeys(made.points)
     }
     lasers = [list(range(k, 27, 3)) for k in range(3)]
-    layout = Layout(data, points, lasers, made.positions_mm, np.eye(3))
-    proposals = [fault for proposed in EXCHANGES for fault in proposed(layout, list(points))]
+    layout = Layout(data, points, lasers, made.positions_mm, np.eye(3), list(points))
+    proposals = [found.value for found in proposed("exchange", layout)]
     assert {fault.owner for fault in proposals} == {"points", "beams", "lasers", "point", "body"}
     for fault in proposals[::7]:
         arms, beams = fault.geometry(data.assumed.arms_m, data.assumed.directions, np.zeros(0))

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.mislabelled.line_order import (
+from kinematics.faults.judges.line_order import (
     Reordered,
     put_in_order,
     rate_ratio,
     reordered_bodies,
-    text_orders,
 )
+from kinematics.faults.proposals.line_orders import sorted_as_text
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from tests.kinematics.faults.test_phase_convention import moved
@@ -22,7 +22,7 @@ from tests.kinematics.ligament import study, with_lines
 FREQ = np.linspace(200.0, 6000.0, 117)
 
 
-def sorted_as_text(data, number):
+def spoiled(data, number):
     """Return readings in the order of numbers beside a column of frequencies in that of text."""
     order = np.array(sorted(range(len(data.freq_hz)), key=lambda k: f"{data.freq_hz[k]:.12g}"))
     back = np.argsort(order)
@@ -43,7 +43,7 @@ def told(data, correct=False):
 def test_frequencies_of_one_body_sorted_as_text_are_named_and_put_in_order(number):
     for order, seed in ((0, 21), (1, 22)):
         data = replace(study(seed, lines=120), order=order)
-        wrong = sorted_as_text(data, number)
+        wrong = spoiled(data, number)
         result, (notice,) = told(wrong)
         assert notice.code == "label_swap"
         assert f"the column freq_hz of {data.bodies[number].body} look sorted as text" in notice.text
@@ -71,12 +71,12 @@ def test_two_exchanged_lines_of_a_body_are_named_and_put_in_order(number, order)
 
 
 def test_orders_of_text_undo_each_other():
-    (one, first), (two, second) = text_orders(FREQ)
-    assert (first, second) == ("the column freq_hz", "the values")
+    (one, first), (two, second) = sorted_as_text(FREQ)
+    assert (first["what"], second["what"]) == ("the column freq_hz", "the values")
     assert np.array_equal(one[two], np.arange(len(FREQ)))
     assert [f"{value:.12g}" for value in FREQ[one]] == sorted(f"{value:.12g}" for value in FREQ)
     np.testing.assert_allclose(rate_ratio(one, FREQ, 1)[two] * rate_ratio(two, FREQ, 1), 1.0)
-    assert not list(text_orders(np.linspace(1000.0, 9000.0, 20)))
+    assert not list(sorted_as_text(np.linspace(1000.0, 9000.0, 20)))
 
 
 def test_lines_of_either_body_sorted_as_text_are_mostly_named_and_no_other_order_is():
@@ -84,11 +84,15 @@ def test_lines_of_either_body_sorted_as_text_are_mostly_named_and_no_other_order
     for seed in range(60):
         freq = np.linspace(150.0 + 5.0 * seed, 4000.0 + 100.0 * seed, 80)
         motion = moved(900 + seed, noise=(0.003, 0.01, 0.05)[seed % 3], freq=freq)
-        order, what = list(text_orders(freq))[seed % 2]
+        order, words = list(sorted_as_text(freq))[seed % 2]
+        what = words["what"]
         back, q, number = np.argsort(order), motion.q.copy(), seed % 2
         q[0, number] = q[0, number][back] * rate_ratio(back, freq, 1)[:, None]
         found = reordered_bodies(replace(motion, q=q), 1)
-        assert [(one.body, one.estimate.split(" sorted")[0]) for one in found] in ([], [(number, what)])
+        assert [(one.body, one.estimate.split(" sorted")[0]) for one in found] in (
+            [],
+            [(number, what)],
+        )
         named += bool(found)
     assert named >= 45
 
@@ -118,7 +122,7 @@ def test_no_other_fault_of_accelerations_is_called_sorted():
 def test_one_ligament_shows_few_lines_in_the_order_of_text(bodies):
     """Twenty lines over four octaves: no course is smooth enough to tell."""
     freq = np.round(np.geomspace(310.0, 6000.0, 20), 1)
-    order, what = next(text_orders(freq))
+    order, words = next(sorted_as_text(freq))
     back = np.argsort(order)
     for seed in range(6):
         motion = moved(3100 + seed, ("y", "x"), freq=freq)
@@ -126,7 +130,7 @@ def test_one_ligament_shows_few_lines_in_the_order_of_text(bodies):
         wrong = motion
         for body in bodies:
             for run in range(2):
-                wrong = put_in_order(wrong, [Reordered(run, body, back, what, "")], 1)
+                wrong = put_in_order(wrong, [Reordered(run, body, back, "", "")], 1)
         found = reordered_bodies(wrong, 1)
         named = {(one.body, one.estimate.split(" sorted")[0]) for one in found}
-        assert named == {(body, what) for body in bodies}
+        assert named == {(body, words["what"]) for body in bodies}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.mislabelled.phase_convention import phase_notice
-from kinematics.faults.mislabelled.two_bodies import Pair
+from kinematics.faults.judges.phase_convention import phase_notice
+from kinematics.faults.proposals.two_bodies import Pair
 from kinematics.points2dof import points2dof
 from stapeskit.frames import rotation_from_vector
 from stapeskit.records.motion import RigidMotion

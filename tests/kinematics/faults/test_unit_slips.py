@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fault_scenes import measured, scene
-from kinematics.faults.unit_slips import unit_slips
+from kinematics.faults.alternatives import slip_notices
 from kinematics.measurement import BodyChannels, Measurement
 
 
@@ -56,7 +56,7 @@ SLIPS = {
 
 @pytest.mark.parametrize("name", list(SLIPS))
 def test_slip_is_named(name):
-    (notice,) = unit_slips(SLIPS[name](right()))
+    (notice,) = slip_notices(SLIPS[name](right()))
     assert notice.code == "unit_slip"
     assert name in notice.text
 
@@ -72,8 +72,8 @@ def test_a_factor_of_all_bodies_is_seen_by_their_velocity(factor, millimetres_pe
         bodies = [replace(body, displacement=body.displacement * by) for body in data.bodies]
         return replace(data, bodies=tuple(bodies))
 
-    assert unit_slips(times(size)) == []
-    (notice,) = unit_slips(times(size * factor))
+    assert slip_notices(times(size)) == []
+    (notice,) = slip_notices(times(size * factor))
     assert notice.code == "plausibility"
     assert f"{max(factor, 1.0 / factor):g} times too {'large' if factor > 1.0 else 'small'}" in notice.text
 
@@ -83,7 +83,7 @@ def test_noise_below_that_of_vibrometers_is_seen():
     rate = 2.0 * np.pi * data.freq_hz
     for noise, seen in ((1e-8, []), (1e-11, ["plausibility"])):
         sd = np.broadcast_to(noise / rate, data.bodies[0].displacement.shape)
-        assert [notice.code for notice in unit_slips(changed(data, sd=sd))] == seen
+        assert [notice.code for notice in slip_notices(changed(data, sd=sd))] == seen
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-6])
@@ -93,17 +93,17 @@ def test_decibels_under_a_linear_header_are_named(unit):
     velocity = data.bodies[0].displacement * rate
     size = np.abs(velocity)
     level = 20.0 * np.log10(size / np.median(size)) + 90.0
-    notices = unit_slips(changed(data, displacement=unit * level * velocity / size / rate))
+    notices = slip_notices(changed(data, displacement=unit * level * velocity / size / rate))
     assert ["taken as decibels" in notice.text for notice in notices] == [True]
 
 
 def test_right_units_are_not_named():
     for seed in range(10):
-        assert unit_slips(right(seed)) == []
-        assert unit_slips(two_bodies(right(seed), 0.1)) == []
+        assert slip_notices(right(seed)) == []
+        assert slip_notices(two_bodies(right(seed), 0.1)) == []
 
 
 def test_real_readings_are_no_radians():
     data = right()
     rate = 2j * np.pi * data.freq_hz
-    assert unit_slips(changed(data, displacement=np.abs(data.bodies[0].displacement * rate) / rate)) == []
+    assert slip_notices(changed(data, displacement=np.abs(data.bodies[0].displacement * rate) / rate)) == []

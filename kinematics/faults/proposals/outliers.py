@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
+from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from stapeskit.arrays import Array
-from stapeskit.option_names import named
 
 # Probability by which noise alone passes for an outlier: a few values of thousands, which cost nothing.
 _CHANCE = 1e-3
@@ -42,7 +41,7 @@ _LEAST_LEFT, _RIDGE = 0.02, 1e-12
 _DROPPED, _MOSTLY = 0.95, 0.8
 
 
-def outliers(suspect: MisfittingBody) -> Iterator[Explanation]:
+def outliers(suspect: MisfittingBody) -> Iterator[Cause]:
     """Yield sparse outliers.
 
     Notes
@@ -64,16 +63,15 @@ def outliers(suspect: MisfittingBody) -> Iterator[Explanation]:
         return
     channels = np.flatnonzero(np.sum(far, axis=1) > _CHANCE * 10.0 * np.sum(used, axis=1) + 1.0).tolist()
     channels = channels or np.flatnonzero(np.any(far, axis=1)).tolist()
-    dropped = _dropped(fit, far)
-    what = "pulled towards zero (drop-outs)" if dropped > _MOSTLY else "far off the motion of the others"
-    worst = int(np.argmax(np.sum(far, axis=1)))
-    text = (
-        f"{number} single values ({100.0 * number / most:.2g} %) are {what}, most at "
-        f"channel {suspect.body.channel_name(worst)}"
-    )
-    step = f"Fit with {named('robust')} huber, or leave the cells of these values empty"
+    dropped = _dropped(fit, far) > _MOSTLY
+    words = {
+        "number": number,
+        "share": 100.0 * number / most,
+        "what": "pulled towards zero (drop-outs)" if dropped else "far off the motion of the others",
+        "channel": suspect.body.channel_name(int(np.argmax(np.sum(far, axis=1)))),
+    }
     remedied = suspect.with_value(np.where(far, np.nan, suspect.value))
-    yield Explanation.of("sparse_outliers", "noise", channels, (text, step), number / most, remedied)
+    yield Remedy(channels, remedied, number / most), words
 
 
 def _evidence(size: Array, count: int) -> float:

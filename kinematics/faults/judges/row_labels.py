@@ -5,49 +5,34 @@ A point whose rows do not fit its own body is compared with every place that the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.alternatives import Proposal, proposed
+from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.clean_motion import REACH, CleanMotion, Lines
+from kinematics.faults.proposals.clean_motion import CleanMotion, Lines, chosen_lines, fit_clean_motion
+from kinematics.faults.proposals.row_places import Place, Rows
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.noise_spectrum import noise_course
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import point_rows
 
 Key = tuple[int, int]
 # Rows belong where they leave twice their noise at most, or a hundredth of what they leave at home.
 _NOISE, _LEFT = 2.0, 0.01
+# How many times the usual chi2 a line that agrees much worse has at least.
+_LOUD = 3.0
 # By how much the log likelihood must be better beyond the price of its parameters: odds of 20 000.
 _MARGIN = 10.0
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where rows could belong: another motion, another point's position, or another reading of the same.
-
-    Attributes
-    ----------
-    text : str
-        What the rows are then, in words.
-    arms_m : ndarray, (3,)
-    source : ndarray, (n,), int
-        From which line of that motion the rows at each line of their own are.
-    partner : tuple of int
-        Channels of the point that holds the place.
-    conjugate : complex number or zero
-        Sign of the conjugates that the rows are; zero when they are none. Those of velocities, i w times
-        displacements, have the opposite sign.
-    """
-
-    text: str
-    at: CleanMotion
-    arms_m: Array
-    source: Lines
-    partner: tuple[int, ...] = ()
-    conjugate: int = 0
 
 
 @dataclass(frozen=True)
@@ -55,20 +40,16 @@ class _Suspect:
     home: CleanMotion
     channels: tuple[int, ...]
     scores: dict[int, float]
-    places: list[_Place]
+    places: list[Proposal]
     bar: float
     own: float
 
 
-_Entry = tuple[_Suspect, _Place, float]
+_Entry = tuple[_Suspect, Proposal, float]
 
 
 def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> dict[Key, list[Finding]]:
     """Name the rows of one point or channel that carry the label of another body, point, run or frequency.
-
-    Parameters
-    ----------
-    motions : mapping of (run, body) to CleanMotion
 
     Notes
     -----
@@ -90,8 +71,9 @@ def label_findings(motions: Mapping[Key, CleanMotion], runs: Sequence[str]) -> d
     for suspect, place, score in _pair(suspects):
         home = suspect.home
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
-        kind = "sign" if place.conjugate else "label_swap"
-        finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=place.text)
+        finding = Finding(
+            place.entry.verdict, list(suspect.channels), min(p, 1.0), text=place.text, step=place.step
+        )
         findings.setdefault((home.run, home.number), []).append(finding)
     return findings
 
@@ -101,15 +83,18 @@ def _suspect(
 ) -> _Suspect | None:
     """Score every place that rows could belong to; None when a fault of their own explains them as well."""
     arms = home.body.positions_mm[channels[0]] * 1e-3
-    own, count = _misfit(home, channels, _own(home, arms))
+    at_home = Place(home, arms, home.lines)
+    own, count = _misfit(home, channels, at_home)
     if count == 0:
         return None
-    bar = own if len(home.lines) == 2 else _fault_of_its_own(home, channels, arms)
-    places = list(_places(home, home.body.points[channels[0]], arms, motions, runs))
+    two = len(home.lines) == 2
+    bar = own if two else _fault_of_its_own(home, channels, at_home)
+    rows = Rows(home, home.body.points[channels[0]], arms, motions, runs)
+    places = list(proposed("two rows" if two else "rows", rows))
     scores = {}
     for number, place in enumerate(places):
-        score, used = _misfit(home, channels, place)
-        level = max(home.level, place.at.level)
+        score, used = _misfit(home, channels, place.value)
+        level = max(home.level, place.value.at.level)
         if used > 0.8 * count and score < max(_NOISE * level * used, _LEFT * own):
             scores[number] = score * count / used / level
     level = home.level
@@ -119,49 +104,7 @@ def _suspect(
     return _Suspect(home, channels, scores, places, bar, own) if scores else None
 
 
-def _own(home: CleanMotion, arms: Array) -> _Place:
-    """Return the place that rows are listed at."""
-    return _Place("", home, arms, home.lines)
-
-
-def _places(
-    home: CleanMotion, point: str, arms: Array, motions: Mapping[Key, CleanMotion], runs: Sequence[str]
-) -> Iterator[_Place]:
-    """Yield every place that the rows of a point could belong to."""
-    lines, mine = home.lines, f"point {point} of body {home.body.body}"
-    if len(lines) == 2:
-        first, second = home.freq_hz
-        text = f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"
-        yield _Place(text, home, arms, lines[::-1])
-        return
-    for sign in (1, -1):
-        text = "conjugate of what it should read (amplitudes of e^{-iwt})"
-        yield _Place(text, home, arms, lines, conjugate=sign)
-    for shift in range(-REACH, REACH + 1):
-        if shift:
-            count, way = abs(shift), "higher" if shift > 0 else "lower"
-            text = (
-                f"rows of {mine} belong {count} line{'s' if count > 1 else ''} {way}: their frequencies are "
-                f"off by {-shift * home.step_hz:.4g} Hz"
-            )
-            yield _Place(text, home, arms, lines + shift)
-    for (run, number), other in motions.items():
-        if number == home.number and run != home.run:
-            text = f"rows of {mine} under run {runs[home.run]} are those of run {runs[run]}"
-            yield _Place(text, other, arms, lines)
-        if number != home.number and run == home.run:
-            theirs, names = other.body.body, other.body.points
-            text = f"{mine} moves with body {theirs}, at its own position: it belongs to {theirs}"
-            yield _Place(text, other, arms, lines)
-            for name in dict.fromkeys(names):
-                partner = tuple(c for c, held in enumerate(names) if held == name)
-                text = f"{mine} and point {name} of body {theirs} exchanged"
-                yield _Place(text, other, other.body.positions_mm[partner[0]] * 1e-3, lines, partner)
-
-
-def _predict(
-    home: CleanMotion, channels: tuple[int, ...], place: _Place
-) -> tuple[Lines, ComplexArray, Array]:
+def _predict(home: CleanMotion, channels: tuple[int, ...], place: Place) -> tuple[Lines, ComplexArray, Array]:
     """Return which lines compare, what rows would read at a place, and its variance."""
     at = place.at
     here = np.minimum(np.searchsorted(at.lines, place.source), len(at.lines) - 1)
@@ -180,7 +123,7 @@ def _predict(
     return same, rows @ q.T, variance
 
 
-def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tuple[float, int]:
+def _misfit(home: CleanMotion, channels: tuple[int, ...], place: Place) -> tuple[float, int]:
     """Return the squared misfit of rows at a place over its variance, and how many values it sums."""
     lines, expected, variance = _predict(home, channels, place)
     own = list(channels)
@@ -190,9 +133,8 @@ def _misfit(home: CleanMotion, channels: tuple[int, ...], place: _Place) -> tupl
     return float(np.sum(share)), int(np.sum(used))
 
 
-def _fault_of_its_own(home: CleanMotion, channels: tuple[int, ...], arms: Array) -> float:
+def _fault_of_its_own(home: CleanMotion, channels: tuple[int, ...], place: Place) -> float:
     """Return the least misfit, with the price of its parameters, that a fault of the rows could leave."""
-    place = _own(home, arms)
     lines, expected, variance = _predict(home, channels, place)
     course = np.linspace(-1.0, 1.0, len(lines))[:, None] ** np.arange(3)
     observed = np.any(np.abs(home.q) > 0.0, axis=0)
@@ -222,15 +164,15 @@ def _left(columns: NDArray[Any], value: NDArray[Any]) -> float:
 
 def _pair(suspects: list[_Suspect]) -> list[_Entry]:
     """Choose where each suspect belongs: two that belong to each other's places before all others."""
-    candidates: list[tuple[float, list[tuple[int, _Place, float]]]] = []
+    candidates: list[tuple[float, list[tuple[int, Proposal, float]]]] = []
     for number, suspect in enumerate(suspects):
         for k, score in suspect.scores.items():
             place = suspect.places[k]
-            if not place.partner:
+            if not place.value.partner:
                 candidates.append((score - suspect.bar, [(number, place, score)]))
                 continue
             for other, partner in enumerate(suspects[number + 1 :], start=number + 1):
-                back = _back(suspect, place, partner)
+                back = _back(suspect, place.value, partner)
                 if back is not None:
                     total = score - suspect.bar + partner.scores[back] - partner.bar
                     both = [(number, place, score), (other, partner.places[back], partner.scores[back])]
@@ -244,14 +186,69 @@ def _pair(suspects: list[_Suspect]) -> list[_Entry]:
     return chosen
 
 
-def _back(suspect: _Suspect, place: _Place, partner: _Suspect) -> int | None:
+def _back(suspect: _Suspect, place: Place, partner: _Suspect) -> int | None:
     """Return the place of ``partner`` at the suspect's point, when ``place`` is the point of ``partner``."""
     if place.at is not partner.home or not set(partner.channels) <= set(place.partner):
         return None
     if len(suspect.channels) != len(partner.channels):
         return None
     for k in partner.scores:
-        back = partner.places[k]
+        back = partner.places[k].value
         if back.at is suspect.home and set(suspect.channels) <= set(back.partner):
             return k
     return None
+
+
+def find_mislabelled(
+    placed: Measurement,
+    fits: Mapping[Key, LineFit],
+    diagnoses: Mapping[Key, Diagnosis],
+    known: Mapping[Key, bool],
+) -> dict[Key, Diagnosis]:
+    """Return the diagnoses in which rows under a wrong body, point, run or frequency are named.
+
+    Nothing is looked at when no body has a fault.
+    """
+    if not any(diagnosis.findings for diagnosis in diagnoses.values()):
+        return {}
+    motions: dict[Key, CleanMotion] = {}
+    findings_of: dict[Key, list[Finding]] = {}
+    for key, fit in fits.items():
+        if fit.is_rounding() or not np.any(fit.solution.good):
+            continue
+        body = placed.bodies[key[1]]
+        beams = extended_beams(body, fit.beams.dof)
+        noise = fit.noise
+        if not known[key]:
+            noise = LineNoise(noise.stated, noise_course(fit, placed.freq_hz))
+        lines = chosen_lines(fit.solution.good)
+        motions[key] = fit_clean_motion(key, fit, placed, beams, noise.at(lines), lines)
+        for pair in _loud_lines(fit):
+            both = np.array(pair)
+            single = {key: fit_clean_motion(key, fit, placed, beams, noise.at(both), both)}
+            findings_of |= label_findings(single, placed.runs)
+            if key in findings_of:
+                break
+    findings_of = {**findings_of, **label_findings(motions, placed.runs)}
+    diagnoses_with_labels = {}
+    for key, findings in findings_of.items():
+        out = [c for finding in findings for c in finding.channels]
+        rest = diagnose(placed, placed.bodies[key[1]], fits[key], known[key], out)
+        unexplained = 0.0 if not rest.findings else rest.kept
+        diagnoses_with_labels[key] = replace(rest, findings=(*findings, *rest.findings), kept=unexplained)
+    return diagnoses_with_labels
+
+
+def _loud_lines(fit: LineFit) -> list[tuple[int, int]]:
+    """Return pairs of the few lines at which a body agrees much worse than at the others."""
+    good = np.isfinite(fit.chi2) & (fit.n_dof > 0)
+    if np.sum(good) < 12:
+        return []
+    ratio = np.where(good, fit.chi2 / np.maximum(fit.n_dof, 1), 0.0)
+    freedom = float(np.median(fit.n_dof[good]))
+    typical = max(float(np.median(ratio[good])), 1e-300)
+    loud = np.flatnonzero(ratio > typical * max(_LOUD, 1.0 + 10.0 * np.sqrt(2.0 / freedom)))
+    if not 2 <= len(loud) <= max(4, len(ratio) // 20):
+        return []
+    worst = loud[np.argsort(-ratio[loud], kind="stable")[:4]]
+    return [(int(min(pair)), int(max(pair))) for pair in combinations(worst, 2)]

@@ -84,17 +84,8 @@ def fit_clean_motion(
 ) -> CleanMotion:
     """Leave out one point after the other as long as that explains much of what is left.
 
-    Parameters
-    ----------
-    key : (int, int)
-        Run and body.
-    fit : LineFit
-        Holds the readings.
-    beams : BeamSet
-        For all degrees of freedom that are observed.
-    sd : ndarray, (channel, n)
-        Standard deviations of the lines, m.
-    lines : ndarray, (n,), int
+    Of a run and body, ``key``, with the beams for all degrees of freedom that are observed, and at some lines
+    (n,) with their standard deviations (channel, n), m.
     """
     body, freq_hz = placed.bodies[key[1]], placed.freq_hz
     value = fit.value[:, lines]

@@ -1,7 +1,8 @@
-"""The body whose misfit is to be explained, and an explanation with its remedy."""
+"""The body whose misfit is to be explained, and what a cause of it would be of."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.findings import Finding
 from kinematics.faults.packed_readings import Packed, Source, initial
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import BeamSet
@@ -19,23 +19,6 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import DOF_NAMES
-
-
-def with_readings(body: BodyChannels, run: int, value: ComplexArray) -> BodyChannels:
-    """Return a body with other readings (channel, freq) in one run, and the sd of those that were scaled."""
-    displacement = body.displacement.copy()
-    displacement[run] = value
-    if body.sd is None:
-        return replace(body, displacement=displacement)
-    sd = body.sd.copy()
-    for channel, (before, after) in enumerate(
-        zip(np.abs(body.displacement[run]), np.abs(value), strict=True)
-    ):
-        both = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
-        factor = after[both] / before[both]
-        if factor.size and np.ptp(factor) < 1e-9 * factor[0]:
-            sd[run, channel] *= factor[0]
-    return replace(body, displacement=displacement, sd=sd)
 
 
 @dataclass(frozen=True)
@@ -143,39 +126,30 @@ class MisfittingBody:
         return fit_with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
 
     def with_value(self, value: ComplexArray) -> BodyChannels:
-        """Return the body with other readings (channel, freq) in this run; see ``with_readings``."""
-        return with_readings(self.body, self.run, value)
+        """Return the body with other readings (channel, freq) in this run, and the sd of those scaled."""
+        if self.body.sd is None:
+            return self.body.with_run(self.run, value)
+        sd = self.body.sd[self.run].copy()
+        for own, before, after in zip(sd, np.abs(self.value), np.abs(value), strict=True):
+            both = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
+            factor = after[both] / before[both]
+            if factor.size and np.ptp(factor) < 1e-9 * factor[0]:
+                own *= factor[0]
+        return self.body.with_run(self.run, value, sd)
 
 
 @dataclass(frozen=True)
-class Explanation:
-    """A cause of the misfit.
+class Remedy:
+    """What a cause would be of: its channels, the body in this run without it, and its size.
 
-    Attributes
-    ----------
-    finding : Finding
-        With the code of the warning and what to do; its probability is set when it is believed.
-    remedied : BodyChannels
-        The body without this cause.
-    alike : bool
-        A body that bends would look alike: the channels are too few.
+    ``alike``: a body that bends would look alike, as the channels are too few.
     """
 
-    finding: Finding
-    remedied: BodyChannels
+    channels: list[int]
+    body: BodyChannels
+    size: float
     alike: bool = False
 
-    @classmethod
-    def of(
-        cls,
-        code: str,
-        verdict: str,
-        channels: list[int],
-        words: tuple[str, str],
-        size: float,
-        remedied: BodyChannels,
-        alike: bool = False,
-    ) -> Explanation:
-        """Return a cause by its code, the verdict of its channels, what was found and what to do."""
-        finding = Finding(verdict, channels, size=size, text=words[0], code=code, step=words[1])
-        return cls(finding, remedied, alike)
+
+# A remedy, and what the sentence says of it.
+Cause = tuple[Remedy, Mapping[str, object]]

@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import CORRECTED, Correction
+from kinematics.faults.alternatives import Proposal, proposed
 from kinematics.faults.findings import Finding
-from kinematics.faults.mislabelled.exchanged_lines import exchanged_pair
-from kinematics.faults.mislabelled.two_bodies import Pair, joins_better, ligament_misfit
+from kinematics.faults.proposals.two_bodies import Order, Pair, joins_better
 from kinematics.measurement import Measurement
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
-Order = NDArray[np.intp]
 # Probability of steps so much smaller by chance, for each body and run.
 _CHANCE = 1e-4
 # Fewest lines, and power in units of the noise of a component that counts half.
 _LEAST, _NOISY = 8, 40.0
 _SMOOTH = "the motion jumps from line to line and is smooth in the other order"
 _JOINED = "no ligament joins the two bodies with the lines as they stand, and one does in the other order"
-
-
-def text_orders(freq_hz: Array) -> Iterator[tuple[Order, str]]:
-    """Yield from where the readings of each line are to be taken, and what was sorted as text.
-
-    Either the column of frequencies was, beside values in the order of numbers, or the values were (files by
-    their names) beside a column in the order of numbers.
-    """
-    words = [f"{value:.12g}" for value in freq_hz]
-    order = np.array(sorted(range(len(words)), key=words.__getitem__), dtype=np.intp)
-    if np.array_equal(order, np.arange(len(words))):
-        return
-    yield order, "the column freq_hz"
-    back = np.argsort(order)
-    if not np.array_equal(back, order):
-        yield back, "the values"
 
 
 def rate_ratio(order: Order, freq_hz: Array, derivatives: int) -> Array:
@@ -69,21 +51,21 @@ class Reordered:
     estimate: str
     sentence: str
 
+    @classmethod
+    def of(cls, run: int, body: int, lines: Order, order: Proposal, **words: str) -> Reordered:
+        """Return a body in an order that was proposed."""
+        said = {**order.words, **words, "bodies": "{bodies}"}
+        estimate, sentence = order.entry.estimate.format(**said), order.entry.sentence.format(**said)
+        return cls(run, body, lines, estimate, sentence)
+
     def correction(self, placed: Measurement) -> Correction:
         """Return what puts the readings at their frequencies; an order has no uncertainty."""
-        channels = list(range(len(placed.bodies[self.body].points)))
-        ratio = rate_ratio(self.lines, placed.freq_hz, placed.order)
-        return Correction(
-            self.run,
-            self.body,
-            channels,
-            CORRECTED,
-            "label_swap",
-            self.estimate,
-            Finding("label_swap", channels, 0.0, text=self.estimate),
-            factor=np.asarray(1.0 / ratio[None], dtype=complex),
-            lines=self.lines,
-        )
+        body, ratio = placed.bodies[self.body], rate_ratio(self.lines, placed.freq_hz, placed.order)
+        sd = None if body.sd is None else body.sd[self.run][:, self.lines] * ratio
+        right = body.with_run(self.run, body.displacement[self.run][:, self.lines] * ratio, sd)
+        channels = list(range(len(body.points)))
+        finding = Finding("label_swap", channels, 0.0, text=self.estimate, remedied=right)
+        return Correction(self.run, self.body, channels, CORRECTED, finding.kind, self.estimate, finding)
 
 
 def put_in_order(motion: RigidMotion, reordered: Sequence[Reordered], derivatives: int) -> RigidMotion:
@@ -115,12 +97,7 @@ def reordered_bodies(
 ) -> list[Reordered]:
     """Return the bodies whose lines are in a wrong order: those sorted as text come first.
 
-    Parameters
-    ----------
-    derivatives : int
-        Time derivatives in what was measured: the readings are what has another order.
-    structure, base : str
-        Bodies that one ligament joins.
+    ``derivatives`` as of ``Pair.of``: the readings are what has another order.
 
     Notes
     -----
@@ -128,29 +105,20 @@ def reordered_bodies(
     one ligament explains both bodies better as they are.
     """
     rate = motion.freq_hz[:, None] ** derivatives
-    orders = list(text_orders(motion.freq_hz))
+    orders = list(proposed("lines", motion.freq_hz))
     reordered = _by_course(motion, rate, orders)
     right = put_in_order(motion, reordered, derivatives)
-    exchanged = _exchange(right, rate)
+    exchanged = _by_jumps(right, rate)
     if exchanged:
-        as_given = ligament_misfit(right, structure, base, derivatives)
-        misfit = ligament_misfit(put_in_order(right, exchanged, derivatives), structure, base, derivatives)
-        if as_given is None or misfit is None or misfit <= as_given:
+        again = put_in_order(right, exchanged, derivatives)
+        pairs = [Pair.of(one, structure, base, derivatives=derivatives) for one in (right, again)]
+        misfits = [misfit for pair in pairs if pair is not None and (misfit := pair.misfit()) is not None]
+        if len(misfits) < 2 or misfits[1] <= misfits[0]:
             reordered += exchanged
     return reordered or _by_ligament(motion, derivatives, orders, (structure, base))
 
 
-def _as_text(run: int, body: int, lines: Order, what: str, freq_hz: Array, because: str) -> Reordered:
-    words = ", ".join(sorted(f"{value:.12g}" for value in freq_hz)[:3])
-    sentence = (
-        f"{what} of {{bodies}} look sorted as text ({words}, ...) and not as numbers: {because}. Sort both "
-        "columns together."
-    )
-    estimate = f"{what} sorted as text; lines put in the order of their numbers"
-    return Reordered(run, body, lines, estimate, sentence)
-
-
-def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]) -> list[Reordered]:
+def _by_course(motion: RigidMotion, rate: Array, orders: list[Proposal]) -> list[Reordered]:
     """Return the bodies whose motion runs smoothly in the order of text, and not as given.
 
     Notes
@@ -170,19 +138,19 @@ def _by_course(motion: RigidMotion, rate: Array, orders: list[tuple[Order, str]]
         if int(np.sum(good)) < _LEAST:
             continue
         least, likeliest = _CHANCE, None
-        for order, what in orders if np.all(good) else text_orders(motion.freq_hz[good]):
-            ratio, number = steps_ratio(readings[good], noise[good], order)
+        for order in orders if np.all(good) else proposed("lines", motion.freq_hz[good]):
+            ratio, number = steps_ratio(readings[good], noise[good], order.value)
             chance = float(fdtrc(number, number, ratio))
             if chance < least:
                 lines, places = np.arange(len(good)), np.flatnonzero(good)
-                lines[places] = places[order]
-                least, likeliest = chance, _as_text(run, body, lines, what, motion.freq_hz, _SMOOTH)
+                lines[places] = places[order.value]
+                least, likeliest = chance, Reordered.of(run, body, lines, order, because=_SMOOTH)
         reordered += [] if likeliest is None else [likeliest]
     return reordered
 
 
 def _by_ligament(
-    motion: RigidMotion, derivatives: int, orders: list[tuple[Order, str]], names: tuple[str, str]
+    motion: RigidMotion, derivatives: int, orders: list[Proposal], names: tuple[str, str]
 ) -> list[Reordered]:
     """Return the bodies, all runs alike, that one ligament joins in the order of text and not as given.
 
@@ -196,37 +164,25 @@ def _by_ligament(
     if as_given is None:
         return []
     least, reordered = as_given, list[Reordered]()
-    for (lines, what), bodies in product(orders, ((0,), (1,), (0, 1))):
-        of_body = [lines if body in bodies else slice(None) for body in (0, 1)]
-        sd = np.stack([pair.sd[:, body, of_body[body]] for body in (0, 1)], axis=1)
-        structure, base = pair.structure[:, of_body[0]], pair.base[:, of_body[1]]
-        misfit = replace(pair, structure=structure, base=base, sd=sd).misfit()
+    for order, bodies in product(orders, ((0,), (1,), (0, 1))):
+        misfit = pair.lines(*(order.value if body in bodies else slice(None) for body in (0, 1))).misfit()
         if misfit is not None and misfit < least and joins_better(as_given, misfit):
             least = misfit
             reordered = [
-                _as_text(run, motion.bodies.index(names[body]), lines, what, motion.freq_hz, _JOINED)
+                Reordered.of(run, motion.bodies.index(names[body]), order.value, order, because=_JOINED)
                 for run, body in product(range(len(motion.runs)), bodies)
             ]
     return reordered
 
 
-def _exchange(motion: RigidMotion, rate: Array) -> list[Reordered]:
+def _by_jumps(motion: RigidMotion, rate: Array) -> list[Reordered]:
     """Return the bodies whose motion is smooth only when two lines are exchanged."""
-    reordered, sd = [], standard_deviation(motion)
-    for run, body in product(range(len(motion.runs)), range(len(motion.bodies))):
-        pair = exchanged_pair(motion.q[run, body] * rate, sd[run, body] * rate)
-        if pair is None:
-            continue
-        lines = np.arange(len(motion.freq_hz))
-        lines[list(pair)] = pair[::-1]
-        first, second = motion.freq_hz[list(pair)]
-        sentence = (
-            f"the motion of {{bodies}} jumps at {first:.6g} and {second:.6g} Hz and is smooth when the rows "
-            "of the two lines are exchanged: check their freq_hz."
-        )
-        estimate = f"rows of the lines at {first:.6g} and {second:.6g} Hz exchanged"
-        reordered.append(Reordered(run, body, lines, estimate, sentence))
-    return reordered
+    sd = standard_deviation(motion)
+    return [
+        Reordered.of(run, body, order.value, order)
+        for run, body in product(range(len(motion.runs)), range(len(motion.bodies)))
+        for order in proposed("course", (motion.q[run, body] * rate, sd[run, body] * rate, motion.freq_hz))
+    ]
 
 
 def steps_ratio(readings: ComplexArray, sd: Array, order: Order) -> tuple[float, int]:

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.faults.causes.misfit_causes import Explanation, MisfittingBody
 from kinematics.faults.noise_size import channel_noise
 from kinematics.faults.packed_readings import Factor, Packed
+from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.faults.score_information import IMAGINARY, REAL, State
 from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of, likeliest_size
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.option_names import named
 
 # Fewer channels or points show no scatter.
 _LEAST_OWNERS = 4
@@ -28,6 +27,7 @@ _IN_ORDER = 0.8
 _ROUNDS = 3
 # Up to so many channels their gains are compared jointly: the memory goes with the square.
 _MOST_CHANNELS = 3000
+Owners = list[list[int]]
 
 
 @dataclass(frozen=True)
@@ -39,63 +39,68 @@ class Scatter:
     gain: float
 
 
-def gains(suspect: MisfittingBody) -> Iterator[Explanation]:
+def drifting_points(suspect: MisfittingBody) -> Iterator[Cause]:
+    """Yield factors of the points that rise or fall in the order of the file."""
+    data = suspect.packed(suspect.plain, False)
+    for owners, scatter in _scatters(suspect, data, [(list(data.by_point.values()), True)]):
+        if _in_order(data, owners, scatter):
+            first, last = np.abs(1.0 + scatter.error[[0, -1]])
+            words = {"first": data.points[owners[0][0]], "last": data.points[owners[-1][0]]}
+            yield _without(suspect, data, owners, scatter), {"factor": last / first, **words}
+
+
+def scattered_gains(suspect: MisfittingBody) -> Iterator[Cause]:
     """Yield gains scattered over channels, and complex factors scattered over points, the likelier first."""
     data = suspect.packed(suspect.plain, False)
+    tried = [([[channel] for channel in data.live], False), (list(data.by_point.values()), True)]
+    for owners, scatter in _scatters(suspect, data, tried):
+        if _in_order(data, owners, scatter):
+            continue
+        most = int(np.argmax(np.abs(scatter.error)))
+        channel, per_point = owners[most][0], any(len(own) > 1 for own in owners)
+        point, name = f"point {data.points[channel]}", f"channel {suspect.body.channel_name(channel)}"
+        words = {
+            "what": "points" if per_point else "channels",
+            "sd": 100.0 * scatter.sd,
+            "most": point if per_point else name,
+            "factor": abs(1.0 + scatter.error[most]),
+        }
+        yield _without(suspect, data, owners, scatter), words
+
+
+def _scatters(
+    suspect: MisfittingBody, data: Packed, tried: list[tuple[Owners, bool]]
+) -> list[tuple[Owners, Scatter]]:
+    """Return the likely scatters of the factors of owners, the likelier first."""
+    if len(data.live) > _MOST_CHANNELS:
+        return []
     nuisance = Nuisance.of(data, suspect.position_sd_m)
-    live, size = data.live, data.size
-    if len(live) > _MOST_CHANNELS:
-        return
-    alike = len(live) - size < _REDUNDANT * size
-    points: dict[str, list[int]] = {}
-    for channel in live:
-        points.setdefault(data.points[channel], []).append(channel)
-    tried = [([[channel] for channel in live], False), (list(points.values()), True)]
     fits = [(owners, _scatter(data, nuisance, owners, turned)) for owners, turned in tried]
-    for owners, scatter in sorted(fits, key=lambda entry: -entry[1].gain):
-        if len(owners) >= _LEAST_OWNERS and scatter.gain > _GAIN and scatter.sd > _WORTH:
-            yield _explanation(suspect, data, owners, scatter, alike)
+    likely = [
+        (owners, scatter)
+        for owners, scatter in fits
+        if len(owners) >= _LEAST_OWNERS and scatter.gain > _GAIN and scatter.sd > _WORTH
+    ]
+    return sorted(likely, key=lambda one: -one[1].gain)
 
 
-def _explanation(
-    suspect: MisfittingBody, data: Packed, owners: list[list[int]], scatter: Scatter, alike: bool
-) -> Explanation:
+def _in_order(data: Packed, owners: Owners, scatter: Scatter) -> bool:
+    """Return whether the factors of points follow the order of the file."""
+    rank = np.argsort(np.argsort(np.abs(1.0 + scatter.error)))
+    return len(owners) == len(set(data.points)) and (
+        abs(np.corrcoef(rank, np.arange(len(rank)))[0, 1]) > _IN_ORDER
+    )
+
+
+def _without(suspect: MisfittingBody, data: Packed, owners: Owners, scatter: Scatter) -> Remedy:
     value = suspect.value.copy()
     for own, error in zip(owners, scatter.error, strict=True):
         value[own] = value[own] / (1.0 + error)
-    channels = [channel for own in owners for channel in own]
-    sd = 100.0 * scatter.sd
-    most = owners[int(np.argmax(np.abs(scatter.error)))][0]
-    factor = abs(1.0 + scatter.error[int(np.argmax(np.abs(scatter.error)))])
-    per_point = any(len(own) > 1 for own in owners)
-    of_points = len(owners) == len(set(data.points))
-    if of_points and abs(_rank_correlation(np.abs(1.0 + scatter.error))) > _IN_ORDER:
-        first, last = abs(1.0 + scatter.error[0]), abs(1.0 + scatter.error[-1])
-        text = (
-            f"the readings change from point to point in the order of the file, by a factor of "
-            f"{last / first:.3g} from point {data.points[owners[0][0]]} to {data.points[owners[-1][0]]}"
-        )
-        step = (
-            "The motion changed while the points were recorded one after the other (drying, drift of the "
-            "source): measure the first point again at the end, or give a reference recorded with each point"
-        )
-        code, verdict = "drift_between_points", "drift"
-    else:
-        what = "points" if per_point else "channels"
-        name = f"point {data.points[most]}" if per_point else f"channel {suspect.body.channel_name(most)}"
-        text = (
-            f"the gains of the {what} scatter by about {sd:.2g} % (standard deviation), most at {name} "
-            f"(factor {factor:.4g})"
-        )
-        step = (
-            f"Calibrate the channels, or state the scatter and fit it with {named('calibrate')} "
-            f"{named('gain_sd')} {sd:.2g}"
-        )
-        code, verdict = "gains_scattered", "gain"
-    return Explanation.of(code, verdict, channels, (text, step), scatter.sd, suspect.with_value(value), alike)
+    alike = len(data.live) - data.size < _REDUNDANT * data.size
+    return Remedy([c for own in owners for c in own], suspect.with_value(value), scatter.sd, alike)
 
 
-def _scatter(data: Packed, nuisance: Nuisance, owners: list[list[int]], turned: bool) -> Scatter:
+def _scatter(data: Packed, nuisance: Nuisance, owners: Owners, turned: bool) -> Scatter:
     """Return the likeliest relative errors of groups of channels, independent and of one common size.
 
     Notes
@@ -125,9 +130,7 @@ def _scatter(data: Packed, nuisance: Nuisance, owners: list[list[int]], turned: 
     return Scatter(error, sd, gain)
 
 
-def _positions(
-    near: Marginal, owners: list[list[int]], which: tuple[int, ...], level: float
-) -> tuple[Array, Array]:
+def _positions(near: Marginal, owners: Owners, which: tuple[int, ...], level: float) -> tuple[Array, Array]:
     """Return what errors of positions with a stated sd take of score (n k,) and information (n k, n k)."""
     shared = []
     for own in owners:
@@ -143,9 +146,3 @@ def _positions(
 
 def _constant(channels: list[int], error: complex) -> tuple[list[int], Factor]:
     return channels, lambda tau, _ratio: np.full(len(tau), 1.0 + error)
-
-
-def _rank_correlation(value: Array) -> float:
-    """Return the rank correlation of values with their order."""
-    rank = np.argsort(np.argsort(value))
-    return float(np.corrcoef(rank, np.arange(len(value)))[0, 1]) if np.ptp(value) > 0.0 else 0.0

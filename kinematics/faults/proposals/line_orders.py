@@ -1,12 +1,13 @@
-"""Two lines whose readings were exchanged, and lines at which a body agrees much worse than at others."""
+"""Other orders of the lines of a body: sorted as text, "1000, 10000, 200", or two of them exchanged."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from itertools import combinations
 
 import numpy as np
 
-from kinematics.fit.rigid_fit import LineFit
+from kinematics.faults.proposals.two_bodies import Order
 from stapeskit.arrays import Array, ComplexArray
 
 # How many of the roughest lines are exchanged with each other in trial.
@@ -17,36 +18,39 @@ _AROUND = 7
 _ROUGH, _SETTLES = 30.0, 0.05
 # The cubic through the four neighbours of a line, at the line (Lagrange).
 _BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
-# How many times the usual chi2 a line that agrees much worse has at least.
-_LOUD = 3.0
+# From where the readings of each line are to be taken, and what the sentence says of it.
+Ordered = tuple[Order, Mapping[str, object]]
 
 
-def loud_lines(fit: LineFit) -> list[tuple[int, int]]:
-    """Return pairs of the few lines at which a body agrees much worse than at the others."""
-    good = np.isfinite(fit.chi2) & (fit.n_dof > 0)
-    if np.sum(good) < 12:
-        return []
-    ratio = np.where(good, fit.chi2 / np.maximum(fit.n_dof, 1), 0.0)
-    freedom = float(np.median(fit.n_dof[good]))
-    typical = max(float(np.median(ratio[good])), 1e-300)
-    loud = np.flatnonzero(ratio > typical * max(_LOUD, 1.0 + 10.0 * np.sqrt(2.0 / freedom)))
-    if not 2 <= len(loud) <= max(4, len(ratio) // 20):
-        return []
-    worst = loud[np.argsort(-ratio[loud], kind="stable")[:4]]
-    return [(int(min(pair)), int(max(pair))) for pair in combinations(worst, 2)]
+def sorted_as_text(freq_hz: Array) -> Iterator[Ordered]:
+    """Yield the order of text, and its inverse.
+
+    Either the column of frequencies was sorted as text, beside values in the order of numbers, or the values
+    were (files by their names) beside a column in the order of numbers.
+    """
+    words = [f"{value:.12g}" for value in freq_hz]
+    order = np.array(sorted(range(len(words)), key=words.__getitem__), dtype=np.intp)
+    if np.array_equal(order, np.arange(len(words))):
+        return
+    first = ", ".join(sorted(words)[:3])
+    yield order, {"what": "the column freq_hz", "words": first}
+    back = np.argsort(order)
+    if not np.array_equal(back, order):
+        yield back, {"what": "the values", "words": first}
 
 
-def exchanged_pair(readings: ComplexArray, sd: Array) -> tuple[int, int] | None:
-    """Return the two lines of readings (freq, m) whose exchange makes them smooth; None without such.
+def two_exchanged(course: tuple[ComplexArray, Array, Array]) -> Iterator[Ordered]:
+    """Yield the exchange of two lines that makes readings (freq, m) smooth, of their sd and frequencies.
 
     Notes
     -----
     Each line is compared with the cubic through its four neighbours, in units of its noise and of what this
     comparison gives at the lines around it.
     """
+    readings, sd, freq_hz = course
     count = len(readings)
     if count < 16 or not np.all(np.isfinite(readings)) or not np.all(np.isfinite(sd)):
-        return None
+        return
     rough = _roughness(readings)
     noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
     beyond = np.pad(rough, ((_AROUND, _AROUND), (0, 0)), mode="edge")
@@ -56,9 +60,9 @@ def exchanged_pair(readings: ComplexArray, sd: Array) -> tuple[int, int] | None:
     roughest = np.argsort(-size, kind="stable")[:_MOST]
     roughest = roughest[size[roughest] > _ROUGH]
     if not roughest.size:
-        return None
-    least, pair = _SETTLES, None
-    for k, m in combinations(np.unique([*roughest.tolist(), 0, 1, count - 2, count - 1]), 2):
+        return
+    least, pair = _SETTLES, list[int]()
+    for k, m in combinations(np.unique([*roughest.tolist(), 0, 1, count - 2, count - 1]).tolist(), 2):
         near = np.unique(np.clip([n + j for n in (k, m) for j in range(-2, 3)], 0, count - 1))
         before = np.mean(size[near])
         if max(size[k], size[m]) < _ROUGH or before < _ROUGH:
@@ -67,8 +71,11 @@ def exchanged_pair(readings: ComplexArray, sd: Array) -> tuple[int, int] | None:
         exchanged[[k, m]] = readings[[m, k]]
         after = np.mean(_roughness(exchanged)[near] / scale[near])
         if after < min(least * before, _ROUGH):
-            least, pair = after / before, (int(k), int(m))
-    return pair
+            least, pair = after / before, [k, m]
+    if pair:
+        lines = np.arange(count)
+        lines[pair] = pair[::-1]
+        yield lines, {"first": freq_hz[pair[0]], "second": freq_hz[pair[1]]}
 
 
 def _roughness(readings: ComplexArray) -> Array:

@@ -1,8 +1,11 @@
-"""Units that do not fit the header: checks of orders of magnitude, each a function and an entry of SLIPS."""
+"""Units that do not fit the header: checks of orders of magnitude.
+
+Each yields for what is wrong nothing that is relabelled, and what the sentence says of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,6 @@ from numpy.typing import NDArray
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 from stapeskit.spatial import point_rows
-from stapeskit.warnings import Notice
 
 # Between points of a body of the middle ear, mm: no laser separates points nearer than its spot; no bone and
 # no holder under a microscope is larger.
@@ -43,36 +45,25 @@ _TRIED_LINES, _NOT_RIGID, _CURED = 40, 1e-3, 0.1
 _SEEN = 1e-6
 
 
-def unit_slips(measurement: Measurement) -> list[Notice]:
-    """Return one warning for each unit that does not fit its header.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        Positions in mm, frequencies in Hz, displacements in m, as the headers say.
-    """
-    slips = [Notice("unit_slip", text) for check in SLIPS for text in check(measurement)]
-    # A wrong unit of frequencies, or of one body, makes velocities wrong too.
-    return slips or [Notice("plausibility", text) for text in _velocities(measurement)]
+Slip = tuple[None, Mapping[str, object]]
 
 
-def _velocities(measurement: Measurement) -> Iterator[str]:
+def velocities(measurement: Measurement) -> Iterator[Slip]:
     """Compare velocities and their stated noise with the motion of ears and the resolution of vibrometers.
 
     A factor that all readings have leaves no trace in them but their size.
     """
     names, sizes, noises = list[str](), list[float](), list[float]()
+    rate = 2.0 * np.pi * measurement.freq_hz
     for body in measurement.bodies:
-        step = max(1, body.displacement.size // _SAMPLE)
-        rate = 2.0 * np.pi * measurement.freq_hz[::step]
-        speed = np.abs(body.displacement[:, :, ::step]) * rate
-        speed = speed[np.isfinite(speed) & (speed > 0.0)]
+        speed = np.abs(_some(body, rate))
         if not len(speed):
             continue
         names.append(body.body)
         sizes.append(float(np.median(speed)))
         if body.sd is not None and not body.relative:
-            spread = body.sd[:, :, ::step] * rate
+            step = max(1, body.displacement.size // _SAMPLE)
+            spread = body.sd[:, :, ::step] * rate[::step]
             noises.append(float(np.nanmedian(spread)) if np.any(np.isfinite(spread)) else 1.0)
     if not sizes:
         return
@@ -83,55 +74,50 @@ def _velocities(measurement: Measurement) -> Iterator[str]:
     # Bring the velocity nearest to the middle of what is plausible, by thousands.
     decades = np.log10(size / np.sqrt(SLOWEST * FASTEST))
     power = max(1, round(abs(decades) / 3.0))
-    small = size <= FASTEST
-    factor, unit = 10.0 ** (3 * power), _QUANTITIES[min(measurement.order, 2)]
-    acceleration = size * 2.0 * np.pi * float(np.median(measurement.freq_hz))
-    what = f"move by {size:.2g} m/s (median; acceleration {acceleration:.2g} m/s^2)"
-    if small and quiet:
-        what += f" with a noise of {noise:.2g} m/s, below that of any vibrometer"
+    small, unit = size <= FASTEST, _QUANTITIES[min(measurement.order, 2)]
     finer = f"{'mun'[min(power, 3) - 1]}{unit}"
     if _LEAST_DB < size < _MOST_DB:
         finer = f"decibels or {finer}"
-    pair = f"{unit} under a header in {finer}" if small else f"{finer} under a header in {unit}"
+    noisy = f" with a noise of {noise:.2g} m/s, below that of any vibrometer" if small and quiet else ""
     yield (
-        f"{'bodies' if len(names) > 1 else 'body'} {', '.join(names)} {what}; ears in experiments move by "
-        f"{SLOWEST:g} to {FASTEST:g} m/s. The values look {factor:g} times too "
-        f"{'small' if small else 'large'} for their header, such as {pair}: check it, unless these are "
-        "responses per unit of a reference."
+        None,
+        {
+            "bodies": f"{'bodies' if len(names) > 1 else 'body'} {', '.join(names)}",
+            "size": size,
+            "acceleration": size * 2.0 * np.pi * float(np.median(measurement.freq_hz)),
+            "noisy": noisy,
+            "slowest": SLOWEST,
+            "fastest": FASTEST,
+            "factor": 10.0 ** (3 * power),
+            "off": "small" if small else "large",
+            "pair": f"{unit} under a header in {finer}" if small else f"{finer} under a header in {unit}",
+        },
     )
 
 
-def _points(measurement: Measurement) -> Iterator[str]:
+def points(measurement: Measurement) -> Iterator[Slip]:
+    """Look at the distances of the points of each body."""
     for body in measurement.bodies:
         places = np.unique(body.positions_mm, axis=0)
         size = float(np.max(np.ptp(places, axis=0)))
-        if len(places) < 2 or _NEAREST_MM < size < _FARTHEST_MM:
-            continue
-        unit = "m" if size <= _NEAREST_MM else "um"
-        yield (
-            f"the points of body {body.body} lie within {size:.3g} mm of each other: their coordinates look "
-            f"like {unit} under a header in mm. Give them in mm, or correct the names of the columns."
-        )
+        if len(places) > 1 and not _NEAREST_MM < size < _FARTHEST_MM:
+            unit = "m" if size <= _NEAREST_MM else "um"
+            yield None, {"body": body.body, "size": size, "unit": unit}
 
 
-def _frequencies(measurement: Measurement) -> Iterator[str]:
+def frequencies(measurement: Measurement) -> Iterator[Slip]:
+    """Look whether the frequencies are those of hearing."""
     highest = float(measurement.freq_hz[-1])
     if highest > _MOST_HZ:
-        yield (
-            f"the highest frequency is {highest:.4g} Hz, beyond hearing: the frequencies look a thousand "
-            "times too large for their header. Give them in Hz."
-        )
+        found = "beyond hearing: the frequencies look a thousand times too large for their header"
+        yield None, {"highest": highest, "found": found}
     if highest < _HIGHEST_HZ:
-        yield (
-            f"the highest frequency is {highest:.4g} Hz, below hearing: the frequencies look like kHz under "
-            "a header in Hz. Give them in Hz."
-        )
+        found = "below hearing: the frequencies look like kHz under a header in Hz"
+        yield None, {"highest": highest, "found": found}
 
 
-def _ratios(measurement: Measurement) -> Iterator[str]:
+def ratios(measurement: Measurement) -> Iterator[Slip]:
     """Compare the bodies with the first, line by line: a resonance makes a factor of ten, not of hundreds."""
-    if len(measurement.bodies) < 2:
-        return
     step = max(1, measurement.bodies[0].displacement.size // _SAMPLE)
     sizes = []
     for body in measurement.bodies:
@@ -141,18 +127,13 @@ def _ratios(measurement: Measurement) -> Iterator[str]:
         sizes.append(np.sqrt(np.sum(np.where(measured, part, 0.0) ** 2, axis=(0, 1)) / count))
     for body, size in zip(measurement.bodies[1:], sizes[1:], strict=True):
         both = (size > 0.0) & (sizes[0] > 0.0)
-        if not np.any(both):
-            continue
-        ratio = float(np.median(size[both] / sizes[0][both]))
+        ratio = float(np.median(size[both] / sizes[0][both])) if np.any(both) else 1.0
         if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
-            yield (
-                f"body {body.body} moves {ratio:.3g} times as much as body {measurement.bodies[0].body} "
-                "(median): their readings are hardly in the same unit. Check m, mm, um, nm in their rows or "
-                "files."
-            )
+            yield None, {"body": body.body, "ratio": ratio, "first": measurement.bodies[0].body}
 
 
-def _phases(measurement: Measurement) -> Iterator[str]:
+def phases(measurement: Measurement) -> Iterator[Slip]:
+    """Look whether all phases lie within pi degrees."""
     if measurement.freq_hz[-1] < _WIDE_BAND * measurement.freq_hz[0]:
         return
     turn = (1j * 2.0 * np.pi * measurement.freq_hz) ** measurement.order
@@ -162,13 +143,10 @@ def _phases(measurement: Measurement) -> Iterator[str]:
             continue
         phase = np.abs(np.rad2deg(np.angle(value)))
         if _LEAST_PHASE < float(np.max(phase)) <= np.pi * (1.0 + 1e-6) and np.median(phase) > _MIDDLE_PHASE:
-            yield (
-                f"all phases of body {body.body} lie between -3.142 and 3.142 degrees: they look like "
-                "radians under a header in degrees. Give them in degrees (times 57.296)."
-            )
+            yield None, {"body": body.body}
 
 
-def _decibels(measurement: Measurement) -> Iterator[str]:
+def decibels(measurement: Measurement) -> Iterator[Slip]:
     """Compare the fit of a rigid motion to the readings as they are and as decibels."""
     step = max(1, len(measurement.freq_hz) // _TRIED_LINES)
     rate = (2j * np.pi * measurement.freq_hz[::step]) ** measurement.order
@@ -190,12 +168,8 @@ def _decibels(measurement: Measurement) -> Iterator[str]:
             linear = 10.0 ** ((level - np.max(level)) / 20.0)
             after = _not_rigid(linear * np.exp(1j * np.angle(value)), basis)
             if after < _CURED * as_given:
-                yield (
-                    f"body {body.body} moves as a rigid body only when its amplitudes are taken as decibels "
-                    f"({100.0 * np.sqrt(after):.2g} % of them are no rigid motion then, "
-                    f"{100.0 * np.sqrt(as_given):.2g} % as given). Give amplitudes, 10^(dB/20) times the "
-                    "reference."
-                )
+                shares = {"after": 100.0 * np.sqrt(after), "given": 100.0 * np.sqrt(as_given)}
+                yield None, {"body": body.body, **shares}
 
 
 def _not_rigid(value: NDArray[Any], basis: Array) -> float:
@@ -205,18 +179,9 @@ def _not_rigid(value: NDArray[Any], basis: Array) -> float:
     return float(np.median(np.maximum(1.0 - inside / whole, 0.0)))
 
 
-def _some(body: BodyChannels, turn: NDArray[np.complex128] | None = None) -> NDArray[np.complex128]:
+def _some(body: BodyChannels, turn: NDArray[Any]) -> NDArray[np.complex128]:
     """Return finite readings that are not zero, of some lines of large data, times a factor (freq,)."""
     value = body.displacement
     step = max(1, value.size // _SAMPLE)
-    part = value[:, :, ::step] * (1.0 if turn is None else turn[::step])
+    part = value[:, :, ::step] * turn[::step]
     return np.asarray(part[np.isfinite(part) & (part != 0.0)])
-
-
-SLIPS: tuple[Callable[[Measurement], Iterator[str]], ...] = (
-    _points,
-    _frequencies,
-    _ratios,
-    _phases,
-    _decibels,
-)

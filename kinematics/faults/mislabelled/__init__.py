@@ -1,1 +1,0 @@
-"""Faults that one body by itself does not show: wrong labels, lines and runs, and the phase convention."""

@@ -1,0 +1,1 @@
+"""Functions that yield how readings can have been labelled, scaled or ordered otherwise; see alternatives."""
