@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
@@ -24,8 +26,11 @@ def fine(surface, edge=0.06):
     return Surface(mesh.points, mesh.faces)
 
 
+fine_box = cache(lambda size: fine(box(size)))
+
+
 def plate(size=SIZE, noise=0.0, seed=0):
-    surface = fine(box(size))
+    surface = fine_box(size)
     rng = np.random.default_rng(seed)
     return Surface(surface.vertices_mm + rng.normal(0.0, noise, surface.vertices_mm.shape), surface.faces)
 
