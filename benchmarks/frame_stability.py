@@ -78,7 +78,8 @@ def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> d
     }
     if bodies.plate is not None:
         border = getattr(bodies.plate, "on_border", None)
-        plate = plate_frame(bodies.plate, bodies.stapes, border, bodies.volume, bodies.psf_sigma_mm)
+        middle = bodies.moments.centroid_mm
+        plate = plate_frame(bodies.plate, middle, border, bodies.volume, bodies.psf_sigma_mm)
         deviations["plate"] = deviation(plate.scan_from_plate.matrix, np.array(known["scan_from_plate"]))
     return deviations
 

@@ -16,6 +16,7 @@ from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.background import Later
+from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
 # Numbers of the bodies in label volumes, written and read; 0 is the background.
@@ -167,6 +168,33 @@ class PlateFace:
 
 
 @dataclass(frozen=True)
+class PlateFrame:
+    """The frame of the plastic plate.
+
+    Attributes
+    ----------
+    scan_from_plate : RigidTransform
+        mm.
+    covariance : ndarray, (6, 6)
+        Of the frame's displacement in its own axes, m and rad.
+    outline_mm : ndarray, (n, 3)
+        Corners of the visible face, scan coordinates; empty when fiducials gave the frame.
+    cropped : bool
+        The field of view ends the face on at least one side.
+    source : str
+        ``faces`` or ``fiducials``.
+    notices : tuple of Notice
+    """
+
+    scan_from_plate: RigidTransform
+    covariance: Array
+    outline_mm: Array
+    cropped: bool
+    source: str
+    notices: tuple[Notice, ...] = field(default=())
+
+
+@dataclass(frozen=True)
 class WindowWall:
     """The surface of bone that is not the stapes, as seen.
 
@@ -213,6 +241,8 @@ class Bodies:
     wall : WindowWall or None
         Surface of other bone near the stapes.
     plate : Surface or None
+    plate_frame : Later of PlateFrame or None, or None
+        The plate's frame, sought in the background; None where it is still to be sought.
     moments : Moments
         Partial-volume moments of the stapes with their covariance by source: the numbers to use.
     mesh_moments : Moments
@@ -242,5 +272,6 @@ class Bodies:
     frame_doubt: Surface | None = None
     wall: WindowWall | None = None
     plate_face: PlateFace | None = None
+    plate_frame: Later[PlateFrame | None] | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

@@ -42,8 +42,7 @@ from stapeskit.records.mass_record import MassMatrix
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
-    from ct_inertia.bodies import Bodies
-    from ct_inertia.frames.plate_frame import PlateFrame
+    from ct_inertia.bodies import Bodies, PlateFrame
     from ct_inertia.frames.window_gap import WindowGap
 
 
@@ -190,14 +189,14 @@ def _plate_frame(
         from ct_inertia.frames.plate_fiducials import plate_frame_from_fiducials
 
         return plate_frame_from_fiducials(known.fiducials, middle)
-    if plate is None:
+    if plate is None or bodies is None:
         return None
+    if bodies.plate_frame is not None:
+        return bodies.plate_frame.result()
     from ct_inertia.frames.plate_frame import plate_frame
 
-    if bodies is None:
-        return plate_frame(plate, stapes)
     grey = None if bodies.levels is None else bodies.volume
-    return plate_frame(plate, stapes, _on_border(bodies, plate), grey, bodies.psf_sigma_mm, bodies.plate_face)
+    return plate_frame(plate, middle, _on_border(bodies, plate), grey, bodies.psf_sigma_mm, bodies.plate_face)
 
 
 def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from ct_inertia.bodies import Bodies
+    from ct_inertia.bodies import Bodies, PlateFrame
     from ct_inertia.frames.footplate import FootplateFrame
-    from ct_inertia.frames.plate_frame import PlateFrame
     from ct_inertia.frames.window_gap import WindowGap
     from ct_inertia.mass.mass_estimates import MassByWay
     from ct_inertia.mass.mass_properties import MassProperties

@@ -3,6 +3,7 @@
 import gc
 import inspect
 import pkgutil
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +12,11 @@ import pytest
 from markupsafe import Markup
 
 HERE = Path(__file__).parent
+# Options that enter neither the reading of a scan nor the search for its bodies.
+_AFTERWARDS = (
+    *("density", "mass_mg", "calibration", "add_mass", "voxel_size_sd_percent", "scale_length", "scale_ball"),
+    *("anterior", "side", "landmarks", "plate_fiducials"),
+)
 
 
 def pytest_collection_modifyitems(items):
@@ -58,3 +64,32 @@ def leave_drawing(patch):
 def undrawn(monkeypatch):
     """Run a test without drawings."""
     leave_drawing(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def found_once():
+    """Find the bodies of a scan and the frame of a surface once, for tests of what comes after them."""
+    from ct_inertia import ct2mass, frames_and_mass
+    from stapeskit.input_changes import InputStates
+
+    find_bodies, find_frame = ct2mass._bodies, frames_and_mass.footplate_frame
+    known = {}
+
+    def bodies(options, progress):
+        given = {field.name: getattr(options, field.name) for field in fields(options)}
+        sought = {name: value for name, value in given.items() if name not in _AFTERWARDS}
+        key = repr(sought), repr(InputStates.of([options.scan, options.labels]))
+        if key not in known:
+            known[key] = find_bodies(options, progress)
+        return known[key]
+
+    def frame(surface, hints=None, *blur, **more):
+        key = surface.vertices_mm.tobytes(), surface.faces.tobytes(), repr((hints, blur, more))
+        if key not in known:
+            known[key] = find_frame(surface, hints, *blur, **more)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ct2mass, "_bodies", bodies)
+        patch.setattr(frames_and_mass, "footplate_frame", frame)
+        yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,3 +108,5 @@ def write_crop(bodies: Bodies, path: Path) -> None:
         for start in range(z.start, z.stop, layers):
             part = volume.array[start : min(start + layers, z.stop), y, x]
             stream.write(np.ascontiguousarray(part, dtype=stored).data)
+        stream.flush()
+        os.fsync(stream.fileno())  # it is the largest output: on the disk before the others wait for it

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ct_inertia.bodies import PlateFrame
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.plate_frame import PlateFrame, positive_sense
+from ct_inertia.frames.plate_frame import positive_sense
 from stapeskit.alignment.registration import fit_rigid
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all

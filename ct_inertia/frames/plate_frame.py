@@ -8,12 +8,12 @@ of them help to tell its direction. Where the field of view crops the plate, its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import PlateFace
+from ct_inertia.bodies import PlateFace, PlateFrame
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.covered_plate import covered_face
@@ -46,36 +46,9 @@ _UNKNOWN_TURN_RAD = calibrated("plate_frame.unknown_turn_rad")
 _STEP = 1e-6
 
 
-@dataclass(frozen=True)
-class PlateFrame:
-    """The frame of the plastic plate.
-
-    Attributes
-    ----------
-    scan_from_plate : RigidTransform
-        mm.
-    covariance : ndarray, (6, 6)
-        Of the frame's displacement in its own axes, m and rad.
-    outline_mm : ndarray, (n, 3)
-        Corners of the visible face, scan coordinates; empty when fiducials gave the frame.
-    cropped : bool
-        The field of view ends the face on at least one side.
-    source : str
-        ``faces`` or ``fiducials``.
-    notices : tuple of Notice
-    """
-
-    scan_from_plate: RigidTransform
-    covariance: Array
-    outline_mm: Array
-    cropped: bool
-    source: str
-    notices: tuple[Notice, ...] = field(default=())
-
-
 def plate_frame(
     plate: SurfaceLike,
-    stapes: SurfaceLike,
+    stapes_mm: Array,
     on_border: NDArray[np.bool_] | None = None,
     volume: Volume | None = None,
     sigma_mm: float = 0.0,
@@ -85,8 +58,10 @@ def plate_frame(
 
     Parameters
     ----------
-    plate, stapes : Surface
+    plate : Surface
         Closed, outward; scan coordinates, mm.
+    stapes_mm : ndarray, (3,)
+        A point in the middle of the stapes, scan coordinates.
     on_border : ndarray of bool, (n,), optional
         Vertices of the plate at the border of the field of view, where the scan crops it.
     volume : Volume, optional
@@ -109,7 +84,7 @@ def plate_frame(
     if volume is not None:
         faces = [_place_border(face, volume) for face in faces]
     covered: tuple[Notice, ...] = ()
-    main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))
+    main = _main_face(faces, stapes_mm)
     sides = _sides(faces, main)
     if volume is not None and sigma_mm > 0.0:
         seen, (main, *sides) = main, fit_to_grey_values([main, *sides], faces, volume, sigma_mm)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,8 +46,7 @@ def thin_wall_shift(surface: Surface, share: NDArray[np.float32], transform: Arr
     """
     normals = vertex_normals(surface)
     seen, most = _seen_thickness(surface.vertices_mm, normals, share, transform, blur_mm)
-    true = np.linspace(_THINNEST, _THICK, 200)
-    lost = 0.5 * (true - _half_level_thickness(true))
+    true, lost = _lost_thickness()
     shift = np.interp(seen / blur_mm, true - 2.0 * lost, lost, left=float(lost[0]), right=0.0) * blur_mm
     edge = np.isinf(seen) & (most < 1.0)
     shift[edge] = normal_quantile(0.5 / np.clip(most[edge], _LEAST_PLATEAU, 1.0)) * blur_mm
@@ -75,14 +76,16 @@ def smoothed(surface: Surface, field: Array, rounds: int = _SMOOTHING) -> Array:
     return field
 
 
-def _half_level_thickness(true: Array) -> Array:
-    """Return the thickness of plates at the half level; both in widths of the blur."""
+@cache
+def _lost_thickness() -> tuple[Array, Array]:
+    """Return the thickness of plates, and how far the half level lies below each face, in widths of blur."""
+    true = np.linspace(_THINNEST, _THICK, 200)
     low, high = np.zeros_like(true), 0.5 * true + 1.0
     for _ in range(50):
         x = 0.5 * (low + high)
         above = normal_cdf(x + 0.5 * true) - normal_cdf(x - 0.5 * true) > 0.5
         low, high = np.where(above, x, low), np.where(above, high, x)
-    return low + high
+    return true, 0.5 * (true - (low + high))
 
 
 def _seen_thickness(

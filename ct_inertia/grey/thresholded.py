@@ -16,7 +16,7 @@ from stapeskit.warnings import Notice
 # Most grey values of a scan that somebody has thresholded: a few materials, where a scan has hundreds.
 _FEW_VALUES = 4
 # Voxels a piece, after each of which the search can end.
-_PIECE = 1_000_000
+_PIECE = 10_000
 
 
 def is_thresholded(grey: NDArray[Any]) -> bool:

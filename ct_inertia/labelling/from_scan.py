@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Bodies
+from ct_inertia.bodies import Bodies, PlateFrame
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
@@ -100,6 +100,7 @@ def _assemble(
     grid = volume if cut.working is None else cut.working.volume
     measured = measure_stapes(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between), coat)
     moments = measured.moments
+    frame = None if plate_mesh is None else Later(_plate_frame, volume, plate_mesh, measured)
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     share = smooth_noise(measured.share, measured.levels.noise / measured.levels.contrast)
@@ -120,8 +121,9 @@ def _assemble(
         notices = [notice for notice in notices if notice.code != "bone_cupping"]
     if coat is None:
         notices.append(bare_bone_notice(coarse.surface, moments.volume_mm3, measured.sigma_mm))
+    thresholded = is_thresholded(_as_stored(cut))
     stapes, level = mesh.result()
-    if is_thresholded(_as_stored(cut)):
+    if thresholded:
         moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))
         notices.append(notice)
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
@@ -147,9 +149,19 @@ def _assemble(
         levels=levels,
         psf_sigma_mm=measured.sigma_mm,
         plate_face=measured.plate_face,
+        plate_frame=frame,
         evidence=_evidence(sight, cut, measured, level),
         notices=unique(notices),
     )
+
+
+def _plate_frame(volume: Volume, mesh: Later[PlateSurface | None], measured: Measured) -> PlateFrame | None:
+    from ct_inertia.frames.plate_frame import plate_frame
+
+    plate, middle = mesh.result(), measured.moments.centroid_mm
+    if plate is None:
+        return None
+    return plate_frame(plate, middle, plate.on_border, volume, measured.sigma_mm, measured.plate_face)
 
 
 def _as_stored(cut: Cut) -> NDArray[Any]:

@@ -70,6 +70,11 @@ class Piece:
     perforated: bool = False
 
     @property
+    def box(self) -> tuple[slice, ...]:
+        """Its box as slices z, y, x."""
+        return tuple(slice(int(a), int(b)) for a, b in zip(self.low[::-1], self.high[::-1], strict=True))
+
+    @property
     def arched(self) -> bool:
         """It has one hole as a stapes has it, be its footplate perforated or not."""
         return self.holes == 1 or self.perforated
@@ -171,8 +176,7 @@ def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
         Pieces by number; 0 elsewhere.
     piece : Piece
     """
-    box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    part = labels[box][::2, ::2, ::2]
+    part = labels[piece.box][::2, ::2, ::2]
     own = np.argwhere(part == piece.label)
     other = np.argwhere((part > 0) & (part != piece.label))
     if len(other) == 0 or len(own) < 50 or np.any(np.ptp(own, axis=0) == 0):
@@ -191,8 +195,7 @@ def within_hull(labels: NDArray[np.integer], piece: Piece, other: Piece) -> floa
 
 def _places(labels: NDArray[np.integer], piece: Piece) -> NDArray[np.intp]:
     """Return some voxels z, y, x of a piece, (n, 3)."""
-    box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    index = np.argwhere(labels[box] == piece.label)
+    index = np.argwhere(labels[piece.box] == piece.label)
     return index[:: max(1, len(index) // (4 * _HULL_POINTS))] + piece.low[::-1]
 
 

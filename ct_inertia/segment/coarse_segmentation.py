@@ -141,14 +141,13 @@ def count_piece_holes(sight: CoarseSegmentation, piece: Piece) -> Piece:
     """Count a piece's holes unless that was done; thin dark walls count where that leaves one hole."""
     if piece.holes is not None:
         return piece
-    box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    inside = sight.pieces[box] == piece.label
+    inside = sight.pieces[piece.box] == piece.label
     counted = with_holes_of(piece, inside, sight.scan.spacing_mm)
     if counted.holes == 1 or sight.scan.grey.shape != sight.pieces.shape:
         return counted
     return (
         replace(counted, holes=1, perforated=False)
-        if count_holes(_thick(sight, box, inside)) == 1
+        if count_holes(_thick(sight, piece.box, inside)) == 1
         else counted
     )
 

@@ -137,7 +137,7 @@ def _without_grown(
     def grown(neck: Neck) -> bool:
         return neck.narrow and (whole.at_border or neck.longer_than_head)
 
-    inside = np.stack(np.nonzero(chosen.pieces == whole.label)[::-1], axis=1)
+    inside = np.stack(np.nonzero(chosen.pieces[whole.box] == whole.label)[::-1], axis=1) + whole.low
     if not any(grown(neck) for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
         return None
     for way in split_piece(volume, _grid(chosen), whole):

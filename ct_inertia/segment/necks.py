@@ -135,19 +135,20 @@ def _find_along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     height = near @ normal
     low = float(height.min())
     counts = _count((height - low) / step, grain.cubes)
-    area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step
-    beyond = np.cumsum(counts[::-1])[::-1] * voxel
+    # Lists: of some tens of numbers, arrays would take most of the time.
+    area = (np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step).tolist()
+    beyond = (np.cumsum(counts[::-1])[::-1] * voxel).tolist()
     reach = max(2, round(_WIDENS_WITHIN_MM / step))
     minima = []
     for k in range(reach, len(area) - 3):
         if not _LEAST_BEYOND_MM3 < beyond[k] < _MOST_BEYOND * grain.total_mm3:
             continue
-        if area[k] > area[k - 1 : k + 2].min():
+        if area[k] > min(area[k - 1 : k + 2]):
             continue
-        wide = min(area[k - reach : k].max(), area[k + 1 : k + 1 + reach].max())
+        wide = min(max(area[k - reach : k]), max(area[k + 1 : k + 1 + reach]))
         if area[k] < _NARROWER * wide:
-            at, share = low + (k + 0.5) * step, float(area[k] / wide)
-            minima.append(Neck(normal, at, float(area[k]), share, float(height.max()) - at))
+            at, share = low + (k + 0.5) * step, area[k] / wide
+            minima.append(Neck(normal, at, area[k], share, float(height.max()) - at))
     return minima
 
 

@@ -345,8 +345,7 @@ def _largest_share(mask: NDArray[np.bool_]) -> float:
 
 
 def _count(labels: NDArray[np.int32], piece: Piece, spacing_mm: Array) -> Piece:
-    box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    return with_holes_of(piece, labels[box] == piece.label, spacing_mm)
+    return with_holes_of(piece, labels[piece.box] == piece.label, spacing_mm)
 
 
 def _in_coarse(piece: Piece, working: Working, volume: Volume, step: Index) -> Piece:

@@ -205,10 +205,11 @@ def _is_padding(scan: CoarseScan, levels: Array) -> bool:
     """
     if levels.size < 3:
         return False
-    lowest = np.abs(scan.grey - np.float32(levels[0])) < np.float32(0.5 * (levels[1] - levels[0]))
-    padding = scan.grey == np.median(scan.grey[lowest])
-    if np.count_nonzero(padding) < _CONSTANT * np.count_nonzero(lowest):
+    few = scan.grey.ravel()[:: max(1, scan.grey.size // _SAMPLE) | 1]
+    lowest = few[np.abs(few - np.float32(levels[0])) < np.float32(0.5 * (levels[1] - levels[0]))]
+    if not lowest.size or np.count_nonzero(lowest == np.median(lowest)) < _CONSTANT * lowest.size:
         return False
+    padding = scan.grey == np.median(lowest)
     bone = scan.grey > np.float32(0.5 * (levels[1] + levels[-1]))
     beside = dilated(bone, _BESIDE) & ~bone
     return bool(np.count_nonzero(padding & beside) < 0.5 * np.count_nonzero(beside))

@@ -21,7 +21,7 @@ from stapeskit.provenance import content_hash
 from stapeskit.records.mass_record import read_mass_record
 from tests.ct_inertia.shapes import box, stapes
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+pytestmark = pytest.mark.usefixtures("found_once", "undrawn")
 
 DENSITY = 1900.0
 

@@ -18,6 +18,8 @@ from pipeline.study import read_study
 from stapeskit.faults import StapeskitError
 from stapeskit.provenance import content_hash
 
+pytestmark = pytest.mark.usefixtures("found_once")
+
 OUTPUTS = {"report.html", "mass.json", "stapes.ply", "dof.csv", "dof.h5", "dof.channels.csv", "kd.json"}
 
 

@@ -14,7 +14,6 @@ from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.volume.volume import Volume
 from stapeskit.frames import rotation_from_vector, vector_from_rotation
-from tests.ct_inertia.shapes import box, moved
 
 HALF = np.array([1.6, 0.25, 1.1])
 VOXEL, SIGMA = 0.025, 0.031
@@ -50,7 +49,7 @@ def surface_of(volume, step=3):
 
 def frame_of(volume, rotation, centre):
     surface, border = surface_of(volume)
-    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    above = rotation @ [0.1, 1.2, 0.0] + centre
     return plate_frame(surface, above, border, volume, SIGMA)
 
 
@@ -82,7 +81,7 @@ def test_bone_on_the_face_does_not_count():
     centre = 0.5 * size * VOXEL
     volume = scanned_box(rotation, centre, size, 400.0, bone=np.array([0.6, 0.3, 0.2]))
     surface, border = surface_of(scanned_box(rotation, centre, size, 400.0))
-    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    above = rotation @ [0.1, 1.2, 0.0] + centre
     frame = plate_frame(surface, above, border, volume, SIGMA)
     origin, turn = deviation(frame, rotation, centre + rotation @ [0.0, HALF[1], 0.0])
     assert np.abs(origin).max() < 1e-3
@@ -126,7 +125,7 @@ def test_blurred_bone_above_most_of_the_face_does_not_move_it():
         np.round(volume.array + bone).astype(np.uint16), volume.spacing_mm, volume.origin_mm, np.eye(3)
     )
     surface, border = surface_of(volume)
-    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    above = rotation @ [0.1, 1.2, 0.0] + centre
     frame = plate_frame(surface, above, border, near, SIGMA)
     shift, turn = deviation(frame, rotation, centre + rotation @ [0.0, HALF[1], 0.0])
     assert abs(shift[1]) < 5e-4

@@ -19,7 +19,7 @@ from tests.ct_inertia.shapes import box, stapes
 from tests.ct_inertia.solids import filled, grey_volume, imaged, random_rotation, stapes_surface
 from tests.ct_inertia.solids import moved as placed
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+pytestmark = pytest.mark.usefixtures("found_once", "undrawn")
 
 STEP = 0.03
 ANTERIOR = (1.0, 0.2, 0.1)
