@@ -174,7 +174,7 @@ def source_id(ear: Ear, source: str) -> str:
             f"density {ear.mass.get('density_kg_m3'):.6g}" if known == "density" else f"mass of {ear.folder}"
         )
     if source == "voxel_size":
-        stated = (provenance.get("parameters") or {}).get("voxel_size_sd", "")
+        stated = (provenance.get("parameters") or {}).get("voxel_size_sd_percent", "")
         return f"voxel size of scanner {ear.about.get('scanner', '')} {stated}".strip()
     return f"{source} of {ear.folder}"
 
