@@ -133,6 +133,15 @@ def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
     assert alone.interval_si[0] < alone.value_si < alone.interval_si[1]
     elsewhere = {**other.mass, "density_kg_m3": 1800.0}
     assert np.ptp(studied.predict(elsewhere).interval) > np.ptp(alone.interval)
+    # A mass from a balance is off by itself too, in a cohort of weighed ears.
+    weighed = replace(studied, table=replace(studied.table, sources=("mass of ear0",)))
+    record = dict(other.mass["inertial_parameters"])
+    parts = dict(record["contributions_si"])
+    record["contributions_si"] = parts | {"mass": parts.pop("density")}
+    balance = {**other.mass, "mass_known_by": "mass", "inertial_parameters": record}
+    assert np.ptp(weighed.predict(balance).interval) == pytest.approx(
+        np.ptp(studied.predict(elsewhere).interval)
+    )
     low, high = studied.tolerance("K11")
     assert low < np.log(1700.0) < high
 
