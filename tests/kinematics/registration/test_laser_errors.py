@@ -189,6 +189,7 @@ def test_errors_are_shown_in_the_units_in_which_they_are_stated():
     sd = LaserPriors(*stated).sd_by_kind()
     assert [shown(f"{kind}.2")[1] * size for kind, size in sd.items()] == pytest.approx(stated)
     assert [shown(kind)[2] for kind in sd] == ["%", "°", "us"]
+    assert shown("gain.stapes.1")[1:] == shown("laser_gain.1")[1:]
     assert shown("position.stapes.1.x")[1:] == (1e6, "um")
     assert shown("turn.stapes.z")[1] * np.pi == pytest.approx(180.0)
 
