@@ -93,6 +93,26 @@ def test_what_the_beams_tell_corrects_the_motion(kind, true):
     assert exact.lasers is None
 
 
+def test_readings_freed_of_their_errors_are_those_without_and_move_the_motion_as_the_derivatives_say():
+    errors = {"gain": (0.02, 0.0, -0.01), "phase": (0.01, -0.02, 0.0), "delay": (0.0, 2e-6, -1e-6)}
+    plain, wrong = measured(count=5)[0], measured(count=5, **errors)[0]
+    lasers = Lasers.of(plain, LaserPriors())
+    freed = lasers.corrected(wrong, np.concatenate(list(errors.values())))
+    assert freed.bodies[0].displacement == pytest.approx(plain.bodies[0].displacement, rel=1e-9)
+    body = plain.bodies[0]
+    beams = beam_set("stapes", body.positions_mm, body.directions, ("x", "y", "z", "alpha", "beta", "gamma"))
+
+    def fit(measurement):
+        return fit_lines(beams, measurement.bodies[0].displacement[0], body.sd[0])
+
+    slopes = lasers.errors(plain, {(0, 0): fit(plain)}, agreement(plain)).derivatives[:, 0, 0]
+    size = np.max(np.abs(fit(plain).q), axis=0)
+    for place, step in enumerate(np.repeat([1e-4, 1e-4, 1e-8], 3)):
+        ends = [fit(lasers.corrected(plain, sign * step * np.eye(9)[place])).q for sign in (1.0, -1.0)]
+        change = (ends[0] - ends[1]) / (2.0 * step)
+        assert np.max(np.abs(slopes[place] - change) / size) * step < 1e-7
+
+
 def agreement(measurement, priors=None):
     """The errors of the lasers without a search for faults."""
     body = measurement.bodies[0]
