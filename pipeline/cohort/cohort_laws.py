@@ -171,7 +171,9 @@ class CohortLaws:
         law = self.law(response, predictor)
         table = self.logarithms
         content = mass_content(mass)
-        ear = replace(self.ears[0], mass=content, about=about or {}, side=content["frames"].get("side") or "")
+        side = content["frames"].get("side") or ""
+        # No folder of the cohort: an error that is named after its ear is one of this ear alone.
+        ear = replace(self.ears[0], folder="", mass=content, about=about or {}, side=side)
         alone = log_table([ear])
         try:
             column = alone.column(law.predictor)

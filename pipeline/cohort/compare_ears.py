@@ -17,7 +17,7 @@ from stapeskit.json_toml import read_json
 from stapeskit.page.quantities import MASS, matrix_units, si_unit
 from stapeskit.tables.text_cells import as_text_cell
 
-SHARED_SOURCES = ("density", "voxel_size", "mass")
+SHARED_SOURCES = ("density", "calibration", "voxel_size", "mass")
 """Sources of the mass's errors that ears can share."""
 # Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
 # both), entries that couple an odd with an even of these degrees of freedom change their sign.
@@ -166,15 +166,13 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
 def source_id(ear: Ear, source: str) -> str:
     """Name a source of errors so that ears which share the error have one name for it."""
     provenance = ear.mass.get("provenance") or {}
-    if source == "density":
-        known = ear.mass.get("mass_known_by")
-        if known == "calibration":
-            return f"calibration {((provenance.get('inputs') or {}).get('calibration') or {}).get('hash')}"
-        return (
-            f"density {ear.mass.get('density_kg_m3'):.6g}" if known == "density" else f"mass of {ear.folder}"
-        )
+    line = ((provenance.get("inputs") or {}).get("calibration") or {}).get("hash")
+    if source == "density" and ear.mass.get("mass_known_by") == "density":
+        return f"density {ear.mass.get('density_kg_m3'):.6g}"
+    if source == "calibration" and line:
+        return f"calibration {line}"
     if source == "voxel_size":
-        stated = (provenance.get("parameters") or {}).get("voxel_size_sd", "")
+        stated = (provenance.get("parameters") or {}).get("voxel_size_sd_percent", "")
         return f"voxel size of scanner {ear.about.get('scanner', '')} {stated}".strip()
     return f"{source} of {ear.folder}"
 

@@ -67,4 +67,6 @@ def test_changes_against_the_leading_way_are_in_percent():
 )
 def test_two_ways_disagree_beyond_three_sd_or_five_percent_where_one_has_none(off, share, told):
     ways = [by_way("mass", 1.0, 0.03 if share else None), by_way("density", 1.0 + off, share)]
-    assert [notice.code for notice in disagreements(ways)] == ["masses_disagree"] * told
+    found = disagreements(ways)
+    assert [notice.code for notice in found] == ["masses_disagree"] * told
+    assert all(f"({100.0 * off:+.1f} %)" in notice.text for notice in found)

@@ -14,13 +14,17 @@ from fitting.cli import parser, work
 from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
+from fitting.examples.experiment import Layout
+from fitting.fit_kd import fit_kd
+from fitting.kd_fit import KDFit
 from fitting.model.damping import VISCOUS
 from fitting.model.observation import observe
 from fitting.model.scaled_lines import Scale, assemble
+from fitting.options import KDOptions
 from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_options import PLAN_EXAMPLE
-from fitting.plan.planned_errors import PlannedErrors
+from fitting.plan.planned_errors import PlannedErrors, shared_errors
 from stapeskit.faults import StapeskitError
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, M, six_dof_mass, six_dof_matrices
@@ -35,9 +39,14 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+def planned_fit(plan: Plan) -> KDFit:
+    """The fit of a plan, without its improvements."""
+    return fit_kd(planned_motion(plan), plan.mass, KDOptions(dof=plan.dof, bands=0, profile=False))
+
+
 def test_expected_sd_is_the_scatter_of_fits() -> None:
     plan = Plan(noise_relative=0.05, lines=100)
-    expected = np.sqrt(np.diag(expect(plan).planned.fit.noise_covariance))
+    expected = np.sqrt(np.diag(planned_fit(plan).noise_covariance))
     observation = observe(planned_motion(plan), DOF)
     scale = Scale.of(observation, M)
     units = scale.parameter_units(VISCOUS)
@@ -70,27 +79,74 @@ def test_six_degrees_of_freedom_need_more_directions() -> None:
     worst = []
     for directions in ("y", "yx", "yxz"):
         plan = Plan(DOF_NAMES, six_dof_mass(), stiffness, damping, directions=tuple(directions), lines=40)
-        worst.append(expect(plan).planned.fit.identifiability.worst)
+        worst.append(planned_fit(plan).identifiability.worst)
     assert worst[0] > 3.0 * worst[1] > 9.0 * worst[2]
 
 
-@pytest.mark.parametrize(
-    "stated",
-    [
-        {"position_sd_mm": 0.05},
-        {"registration_sd_mm": 0.05, "registration_sd_deg": 0.5},
-        {"gain_sd_percent": 2.0},
-        {"phase_sd_deg": 0.5, "delay_sd_us": 1.0},
-    ],
-    ids=["points", "registration", "gain", "phase and delay"],
-)
-def test_shared_errors_are_the_scatter_of_readings_with_such_errors(stated: dict[str, float]) -> None:
+def misread(q, points_mm, shift=0.0, turned=None, moved=0.0, laser=1.0):
+    """Motion (lines, 3 or 6) that wrong points, frames and lasers, taken for right, make of a true one."""
+    used = USED if q.shape[1] == len(USED) else range(6)
+    turned = Rotation.identity() if turned is None else turned
+    stated = 1e-3 * points_mm
+    # the true point and beam behind what is stated in a frame that is shifted and turned
+    seen = turned.inv().apply(stated + moved) + shift
+    beams = turned.inv().as_matrix().T
+    true = np.array([[*d, *np.cross(p, d)] for p in seen for d in beams])
+    believed = np.array([[*d, *np.cross(p, d)] for p in stated for d in np.eye(3)])
+    readings = (q @ true[:, used].T) * laser * np.ones(len(true))
+    return (readings @ np.linalg.pinv(believed).T)[:, used]
+
+
+def test_shared_errors_are_what_misread_points_frames_and_lasers_make() -> None:
+    stated = PlannedErrors(0.03, 0.02, 0.1, 2.0, 0.5, 3.0)
+    rng = np.random.default_rng(4)
+    points = rng.normal(0.0, 1.0, (2, 4, 3))
+    freq = np.array([400.0, 1000.0, 5000.0])
+    size = np.array([1e-7] * 3 + [1e-4] * 3)
+    q = size * (rng.standard_normal((1, 2, 3, 6, 2)) @ [1.0, 1.0j])
+    omega = 2.0 * np.pi * freq[:, None]
+    steps = {
+        "registration": 1e-6,
+        "position": 1e-6,
+        "laser_gain": 1e-3,
+        "laser_phase": 1e-3,
+        "laser_delay": 1e-9,
+    }
+    found = shared_errors(stated, DOF_NAMES, tuple(map(Layout, points)), freq, q)
+    assert len(found.names) == 15 + 3 * 2 * 4
+    for name, slope, variance in zip(found.names, found.derivatives, np.diag(found.covariance), strict=True):
+        kind, *place, axis = name.split(".")
+        along = np.eye(3)["xyz".index(axis[-1])]
+
+        def made(body: int, size: float, kind=kind, place=place, axis=axis, along=along) -> np.ndarray:
+            if kind == "position":
+                moved = np.zeros((4, 3))
+                moved[int(place[1])] = size * along * (int(place[0]) == body)
+                return misread(q[0, body], points[body], moved=moved)
+            if axis.startswith("turn"):
+                return misread(q[0, body], points[body], turned=Rotation.from_rotvec(size * along))
+            if kind == "registration":  # a frame off by s has its points off by -s
+                return misread(q[0, body], points[body], shift=-size * along)
+            factor = {"gain": size, "phase": 1j * size, "delay": -1j * omega * size}[kind[6:]]
+            return misread(q[0, body], points[body], laser=1.0 + factor * np.tile(along, 4))
+
+        step = steps[kind]
+        for body in range(2):
+            change = (made(body, step) - made(body, -step)) / (2.0 * step)
+            scale = np.abs(q[0, body]).max(axis=0) / np.sqrt(variance)
+            assert np.abs((slope[0, body] - change) / scale).max() < 1e-6, name
+    units = {"position": 3e-5, "registration": 2e-5, "laser_gain": 0.02, "laser_delay": 3e-6}
+    for name, variance in zip(found.names, np.diag(found.covariance), strict=True):
+        sd = units.get(name.split(".")[0], np.radians(0.5))
+        assert np.sqrt(variance) == pytest.approx(np.radians(0.1) if "turn" in name else sd), name
+
+
+def test_shared_errors_are_the_scatter_of_readings_with_such_errors() -> None:
     """Readings are made from wrong points, frames and lasers, and fitted as if all were right."""
-    exact = {error.name: 0.0 for error in fields(PlannedErrors)}
-    errors = PlannedErrors(**(exact | stated))
+    errors = PlannedErrors(0.05, 0.05, 0.5, 2.0, 0.5, 1.0, 0.0)
     plan = Plan(noise_m_s=2e-5, lines=40, errors=errors)
-    planned = expect(plan).planned
-    expected = np.sqrt(np.diag(planned.covariance - planned.fit.noise_covariance))
+    fit = planned_fit(plan)
+    expected = np.sqrt(np.diag(fit.covariance - fit.noise_covariance))
     motion, mass = planned_motion(plan), np.asarray(plan.mass)
     rng = np.random.default_rng(3)
     omega = 2.0 * np.pi * motion.freq_hz[:, None]
@@ -101,18 +157,13 @@ def test_shared_errors_are_the_scatter_of_readings_with_such_errors(stated: dict
         gain = 1.0 + rng.normal(0.0, 1e-2 * errors.gain_sd_percent, 3)
         phase = rng.normal(0.0, np.radians(errors.phase_sd_deg), 3)
         delay = rng.normal(0.0, 1e-6 * errors.delay_sd_us, 3)
-        laser = np.tile(gain * np.exp(1j * (phase - omega * delay)), len(plan.structure_mm))
+        laser = gain * np.exp(1j * (phase - omega * delay))
         moved = motion.q[0].copy()
         for body, points_mm in enumerate((plan.structure_mm, plan.base_mm)):
-            stated_points = 1e-3 * points_mm
-            seen = stated_points + rng.normal(0.0, 1e-3 * errors.position_sd_mm, points_mm.shape)
-            # the true point and beam behind what is stated in a frame that is shifted and turned
-            seen = turned.inv().apply(seen) + shift
-            beams = turned.inv().as_matrix().T
-            true = np.array([[*d, *np.cross(p, d)] for p in seen for d in beams])
-            believed = np.array([[*d, *np.cross(p, d)] for p in stated_points for d in np.eye(3)])
-            readings = (motion.q[0, body] @ true[:, USED].T) * laser[:, : len(true)]
-            moved[body] = (readings @ np.linalg.pinv(believed).T)[:, USED]
+            off = rng.normal(0.0, 1e-3 * errors.position_sd_mm, points_mm.shape)
+            moved[body] = misread(
+                motion.q[0, body], points_mm, shift, turned, off, np.tile(laser, len(points_mm))
+            )
         wrong = replace(motion, q=moved[None], shared=None)
         observation = observe(wrong, DOF)
         scale = Scale.of(observation, mass)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from kinematics.errors import KinematicsError
 from kinematics.fit.beams import beam_set
@@ -15,6 +16,7 @@ from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
 from kinematics.registration.laser_errors import LaserPriors, Lasers, laser_parts
+from kinematics.registration.prior_errors import compare_with_priors, shown
 from tests.kinematics.simulated import readings, scene
 
 FREQ = np.linspace(400.0, 5000.0, 40)
@@ -89,6 +91,26 @@ def test_what_the_beams_tell_corrects_the_motion(kind, true):
 
     assert off(free) < 0.4 * off(exact)
     assert exact.lasers is None
+
+
+def test_readings_freed_of_their_errors_are_those_without_and_move_the_motion_as_the_derivatives_say():
+    errors = {"gain": (0.02, 0.0, -0.01), "phase": (0.01, -0.02, 0.0), "delay": (0.0, 2e-6, -1e-6)}
+    plain, wrong = measured(count=5)[0], measured(count=5, **errors)[0]
+    lasers = Lasers.of(plain, LaserPriors())
+    freed = lasers.corrected(wrong, np.concatenate(list(errors.values())))
+    assert freed.bodies[0].displacement == pytest.approx(plain.bodies[0].displacement, rel=1e-9)
+    body = plain.bodies[0]
+    beams = beam_set("stapes", body.positions_mm, body.directions, ("x", "y", "z", "alpha", "beta", "gamma"))
+
+    def fit(measurement):
+        return fit_lines(beams, measurement.bodies[0].displacement[0], body.sd[0])
+
+    slopes = lasers.errors(plain, {(0, 0): fit(plain)}, agreement(plain)).derivatives[:, 0, 0]
+    size = np.max(np.abs(fit(plain).q), axis=0)
+    for place, step in enumerate(np.repeat([1e-4, 1e-4, 1e-8], 3)):
+        ends = [fit(lasers.corrected(plain, sign * step * np.eye(9)[place])).q for sign in (1.0, -1.0)]
+        change = (ends[0] - ends[1]) / (2.0 * step)
+        assert np.max(np.abs(slopes[place] - change) / size) * step < 1e-7
 
 
 def agreement(measurement, priors=None):
@@ -180,6 +202,26 @@ def test_many_directions_are_grouped_without_comparing_all_pairs():
 def test_priors_out_of_range_are_refused(sizes):
     with pytest.raises(KinematicsError):
         LaserPriors(*sizes)
+
+
+def test_errors_are_shown_in_the_units_in_which_they_are_stated():
+    stated = (1.5, 0.25, 3.0)
+    sd = LaserPriors(*stated).sd_by_kind()
+    assert [shown(f"{kind}.2")[1] * size for kind, size in sd.items()] == pytest.approx(stated)
+    assert [shown(kind)[2] for kind in sd] == ["%", "°", "us"]
+    assert shown("gain.stapes.1")[1:] == shown("laser_gain.1")[1:]
+    assert shown("position.stapes.1.x")[1:] == (1e6, "um")
+    assert shown("turn.stapes.z")[1] * np.pi == pytest.approx(180.0)
+
+
+def test_estimates_are_judged_by_what_the_data_add_to_their_priors():
+    """Of n errors that the data leave the share s of their variance, chi2 is that of (1 - s) of it."""
+    prior, left, values = np.array([0.01, 0.02, 1e-6]), 0.36, np.array([0.02, 0.0, -2e-6])
+    chi2, count, chance = compare_with_priors(values, left * np.diag(prior**2), prior, np.eye(3))
+    assert (chi2, count) == (pytest.approx((4.0 + 4.0) / 0.64), 3)
+    assert chance == pytest.approx(stats.chi2.sf(12.5, 3))
+    nothing = compare_with_priors(values, np.diag(prior**2), prior, np.eye(3))
+    assert nothing == (0.0, 0, 1.0)
 
 
 def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():

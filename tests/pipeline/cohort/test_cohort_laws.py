@@ -16,7 +16,7 @@ from pipeline.cohort.cohort_laws import (
     primary_family,
 )
 from pipeline.cohort.cohort_page import write_cohort_page
-from pipeline.cohort.compare_ears import ear_table
+from pipeline.cohort.compare_ears import ear_table, quantities
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.log_table import log_table
 from pipeline.cohort.power_law import fit_law
@@ -40,6 +40,26 @@ def test_the_density_is_shared_and_the_noise_is_not(ears):
     assert table.shared[:, k11, 0] == pytest.approx(0.01)
     assert table.own[:, column, column] == pytest.approx(0.002**2, rel=1e-3)
     assert table.own[:, k11, k11] == pytest.approx(0.01**2, rel=1e-3)
+
+
+def test_ears_of_one_calibration_share_its_error_as_they_share_a_density(ears):
+    def calibrated(ear, line):
+        mass, kd = copy.deepcopy(ear.mass), copy.deepcopy(ear.kd)
+        parts = mass["inertial_parameters"]["contributions_si"]
+        parts["calibration"] = parts.pop("density")
+        kd["budget"]["mass.calibration"] = kd["budget"].pop("mass.density")
+        mass |= {"mass_known_by": "calibration", "provenance": {"inputs": {"calibration": {"hash": line}}}}
+        return replace(ear, mass=mass, kd=kd)
+
+    one = log_table([calibrated(ear, "a") for ear in ears])
+    plain = log_table(ears)
+    assert one.sources == ("calibration a",)
+    assert one.shared == pytest.approx(plain.shared)
+    assert one.own == pytest.approx(plain.own)
+    two = log_table([calibrated(ear, "ab"[place % 2]) for place, ear in enumerate(ears)])
+    assert two.sources == ("calibration a", "calibration b")
+    entries = zip(quantities([calibrated(ear, "a") for ear in ears]), quantities(ears), strict=True)
+    assert all(np.array_equal(entry.own, other.own) for entry, other in entries if other.own is not None)
 
 
 def test_the_state_of_the_density_changes_no_exponent(ears, studied):
@@ -113,6 +133,15 @@ def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
     assert alone.interval_si[0] < alone.value_si < alone.interval_si[1]
     elsewhere = {**other.mass, "density_kg_m3": 1800.0}
     assert np.ptp(studied.predict(elsewhere).interval) > np.ptp(alone.interval)
+    # A mass from a balance is off by itself too, in a cohort of weighed ears.
+    weighed = replace(studied, table=replace(studied.table, sources=("mass of ear0",)))
+    record = dict(other.mass["inertial_parameters"])
+    parts = dict(record["contributions_si"])
+    record["contributions_si"] = parts | {"mass": parts.pop("density")}
+    balance = {**other.mass, "mass_known_by": "mass", "inertial_parameters": record}
+    assert np.ptp(weighed.predict(balance).interval) == pytest.approx(
+        np.ptp(studied.predict(elsewhere).interval)
+    )
     low, high = studied.tolerance("K11")
     assert low < np.log(1700.0) < high
 

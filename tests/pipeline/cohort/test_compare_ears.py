@@ -12,8 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ct_inertia.options import MassOptions
 from pipeline.cohort.cohort_page import write_cohort_page
-from pipeline.cohort.compare_ears import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
+from pipeline.cohort.compare_ears import (
+    Ear,
+    Quantity,
+    labels,
+    quantities,
+    read_ear,
+    source_id,
+    write_cohort_csv,
+)
 from pipeline.runners.study_process import Task
 from pipeline.several_studies import folder_names, run_studies
 from stapeskit.faults import StapeskitError
@@ -59,6 +68,17 @@ def test_homogeneity_is_cochrans():
     assert far[1] == 1
     assert far[2] < 1e-9
     assert np.isnan(Quantity("a", "", np.array([1.0]), np.array([0.1])).homogeneity()[2])
+
+
+def test_voxel_sizes_are_off_together_on_one_scanner_that_is_known_as_well():
+    def ear(scanner: str, percent: float) -> Ear:
+        options = MassOptions("scan.tif", density=(1900.0, None), voxel_size_sd_percent=percent)
+        mass = {"provenance": {"parameters": options.parameters()}}
+        return Ear("one", "one", "left", mass, {}, {"scanner": scanner})
+
+    one = source_id(ear("A", 0.2), "voxel_size")
+    assert one == source_id(ear("A", 0.2), "voxel_size")
+    assert len({one, source_id(ear("B", 0.2), "voxel_size"), source_id(ear("A", 0.5), "voxel_size")}) == 3
 
 
 def test_entries_that_turn_with_the_side(finished):

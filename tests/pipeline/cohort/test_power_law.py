@@ -23,6 +23,32 @@ def test_without_measurement_errors_it_is_least_squares(n):
     left = np.sum((pairs.y - line.intercept - line.slope * pairs.x) ** 2)
     ends = np.sqrt(left / stats.chi2.ppf([0.975, 0.025], n - 2))
     assert law.sigma_interval == pytest.approx(tuple(ends), rel=1e-3)
+    assert law.tau == pytest.approx(np.std(pairs.x, ddof=1), rel=1e-5)
+
+
+def test_errors_that_are_alike_in_all_ears_are_subtracted_from_the_sample_covariance():
+    pairs, _ = cohort(np.random.default_rng(6), 30)
+    law, own = fit_law(pairs), pairs.own[0]
+    true = np.cov(pairs.x, pairs.y) - own
+    slope = true[0, 1] / true[0, 0]
+    assert law.tau == pytest.approx(np.sqrt(true[0, 0]), rel=1e-4)
+    assert law.exponent == pytest.approx(slope, rel=1e-4)
+    assert law.sigma == pytest.approx(np.sqrt(true[1, 1] - slope**2 * true[0, 0]), rel=1e-4)
+    assert law.reliability == pytest.approx(true[0, 0] / np.var(pairs.x, ddof=1), rel=1e-4)
+    residual = pairs.y - law.exponent * pairs.x
+    error = own[1, 1] - 2.0 * law.exponent * own[0, 1] + law.exponent**2 * own[0, 0]
+    ends = 29 * np.var(residual, ddof=1) / stats.chi2.ppf([0.975, 0.025], 28) - error
+    assert law.sigma_interval == pytest.approx(tuple(np.sqrt(ends)), rel=1e-3)
+
+
+def test_scatter_that_ears_of_a_person_share_counts_by_sum_and_difference():
+    """The sum of two ears with the correlation rho has 1 + rho, their difference 1 - rho of the variance."""
+    pairs, _ = cohort(np.random.default_rng(8), 12, error=(0.0, 0.0, 0.0), pairs=0.5)
+    rho, residual = 0.4, (pairs.y - 1.5 * pairs.x).reshape(-1, 2)
+    total, apart = residual.sum(axis=1) / np.sqrt(2.0), np.diff(residual, axis=1) / np.sqrt(2.0)
+    square = np.sum((total - total.mean()) ** 2) / (1.0 + rho) + np.sum(apart**2) / (1.0 - rho)
+    ends = np.sqrt(square / stats.chi2.ppf([0.975, 0.025], pairs.degrees))
+    assert scatter_interval(pairs, 1.5, rho=rho) == pytest.approx(tuple(ends), rel=1e-4)
 
 
 def test_an_error_that_all_ears_share_changes_nothing():
