@@ -27,8 +27,9 @@ from stapeskit.warnings import Notice
 
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
-# Points at fault that lasers are estimated without at most, and how many of the worst are tried.
-_MOST_POINTS, _SUSPECTS = 3, 12
+# Points at fault that lasers are estimated without at most, fewest that stay, and how many of the worst are
+# tried.
+_MOST_POINTS, _LEAST_POINTS, _SUSPECTS = 3, 3, 12
 # Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
 _AT_SINGLE_LINES = {"sparse_outliers", "mains_lines"}
 
@@ -200,7 +201,7 @@ def _worst_points(searched: SearchedFits, lasers: Lasers, key: tuple[int, int]) 
     for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
         places.setdefault(points[channel], []).append(channel)
     steps: list[list[int]] = []
-    for _ in range(min(_MOST_POINTS, len(places) // 3)):
+    for _ in range(min(_MOST_POINTS, len(places) - _LEAST_POINTS)):
         out = steps[-1] if steps else []
         tried = [[*out, *own] for own in list(places.values())[:_SUSPECTS] if not set(own) & set(out)]
         steps.append(min(tried, key=lambda own: _left_by_lasers(searched, lasers, key, own)))
