@@ -27,8 +27,9 @@ from stapeskit.warnings import Notice
 
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
-# Points at fault that lasers are estimated without at most, and how many of the worst are tried.
-_MOST_POINTS, _SUSPECTS = 3, 12
+# Points at fault that lasers are estimated without at most, fewest that stay, and how many of the worst are
+# tried.
+_MOST_POINTS, _LEAST_POINTS, _SUSPECTS = 3, 3, 12
 # Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
 _AT_SINGLE_LINES = {"sparse_outliers", "mains_lines"}
 
@@ -168,7 +169,7 @@ def with_lasers(
         return None
     for left_out in _apart_from_lasers(searched, lasers):
         again = _freed_of_lasers(searched, lasers, beams, robust, left_out)
-        if again is not None and again.unexplained < searched.unexplained:
+        if again is not None:
             return again
     return None
 
@@ -200,7 +201,7 @@ def _worst_points(searched: SearchedFits, lasers: Lasers, key: tuple[int, int]) 
     for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
         places.setdefault(points[channel], []).append(channel)
     steps: list[list[int]] = []
-    for _ in range(min(_MOST_POINTS, len(places) // 3)):
+    for _ in range(min(_MOST_POINTS, len(places) - _LEAST_POINTS)):
         out = steps[-1] if steps else []
         tried = [[*out, *own] for own in list(places.values())[:_SUSPECTS] if not set(own) & set(out)]
         steps.append(min(tried, key=lambda own: _left_by_lasers(searched, lasers, key, own)))
@@ -224,7 +225,7 @@ def _freed_of_lasers(
 ) -> SearchedFits | None:
     """Return the fits with the lasers corrected by an estimate that is as stated, searched again.
 
-    ``left_out`` are channels at fault; without it nothing may be found any more.
+    None unless less remains than was found: nothing, or, without the channels at fault ``left_out``, less.
 
     Notes
     -----
@@ -245,10 +246,11 @@ def _freed_of_lasers(
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     first, fitted = _search(placed, screens, beams, robust)
-    if left_out is None and not first.clean:  # whatever explains it, something is found
+    most = 1 if left_out is None else searched.unexplained
+    if first.unexplained >= most:  # whatever explains it, as much is found
         return None
     again = replace(_explain(first, fitted), applied=values)
-    return again if left_out is not None or again.clean else None
+    return again if again.unexplained < most else None
 
 
 def _fits_without(
@@ -270,11 +272,11 @@ def _fits_without(
 
 
 def corrected_fits(
-    searched: SearchedFits, dof: tuple[str, ...], robust: str
+    searched: SearchedFits, lasers: Lasers | None, dof: tuple[str, ...], robust: str
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
     """Return the fits after the faults were corrected that can be, and what was done about each.
 
-    What is corrected is searched again: another fault may have hidden behind it.
+    What is corrected is searched again: another fault, or a scatter of the lasers, may have hidden behind it.
     """
     done: list[Correction] = []
     for _ in range(_ROUNDS):
@@ -283,6 +285,9 @@ def corrected_fits(
             break
         done += corrections
         searched = search_again(searched, corrections, dof, robust)
+        if lasers is not None and searched.applied is None:
+            beams = beam_sets(searched.placed, dof)
+            searched = with_lasers(searched, lasers, beams, robust) or searched
     return searched, tuple(done)
 
 

@@ -184,7 +184,7 @@ def _search(
         return searched, ()
     corrections: tuple[Correction, ...] = ()
     if not searched.clean:
-        searched, corrections = corrected_fits(searched, options.dof, options.robust)
+        searched, corrections = corrected_fits(searched, lasers, options.dof, options.robust)
     if not _spoils_motion(searched.diagnoses):
         motion = _motion(searched.placed, searched.fits, options.dof)
         reordered = reordered_bodies(motion, searched.placed.order)

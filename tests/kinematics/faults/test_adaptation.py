@@ -107,6 +107,17 @@ def test_a_loud_channel_weighs_less(sd):
     assert weight[made.culprits[0]] < 0.2 * np.median(weight)
 
 
+@pytest.mark.parametrize("sd", [True, False])
+def test_a_channel_that_reads_nothing_is_left_out(sd):
+    made = scene(7, lines=60)
+    noise = np.random.default_rng(2).normal(size=(*made.value[4].shape, 2)) @ np.array([1.0, 1j])
+    made.value[4] = np.broadcast_to(made.sd, made.value.shape)[4] * noise
+    right = corrected(of_runs(made, sd=sd))
+    (one,) = right.corrections
+    assert (one.action, one.channels) == (LEFT_OUT, [4])
+    assert not right.diagnoses[0, 0].findings
+
+
 def test_what_two_faults_explain_alike_is_left_out():
     made = draw(0, "disc, 40 points, 1 head", lines=40)
     value = made.value.copy()

@@ -29,4 +29,4 @@ def test_the_fault_is_named_and_no_laser(sd):
     for seed in range(8):
         found, culprits = accused(300 + seed, faults[seed % 4], sd)
         right += found == dict.fromkeys(culprits, faults[seed % 4])
-    assert right >= 7  # 1 of 24 without an estimate apart from the fault
+    assert right >= 7  # 2 of 24 when lasers had to explain all
