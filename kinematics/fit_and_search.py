@@ -30,6 +30,8 @@ _ROUNDS = 3
 # Points at fault that lasers are estimated without at most, fewest that stay, and how many of the worst are
 # tried.
 _MOST_POINTS, _LEAST_POINTS, _SUSPECTS = 3, 3, 12
+# Standard deviations within which 95 % of what is assumed of lasers lies.
+_USUAL_SD = 2.0
 # Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
 _AT_SINGLE_LINES = {"sparse_outliers", "mains_lines"}
 
@@ -169,9 +171,16 @@ def with_lasers(
         return None
     for left_out in _apart_from_lasers(searched, lasers):
         again = _freed_of_lasers(searched, lasers, beams, robust, left_out)
-        if again is not None:
+        if again is not None and not _scatters(again, lasers):
             return again
     return None
+
+
+def _scatters(searched: SearchedFits, lasers: Lasers) -> bool:
+    """Return whether a factor that was found is one as lasers scatter by: many channels may scatter so."""
+    most = _USUAL_SD * lasers.prior_sd.get("laser_gain", 0.0)
+    found = [finding for diagnosis in searched.diagnoses.values() for finding in diagnosis.findings]
+    return any(finding.kind == "gain" and np.linalg.norm(finding.parameters) < most for finding in found)
 
 
 def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> Iterator[dict[tuple[int, int], list[int]]]:

@@ -223,7 +223,7 @@ ALTERNATIVES: dict[str, Alternative] = {
         "misfit",
         ranges,
         "{others} of {number} points read {ratio:.4g} times what the others show ({points}): in another "
-        "range or unit, or in rms beside peak values",
+        "range or unit, or in rms beside peak values{which}",
         "unit_slip",
         "gain",
         "Check the range and the unit of their rows, and correct the values",

@@ -79,7 +79,8 @@ def codes():
             else:
                 name = first.value if isinstance(first, ast.Subscript) else first
                 given = names.get(ast.unparse(name))
-                if "ADVICE" in ast.unparse(first):  # of what was found, by the catalogue or by a cause
+                # of what was found, by the catalogue or by an alternative: entries of the tables beside it
+                if "ADVICE" in ast.unparse(first) or ast.unparse(first).startswith("self.entry."):
                     given = entries_below(path.parent)
             assert given, f"{path}:{node.lineno}: the code must be a text or a module-level constant"
             for code in given:

@@ -64,7 +64,7 @@ def explain_misfit(
             text=cause.text,
             code=cause.entry.code,
             step=cause.step,
-            remedied=None if cause.entry.of_channels else remedy.body,
+            remedied=remedy.body if remedy.one_sided and not cause.entry.of_channels else None,
         )
         return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
     return None

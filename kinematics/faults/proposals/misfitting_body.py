@@ -142,13 +142,15 @@ class MisfittingBody:
 class Remedy:
     """What a cause would be of: its channels, the body in this run without it, and its size.
 
-    ``alike``: a body that bends would look alike, as the channels are too few.
+    ``alike``: a body that bends would look alike, as the channels are too few. ``one_sided``: the other
+    channels could not be at fault instead.
     """
 
     channels: list[int]
     body: BodyChannels
     size: float
     alike: bool = False
+    one_sided: bool = True
 
 
 # A remedy, and what the sentence says of it.

@@ -119,18 +119,20 @@ def ranges(suspect: MisfittingBody) -> Iterator[Cause]:
     size = _relative_sizes(suspect.value[live], basis, owner)
     for ratio, other in _two_groups(size):
         channels = live[other[owner]].tolist()
+        half = 2 * int(np.sum(other)) == len(names)
         words = {
             "others": int(np.sum(other)),
             "number": len(names),
             "ratio": ratio,
             "points": list_some([str(name) for name in names[other]]),
+            "which": "; which half is right does not show here" if half else "",
         }
         value = suspect.value.copy()
         value[channels] /= ratio
         put_right = suspect.with_value(value)
         # The stated sd was multiplied with the readings, or was not.
         for sd in (put_right.sd, body.sd) if suspect.known else (put_right.sd,):
-            yield Remedy(channels, replace(put_right, sd=sd), ratio), words
+            yield Remedy(channels, replace(put_right, sd=sd), ratio, one_sided=not half), words
 
 
 def _relative_sizes(value: ComplexArray, basis: Array, owner: NDArray[np.intp]) -> Array:

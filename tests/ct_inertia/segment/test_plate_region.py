@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.frames.plate_surface import _first
-from ct_inertia.segment.plate_region import _box_of, _pure, thinned
+from ct_inertia.segment.plate_region import _box_of, _mean_inside, thinned
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])
@@ -23,8 +23,8 @@ def test_the_level_of_a_body_is_the_mean_of_what_lies_beyond_the_reach_of_its_ri
     inner[6:18, 6:18, 6:18] = True
     noise = np.random.default_rng(1).normal(0.0, 10.0, region.shape)
     grey = np.where(inner, 1000.0 + noise, np.where(region, 600.0, 0.0))
-    assert _pure(grey, region, 3, 900.0) == pytest.approx(1000.0, abs=4.0 * 10.0 / 12.0**1.5)
-    assert _pure(grey, region, 7, 900.0) == 900.0
+    assert _mean_inside(grey, region, 3, 900.0) == pytest.approx(1000.0, abs=4.0 * 10.0 / 12.0**1.5)
+    assert _mean_inside(grey, region, 7, 900.0) == 900.0
 
 
 def test_stray_voxels_widen_no_box():

@@ -162,6 +162,21 @@ def test_points_in_another_range_are_named_with_their_factor_and_can_be_put_righ
     assert np.max(np.abs(put_right.motion.q[0, 0] - made.q) / size) < 0.1
 
 
+def test_half_of_the_points_in_another_range_are_named_but_not_put_right():
+    """Which half is right the readings of one body do not show: to divide one would be to guess."""
+    made = scene(830_008, STAPES, "")
+    value = measured(made, 8)
+    value[np.isin(made.points, ["1", "2", "5", "8", "9"])] *= 2.0
+    body = BodyChannels("stapes", made.points, made.reported, made.directions, value[None], made.sd[None])
+    result = points2dof(
+        Measurement("footplate", ("1",), made.freq_hz, (body,), 0), options=Options(correct=True)
+    )
+    text = next(notice.text for notice in result.notices if notice.code == "unit_slip")
+    assert "5 of 10 points read 2 times what the others show (1, 2, 5 and 2 more)" in text
+    assert "which half is right does not show" in text
+    assert "corrected" not in {notice.code for notice in result.notices}
+
+
 @pytest.mark.parametrize(("gaps", "dead"), [(0.2, None), (0.0, 4)])
 def test_points_in_another_range_are_named_beside_gaps_and_a_dead_channel(gaps, dead):
     for seed in range(3):
