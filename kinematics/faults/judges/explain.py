@@ -12,13 +12,17 @@ from kinematics.faults.findings import Finding
 from kinematics.faults.proposals.misfitting_body import MisfittingBody
 from kinematics.faults.proposals.outliers import likely_outliers, with_far_values
 from kinematics.fit.body_noise import fit_with_noise
+from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array
 
 # Bound on the probability of outliers by chance; see ``likely_outliers``.
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
+# Noise besides that in proportion to the readings, as a share of the rms reading of a line.
+_FLOORS = (0.0, 0.2)
 
 
 def explain_misfit(
@@ -41,8 +45,12 @@ def explain_misfit(
     # Errors of positions within their stated sd are no outliers.
     offsets = diagnosis.offsets_m if not diagnosis.findings and np.any(diagnosis.offsets_m) else None
     suspect = MisfittingBody(placed, run, body, fit.beams, known, offsets)
-    if not bends and not likely_outliers(suspect.plain, diagnosis.course):
+    likely = bends or likely_outliers(suspect.plain, diagnosis.course)
+    if not likely and not diagnosis.findings:
         return None
+    proportional = _by_proportional_noise(suspect, fit, diagnosis)
+    if proportional is not None or not likely:
+        return proportional
     suspect = with_far_values(suspect)
     for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
         remedy = cause.value
@@ -68,6 +76,50 @@ def explain_misfit(
         )
         return replace(remaining, findings=(*remaining.findings, finding), kept=1.0), again
     return None
+
+
+def _by_proportional_noise(
+    suspect: MisfittingBody, fit: LineFit, diagnosis: Diagnosis
+) -> tuple[Diagnosis, LineFit] | None:
+    """Return the diagnosis and fit with noise in proportion to the readings, where that leaves nothing.
+
+    Notes
+    -----
+    Noise that is not stated has a course over frequency, the same for all channels. In proportion to the
+    readings it differs from value to value: the largest then look like outliers or faults. It is taken where
+    it is likelier and nothing is found with it: the errors of a fault depend on each other, which those of
+    noise do not.
+    """
+    if suspect.known or suspect.body.sd is not None:
+        return None
+    size = np.abs(suspect.robust.beams.basis @ suspect.robust.solution.z)
+    for floor in _FLOORS:
+        sd = np.full(suspect.body.displacement.shape, np.nan)
+        sd[suspect.run] = np.hypot(size, floor * np.sqrt(np.nanmean(size**2, axis=0)))
+        body = replace(suspect.body, sd=np.where(sd > 0.0, sd, np.nan), relative=True)
+        again, stated, _notices = fit_with_noise(suspect.placed, suspect.run, body, suspect.beams, "none")
+        if _deviance(again, None) >= _deviance(fit, diagnosis.course):
+            continue
+        remaining = diagnose(suspect.placed, body, again, stated)
+        if not remaining.findings and not likely_outliers(again, remaining.course):
+            return replace(remaining, kept=1.0), again
+    return None
+
+
+def _deviance(fit: LineFit, course: Array | None) -> float:
+    """Return -2 log of the restricted likelihood of the noise of a fit, whatever its size (Patterson 1971).
+
+    ``course`` (freq,) is that of its noise over frequency, where the fit has another.
+    """
+    lines = np.flatnonzero(fit.solution.good & (fit.n_dof > 0))
+    residual, sd, _weights = fit.at(lines)
+    ratio = np.ones(sd.shape) if course is None else LineNoise(fit.noise.stated, course).at(lines) / sd
+    used = np.isfinite(sd)
+    covariance = fit.covariance[lines] * np.nanmean(ratio, axis=0)[:, None, None] ** 2
+    misfit = float(np.nansum(np.abs(residual / (sd * ratio)) ** 2))
+    freedom = float(np.sum(fit.n_dof[lines]))
+    spread = float(np.sum(np.log((sd * ratio)[used] ** 2)) - np.sum(np.linalg.slogdet(covariance)[1]))
+    return freedom * np.log(max(misfit, 1e-300)) + 2.0 * spread
 
 
 def _or(cause: Proposal, finding: Finding) -> Finding:
