@@ -126,6 +126,7 @@ def _search(
 def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> SearchedFits:
     """Return the fits with wrong labels and causes in place of what they look like to one body's search."""
     placed, known, diagnoses = first.placed, first.known, dict(first.diagnoses)
+    fits, notices = dict(first.fits), list(first.notices)
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first, and
     # believed unless a body that bends remains.
     exchanged = find_mislabelled(placed, searched, diagnoses, known)
@@ -135,7 +136,19 @@ def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> S
             body = first.screens[key[1]].body
             other = explain_misfit(placed, key[0], body, searched[key], known[key], diagnoses[key])
         diagnoses[key] = other[0] if other else exchanged.get(key, diagnoses[key])
-    return replace(first, diagnoses=diagnoses)
+        if other and not other[0].findings:  # no fault but another noise, which the motion is fitted with
+            fits[key] = other[1]
+            notices.append(_proportional_notice(placed, key))
+    return replace(first, fits=fits, diagnoses=diagnoses, notices=notices)
+
+
+def _proportional_notice(placed: Measurement, key: tuple[int, int]) -> Notice:
+    where = f" in run {placed.runs[key[0]]}" if len(placed.runs) > 1 else ""
+    text = (
+        f"the noise of body {placed.bodies[key[1]].body}{where} was taken as in proportion to each reading: "
+        "that is likelier than noise that is alike at all readings of a line. Give sd if it is not."
+    )
+    return Notice("noise_estimated", text)
 
 
 def _not_searched_notice(body: BodyChannels) -> Notice:

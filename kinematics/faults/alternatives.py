@@ -64,7 +64,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What would stand in place of the readings by an alternative, and what its sentence says of it."""
+    """The readings as an alternative takes them, and the words of its sentence."""
 
     name: str
     value: Any

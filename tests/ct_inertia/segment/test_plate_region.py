@@ -1,4 +1,4 @@
-"""Where the plate's view lies in the scan, what it is made of, and what fluid is told by."""
+"""The view of the plate: its place in the scan, its material, and the level that shows fluid."""
 
 import numpy as np
 import pytest

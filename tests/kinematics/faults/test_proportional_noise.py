@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.corrections import errors
 from benchmarks.fault_bodies import Reading, draw
 from benchmarks.faults_gate import judged
 
@@ -38,3 +39,11 @@ def test_faults_are_found(fault):
     result = judged(reading, stated=False)
     wrong = {c for c, channel in enumerate(result.channels) if channel.verdict != "ok"}
     assert {*reading.culprits} <= wrong
+
+
+def test_the_motion_is_fitted_with_this_noise_and_the_file_is_told_so():
+    reading = proportional(0, "rod, 8 points, 2-3 heads", 34)
+    result = judged(reading, stated=False)
+    texts = [notice.text for notice in result.notices if notice.code == "noise_estimated"]
+    assert any("in proportion to each reading" in text for text in texts)
+    assert 0.85 < np.mean(np.abs(errors(result, reading.twist.T)[1]) < 1.96) <= 1.0
