@@ -21,8 +21,8 @@ from stapeskit.arrays import Array
 _CERTAIN = 1e-4
 # Faults of channels that are accepted next to a cause: several of them are how a body that bends shows, too.
 _NEXT_TO_IT = 1
-# Noise besides that in proportion to the readings, as a share of the rms reading of a line: none, or enough to
-# matter at the smallest readings. Chosen by judgement, checked on bodies of fault_bodies.
+# Noise besides that in proportion to the readings, as a share of the rms reading of a line: none, or enough
+# to matter at the smallest readings. Chosen by judgement, checked on bodies of fault_bodies.
 _FLOORS = (0.0, 0.2)
 
 
