@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
+from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.diagnose import Diagnosis, search_body, too_large
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled
@@ -27,9 +28,6 @@ from stapeskit.warnings import Notice
 
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
-# Points at fault that lasers are estimated without at most, fewest that stay, and how many of the worst are
-# tried.
-_MOST_POINTS, _LEAST_POINTS, _SUSPECTS = 3, 3, 12
 # Standard deviations within which 95 % of what is assumed of lasers lies.
 _USUAL_SD = 2.0
 # Causes at single values or lines, which no error of a laser resembles: it is smooth over frequency.
@@ -105,9 +103,16 @@ def fit_and_search(
 
 
 def _search(
-    placed: Measurement, screens: Sequence[Screened], beams: Sequence[BeamSet], robust: str
+    placed: Measurement,
+    screens: Sequence[Screened],
+    beams: Sequence[BeamSet],
+    robust: str,
+    lasers: Lasers | None = None,
 ) -> tuple[SearchedFits, dict[tuple[int, int], LineFit]]:
-    """Return the fits of every body in every run, searched by itself, and the fits that the search made."""
+    """Return the fits of every body in every run, searched by itself, and the fits that the search made.
+
+    With ``lasers`` faults are sought next to their scatter.
+    """
     fits: dict[tuple[int, int], LineFit] = {}
     searched: dict[tuple[int, int], LineFit] = {}
     known: dict[tuple[int, int], bool] = {}
@@ -119,7 +124,8 @@ def _search(
         notices += raised
         if too_large(body, known[key]):
             notices.append(_not_searched_notice(body))
-        diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key])
+        scatter = None if lasers is None else lasers.scatter(key[1])
+        diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key], scatter)
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
 
 
@@ -182,11 +188,9 @@ def with_lasers(
             return again
     if searched.unexplained < 2:  # less would be nothing
         return None
-    for left_out in _apart_from_lasers(searched, lasers):
-        again = _freed_of_lasers(searched, lasers, beams, robust, left_out)
-        if again is not None and not _scatters(again, lasers):
-            return again
-    return None
+    next_to = _search(searched.placed, searched.screens, beams, robust, lasers)[0]
+    again = _freed_of_lasers(searched, lasers, beams, robust, next_to)
+    return None if again is None or _scatters(again, lasers) else again
 
 
 def _scatters(searched: SearchedFits, lasers: Lasers) -> bool:
@@ -196,58 +200,16 @@ def _scatters(searched: SearchedFits, lasers: Lasers) -> bool:
     return any(finding.kind == "gain" and np.linalg.norm(finding.parameters) < most for finding in found)
 
 
-def _apart_from_lasers(searched: SearchedFits, lasers: Lasers) -> Iterator[dict[tuple[int, int], list[int]]]:
-    """Yield channels that the lasers are estimated without, by (run, body), the fewest first.
-
-    Notes
-    -----
-    Those at fault but for whole lasers; of a body that is at fault as a whole the points whose absence helps
-    most, one after the other, as every misfit looks like a body that bends next to lasers that scatter.
-    """
-    others = {
-        key: replace(
-            diagnosis, findings=tuple(found for found in diagnosis.findings if found.owner != "laser")
-        )
-        for key, diagnosis in searched.diagnoses.items()
-    }
-    left_out = channels_at_fault(others)
-    steps = {key: _worst_points(searched, lasers, key) for key in searched.fits.keys() - left_out.keys()}
-    for turn in range(max(map(len, steps.values()), default=1)):
-        yield left_out | {key: own[min(turn, len(own) - 1)] for key, own in steps.items()}
-
-
-def _worst_points(searched: SearchedFits, lasers: Lasers, key: tuple[int, int]) -> list[list[int]]:
-    """Return the channels of one, two ... points of a body without which lasers leave least of it."""
-    points = searched.placed.bodies[key[1]].points
-    places: dict[str, list[int]] = {}
-    for channel in np.argsort(-searched.diagnoses[key].energy, kind="stable").tolist():
-        places.setdefault(points[channel], []).append(channel)
-    steps: list[list[int]] = []
-    for _ in range(min(_MOST_POINTS, len(places) - _LEAST_POINTS)):
-        out = steps[-1] if steps else []
-        tried = [[*out, *own] for own in list(places.values())[:_SUSPECTS] if not set(own) & set(out)]
-        steps.append(min(tried, key=lambda own: _left_by_lasers(searched, lasers, key, own)))
-    return steps or [[]]
-
-
-def _left_by_lasers(
-    searched: SearchedFits, lasers: Lasers, key: tuple[int, int], left_out: Sequence[int]
-) -> float:
-    """Return the misfit that lasers leave of a body without some channels, over that of noise."""
-    estimate = lasers.estimate(searched.placed, {key: searched.fits[key]}, {key: left_out})
-    return (estimate.energy - estimate.fall) / estimate.freedom if estimate.freedom > 0 else np.inf
-
-
 def _freed_of_lasers(
     searched: SearchedFits,
     lasers: Lasers,
     beams: Sequence[BeamSet],
     robust: str,
-    left_out: Mapping[tuple[int, int], Sequence[int]] | None = None,
+    next_to: SearchedFits | None = None,
 ) -> SearchedFits | None:
     """Return the fits with the lasers corrected by an estimate that is as stated, searched again.
 
-    None unless less remains than was found: nothing, or, without the channels at fault ``left_out``, less.
+    None unless less remains than was found: nothing, or, next to the faults of ``next_to``, less.
 
     Notes
     -----
@@ -255,27 +217,56 @@ def _freed_of_lasers(
     estimated and the noise is fitted in turn, and what is left decides, not by how much the misfit fell.
     """
     stated = all(searched.known.values())
-    placed, fits, values = searched.placed, searched.fits, None
+    sound, left_out, own = searched.placed, None, beams
+    if next_to is not None:
+        sound, left_out = _without_faults(next_to)
+        own = beam_sets(sound, beams[0].dof)
+    placed, fits = sound, searched.fits
+    values: Array | None = None
     for turn in range(1 if stated else _ROUNDS):
-        if not stated and (turn or left_out):
-            fits = _fits_without(placed, left_out or {}, fits, beams, robust)
+        if turn or next_to is not None:
+            fits = _fitted(placed, left_out or {}, fits, own, robust)
         estimate = lasers.estimate(placed, fits, left_out, values)
-        if not (estimate.explains_misfit if stated and left_out is None else estimate.as_stated):
+        if not (estimate.explains_misfit if stated and next_to is None else estimate.as_stated):
             return None
         values = estimate.values
-        placed = lasers.corrected(searched.placed, values)
+        placed = lasers.corrected(sound, values)
+    if sound is not searched.placed:
+        placed = lasers.corrected(searched.placed, estimate.values)
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     first, fitted = _search(placed, screens, beams, robust)
-    most = 1 if left_out is None else searched.unexplained
+    most = 1 if next_to is None else searched.unexplained
     if first.unexplained >= most:  # whatever explains it, as much is found
         return None
     again = replace(_explain(first, fitted), applied=values)
     return again if again.unexplained < most else None
 
 
-def _fits_without(
+def _without_faults(searched: SearchedFits) -> tuple[Measurement, dict[tuple[int, int], list[int]]]:
+    """Return the measurement freed of what was found in whole lasers, and the channels otherwise at fault."""
+    sound = searched.placed
+
+    def found(of_many: bool) -> dict[tuple[int, int], Diagnosis]:
+        return {
+            key: replace(
+                diagnosis,
+                findings=tuple(
+                    finding
+                    for finding in diagnosis.findings
+                    if (finding.fault is not None and finding.owner in OF_MANY) == of_many
+                ),
+            )
+            for key, diagnosis in searched.diagnoses.items()
+        }
+
+    for correction in corrections_of(sound, searched.fits, found(of_many=True)):
+        sound = correction.corrected(sound)
+    return sound, channels_at_fault(found(of_many=False))
+
+
+def _fitted(
     placed: Measurement,
     left_out: Mapping[tuple[int, int], Sequence[int]],
     keys: Iterable[tuple[int, int]],

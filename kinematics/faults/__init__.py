@@ -1,12 +1,12 @@
 """What is wrong with which channel, point, laser or body: detection, identification, adaptation.
 
 The mathematics: the readings y of a line are B z + noise, with the rows B of the beams and the motion z. A
-fault changes rows or factors by a few parameters t; errors of positions with a stated sd are parameters x
-with a normal prior. With the tangents T of both and the projector P on the residuals e, the score is Re T^H
-e and the information Re T^H P T. All else follows: 2 score^T information^-1 score is chi-squared without a
-fault (score_tests), noncentral with one (detectable), Gauss and Newton's step leads to its size (refit),
-and the fall of the objective over the width of the prior is its evidence. Noise that is not stated is a
-variance estimated from the same residuals, by channel and part of the lines.
+fault changes rows or factors by a few parameters t; errors of positions and lasers with a stated sd are
+parameters x with a normal prior. With the tangents T of both and the projector P on the residuals e, the
+score is Re T^H e and the information Re T^H P T. All else follows: 2 score^T information^-1 score is chi-
+squared without a fault (score_tests), noncentral with one (detectable), Gauss and Newton's step leads to
+its size (refit), and the fall of the objective over the width of the prior is its evidence. Noise that is
+not stated is a variance estimated from the same residuals, by channel and part of the lines.
 
 How a diagnosis flows, from a measurement to the verdicts:
 
@@ -19,7 +19,7 @@ How a diagnosis flows, from a measurement to the verdicts:
       search              one round: all tests, fits of the suspects, and the best of them
         catalogue         the kinds of fault with a size, one entry each (sentences: what is said of them)
         score_information a fit of the motion (State), score and information of any change of its rows
-        uncertain_positions  the same next to errors of many places with a prior (Marginal)
+        nuisance          the same next to errors of positions and lasers with a prior (Marginal)
         score_tests       every kind at every place at once
         refit             the fit of one fault, weighed by its evidence
         flexible_body     patterns that many points share

@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 
 from kinematics.faults.catalogue import KINDS
+from kinematics.faults.nuisance import Marginal, Nuisance, information_of
 from kinematics.faults.packed_readings import Source, initial, real_parts
 from kinematics.faults.score_information import SHIFTS, State
 from kinematics.faults.score_tests import of_one_size, scores_at
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array, ComplexArray

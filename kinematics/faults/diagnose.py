@@ -19,11 +19,11 @@ from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
+from kinematics.faults.nuisance import LaserScatter, Nuisance, information_of, likeliest_size
 from kinematics.faults.packed_readings import MOST_CHANNELS, Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.score_information import SHIFTS
 from kinematics.faults.search import FALSE_ALARM, Search
-from kinematics.faults.uncertain_positions import Nuisance, information_of, likeliest_size
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import bound_record_noise, holds_record_noise
@@ -109,6 +109,7 @@ def diagnose(
     fit: LineFit,
     known: bool,
     without: list[int] | None = None,
+    lasers: LaserScatter | None = None,
 ) -> Diagnosis:
     """Search one body in one run for faults, with all degrees of freedom that its beams observe.
 
@@ -122,6 +123,8 @@ def diagnose(
         The noise is stated.
     without : list of int, optional
         Channels whose fault is known already.
+    lasers : LaserScatter, optional
+        Errors next to which faults are sought; none by default.
 
     Notes
     -----
@@ -137,7 +140,7 @@ def diagnose(
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     prior = np.nan_to_num(body.position_sd_mm) * 1e-3
     mixes = not holds_record_noise(placed, body)
-    return _Diagnose(body, prior, known, mixes, alarm).run(data)
+    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data)
 
 
 def _nothing(fit: LineFit) -> Diagnosis:
@@ -150,8 +153,16 @@ def _nothing(fit: LineFit) -> Diagnosis:
 class _Diagnose:
     """Searches of one body under the same priors."""
 
-    def __init__(self, body: BodyChannels, prior: Array, known: bool, mixes: bool, alarm: float) -> None:
-        self.prior, self.known, self.mixes, self.alarm = prior, known, mixes, alarm
+    def __init__(
+        self,
+        body: BodyChannels,
+        prior: Array,
+        known: bool,
+        mixes: bool,
+        alarm: float,
+        lasers: LaserScatter | None,
+    ) -> None:
+        self.prior, self.known, self.mixes, self.alarm, self.lasers = prior, known, mixes, alarm, lasers
         self.layout = (body.reported_positions_mm, body.file_from_here)
         self.most = max(2, len(set(body.points)) // 3)
 
@@ -159,11 +170,12 @@ class _Diagnose:
         """Search data; ``share`` of the alarm probability."""
         prior = self.prior if prior is None else prior
         alarm = share * self.alarm
-        return Search(data, prior, self.layout, self.known, alarm)
+        return Search(data, prior, self.layout, self.known, alarm, self.lasers)
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""
-        data = data if self.known else equalise_noise(data, Nuisance.of(data, self.prior))
+        if not self.known:
+            data = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
         search = self.searched(data, share)
         white = with_point_noise(search.state, search.noise) if self.mixes else data
         return search if white is data else self.searched(white, share)
@@ -327,7 +339,12 @@ def _diagnosis(findings: list[Finding], first: Search, last: Search, kept: float
 
 
 def search_body(
-    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool
+    placed: Measurement,
+    run: int,
+    body: BodyChannels,
+    fit: LineFit,
+    known: bool,
+    lasers: LaserScatter | None = None,
 ) -> tuple[Diagnosis, LineFit]:
     """Search one body in one run for faults, and return the fit in which they were looked for.
 
@@ -339,21 +356,21 @@ def search_body(
     basis = extended_beams(body, fit.beams.dof).basis
     bound = bound_record_noise(placed, run, body, basis)
     if bound is None or not known:
-        return diagnose(placed, body, fit, known), fit
+        return diagnose(placed, body, fit, known, lasers=lasers), fit
     usual = fit_with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
 
     def search_without(without: list[int], out: list[int]) -> Diagnosis:
         """Search without some channels, in a motion that may hold nothing of others."""
         moved = bound_record_noise(placed, run, body, basis, without=without, left=out)
         again = usual if moved is None else fit_with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
-        return diagnose(placed, body, again, known, out)
+        return diagnose(placed, body, again, known, out, lasers)
 
     findings: list[Finding] = []
     first = last = search_without([], [])
     most = max(2, len(set(body.points)) // 3)
     while last.findings:
         out = sorted({channel for finding in findings for channel in finding.channels})
-        named = diagnose(placed, body, usual, known, out)
+        named = diagnose(placed, body, usual, known, out, lasers)
         found = (named.findings or last.findings)[0]
         if found.kind == "flexible" or found.owner in OF_MANY or len(findings) >= most:
             whole = named if named.findings else last

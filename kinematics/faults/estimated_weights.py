@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.noise_size import LEAST_SAMPLES, ChannelNoise, channel_noise, common_level
+from kinematics.faults.nuisance import Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.score_information import State
-from kinematics.faults.uncertain_positions import Nuisance, estimate_nuisance
 from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 

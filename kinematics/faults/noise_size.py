@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.nuisance import Marginal, Nuisance
 from kinematics.faults.packed_readings import LEAST_SEGMENTS, Packed
 from kinematics.faults.score_information import State
-from kinematics.faults.uncertain_positions import Marginal, Nuisance
 from stapeskit.arrays import Array, ComplexArray
 
 # Fewer values than this show no noise of their own.

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import OF_MANY, Fault
 from kinematics.faults.findings import STEP, Finding
+from kinematics.faults.nuisance import Marginal, estimate_nuisance
 from kinematics.faults.packed_readings import Packed, packed
 from kinematics.faults.score_information import Model, State, model_of, weighted_rows
-from kinematics.faults.uncertain_positions import Marginal, estimate_nuisance
 from stapeskit.arrays import Array, ComplexArray
 
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
@@ -166,7 +166,7 @@ class Refit:
         if not fault.size:
             return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
-        base = near.nuisance.applied(model_of(data), near.x)
+        base = near.nuisance.applied(model_of(data), near.x, data.ratio)
         t = self._tangents(data, fault, now.theta, base, near.state.z)[:, :, None]
         sums = near.state.sums(groups, t)
         shared = near.common(groups, t, sums.taken)[0]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
+from kinematics.faults.nuisance import Marginal
 from kinematics.faults.packed_readings import LEAST_SEGMENTS
 from kinematics.faults.score_information import AXES
-from kinematics.faults.uncertain_positions import Marginal
 from stapeskit.arrays import Array
 
 # Share of the largest information below which parameters are not seen.

@@ -16,12 +16,12 @@ from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
+from kinematics.faults.nuisance import LaserScatter, Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit, log_evidence
 from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import Tested, of_one_size, score_tests
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
@@ -70,10 +70,11 @@ class Search:
         layout: tuple[Array, Array],
         known: bool,
         alarm: float = FALSE_ALARM,
+        lasers: LaserScatter | None = None,
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
-        self.given, nuisance = State.of(data), Nuisance.of(data, prior_m)
-        flat = data.merged(self.given.z)
+        self.given, nuisance = State.of(data), Nuisance.of(data, prior_m, lasers)
+        flat = data if nuisance.varies else data.merged(self.given.z)
         self.exact = not len(nuisance.sd)
         self.near = Marginal(self.given, nuisance)
         if not self.exact:

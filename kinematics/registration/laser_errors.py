@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.faults.nuisance import LaserScatter
 from kinematics.fit import symmetric_batches
 from kinematics.fit.laser_groups import group_lasers
 from kinematics.fit.line_noise import blocks
@@ -141,6 +142,11 @@ class Lasers:
         return laser_estimate(
             fits, placed.bodies, self.of_channel, placed.freq_hz, self.prior_sd, left_out, applied
         )
+
+    def scatter(self, body: int) -> LaserScatter:
+        """Return the lasers of a body as parameters of the search for faults."""
+        gain, phase, delay = (self.prior_sd.get(kind, 0.0) for kind in KINDS)
+        return LaserScatter(self.of_channel[body], gain, phase, delay)
 
     def corrected(self, placed: Measurement, values: Array) -> Measurement:
         """Return a measurement whose readings are freed of some errors (p,) of the lasers."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_errors import LaserErrors
@@ -28,7 +29,7 @@ def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tu
         for finding in diagnosis.findings:
             if finding.owner in ("laser", "lasers") and finding.kind in _LASER_KINDS:
                 continue
-            if finding.owner not in ("channel", "point") or finding.code:
+            if finding.owner in OF_MANY or finding.code:
                 break
             channels.update(finding.channels)
         else:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinematics.faults.noise_size import channel_noise
+from kinematics.faults.nuisance import Marginal, Nuisance, information_of, likeliest_size
 from kinematics.faults.packed_readings import Factor, Packed
 from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.faults.score_information import IMAGINARY, REAL, State
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, information_of, likeliest_size
 from stapeskit.arrays import Array, ComplexArray
 
 # Fewer channels or points show no scatter.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
+from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Packed, Source, initial
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams

@@ -9,12 +9,12 @@ import pytest
 
 from kinematics.faults.alternatives import proposed
 from kinematics.faults.catalogue import ADVICE, KINDS, Fault
+from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Source, initial, packed
 from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.score_tests import score_tests
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES

@@ -10,8 +10,8 @@ from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import scene
 from benchmarks.points_faults import judged
 from kinematics.faults.noise_size import common_level
+from kinematics.faults.nuisance import Nuisance
 from kinematics.faults.packed_readings import Source, initial
-from kinematics.faults.uncertain_positions import Nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.measurement import BodyChannels

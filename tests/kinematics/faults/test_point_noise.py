@@ -10,11 +10,11 @@ import pytest
 from benchmarks.fault_bounds import bound
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
+from kinematics.faults.nuisance import Marginal, Nuisance
 from kinematics.faults.packed_readings import Source, initial, whitening
 from kinematics.faults.point_noise import by_chance, point_covariance, scaled
 from kinematics.faults.score_information import State
 from kinematics.faults.score_tests import score_tests
-from kinematics.faults.uncertain_positions import Marginal, Nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof

@@ -10,11 +10,11 @@ import pytest
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
 from kinematics.faults.catalogue import Fault
+from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
 from kinematics.faults.search import Search
-from kinematics.faults.uncertain_positions import Marginal, Nuisance, estimate_nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.measurement import BodyChannels
@@ -96,7 +96,7 @@ def test_the_information_on_positions_is_right_where_points_have_noise_in_common
 
     def energy(*steps):
         x = sum(sign * size * np.eye(count)[k] for k, sign in steps)
-        return State.of(data, nuisance.applied(base, x)).energy
+        return State.of(data, nuisance.applied(base, x, data.ratio)).energy
 
     hessian = np.zeros((count, count))
     for i in range(count):

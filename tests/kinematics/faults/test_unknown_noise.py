@@ -11,9 +11,9 @@ from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.noise_size import channel_noise_energy
+from kinematics.faults.nuisance import Nuisance
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.score_information import State
-from kinematics.faults.uncertain_positions import Nuisance
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES

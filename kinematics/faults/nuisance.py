@@ -1,4 +1,4 @@
-"""Parameters with normal priors next to the motion, as the errors of positions with a stated sd."""
+"""Parameters with normal priors next to the motion: errors of positions and of lasers with a stated sd."""
 
 from __future__ import annotations
 
@@ -6,21 +6,51 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packed_readings import Packed, real_parts
-from kinematics.faults.score_information import SHIFTS, Model, State, Sums, model_of
+from kinematics.faults.score_information import (
+    DELAY,
+    IMAGINARY,
+    REAL,
+    SHIFTS,
+    Model,
+    State,
+    Sums,
+    model_of,
+)
 from stapeskit.arrays import Array, ComplexArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
+class LaserScatter:
+    """The lasers of one body, and how well they agree.
+
+    Attributes
+    ----------
+    of_channel : ndarray, (channel,), int
+    gain_sd, phase_sd, delay_sd : float
+        Standard deviations of each laser: 1, rad, s.
+    """
+
+    of_channel: NDArray[np.intp]
+    gain_sd: float
+    phase_sd: float
+    delay_sd: float
+
+
+@dataclass(frozen=True)
 class Nuisance:
-    """Parameters of many places at once, with normal priors: by default errors of the points' coordinates.
+    """Parameters of many places at once, with normal priors.
 
     Attributes
     ----------
@@ -29,7 +59,7 @@ class Nuisance:
     sd : ndarray, (V,)
         Prior standard deviations.
     which : tuple of int, (k,)
-        Tangents, see ``State.tangents``.
+        Tangents, see ``State.tangents``. Factors have their logarithms as parameters.
     """
 
     owner: NDArray[np.intp]
@@ -37,21 +67,37 @@ class Nuisance:
     which: tuple[int, ...] = SHIFTS
 
     @classmethod
-    def of(cls, data: Packed, position_sd_m: Array) -> Nuisance:
-        """Collect the coordinates of the points in use.
+    def of(cls, data: Packed, position_sd_m: Array, lasers: LaserScatter | None = None) -> Nuisance:
+        """Collect the coordinates of the points in use, and the errors of the lasers.
 
         Parameters
         ----------
         data : Packed
         position_sd_m : ndarray, (channel,)
             Zero where not stated.
+        lasers : LaserScatter, optional
         """
+        count = len(data.points)
         places = [own for own in data.by_point.values() if position_sd_m[own[0]] > 0.0]
-        return cls.at(places, len(data.points), np.array([position_sd_m[own[0]] for own in places]))
+        nuisance = cls.at(places, count, np.array([position_sd_m[own[0]] for own in places]))
+        if lasers is None:
+            return nuisance
+        live = np.array(data.live, dtype=np.intp)
+        beams = [live[lasers.of_channel[live] == laser] for laser in np.unique(lasers.of_channel[live])]
+        lag_sd = 2.0 * np.pi * data.source.middle_hz * lasers.delay_sd
+        sizes = {REAL: lasers.gain_sd, IMAGINARY: lasers.phase_sd, DELAY: lag_sd}
+        for tangent, sd in sizes.items():
+            if sd > 0.0:
+                nuisance = nuisance.beside(cls.at(beams, count, np.full(len(beams), sd), (tangent,)))
+        return nuisance
 
     @classmethod
     def at(
-        cls, places: Sequence[Sequence[int]], channels: int, sd: Array, which: tuple[int, ...] = SHIFTS
+        cls,
+        places: Sequence[Sequence[int] | NDArray[np.intp]],
+        channels: int,
+        sd: Array,
+        which: tuple[int, ...] = SHIFTS,
     ) -> Nuisance:
         """Make the parameters ``which`` of some places, each with its sd (place,)."""
         owner = np.full((len(which), channels), -1)
@@ -59,21 +105,44 @@ class Nuisance:
             owner[:, list(own)] = (len(which) * number + np.arange(len(which)))[:, None]
         return cls(owner, np.repeat(sd, len(which)), which)
 
+    def beside(self, other: Nuisance) -> Nuisance:
+        """Return these parameters and those of others; none without a size is kept."""
+        if not len(self.sd):
+            return other
+        owner = np.where(other.owner >= 0, other.owner + len(self.sd), -1)
+        sd = np.concatenate([self.sd, other.sd])
+        return Nuisance(np.concatenate([self.owner, owner]), sd, (*self.which, *other.which))
+
+    @property
+    def varies(self) -> bool:
+        """Whether a change differs from line to line."""
+        return DELAY in self.which
+
     def penalty(self, x: Array) -> float:
         """Return half of the sum of (x / sd)^2."""
         return 0.5 * float(np.sum((x / self.sd) ** 2))
 
-    def applied(self, model: Model, x: Array) -> Model:
-        """Return a model with the errors ``x`` (V,) of coordinates, m."""
+    def applied(self, model: Model, x: Array, ratio: Array) -> Model:
+        """Return a model with errors ``x`` (V,) of coordinates, m, and of lasers.
+
+        ``ratio`` (group,) is the relative frequency, see ``Packed``.
+        """
         # An owner of -1 is the last element, no error.
-        return model._replace(arms_m=model.arms_m + np.append(x, 0.0)[self.owner].T)
+        error = dict(zip(self.which, np.append(x, 0.0)[self.owner], strict=True))
+        if SHIFTS[0] in error:
+            moved = np.stack([error[k] for k in SHIFTS], axis=1)
+            model = model._replace(arms_m=model.arms_m + moved)
+        of_log = {REAL: 1.0, IMAGINARY: 1j, DELAY: -1j * ratio[:, None]}
+        held = [slope * error[k] for k, slope in of_log.items() if k in error]
+        if not held:
+            return model
+        factor = np.exp(np.broadcast_to(sum(held), (len(ratio), len(model.arms_m))))
+        return model._replace(factor=factor if model.factor is None else model.factor * factor)
 
 
 @dataclass(frozen=True)
 class Marginal:
     """A fit next to nuisance parameters, and the information on these.
-
-    Where the noise within points is correlated, all channels of a point have the same parameters.
 
     Attributes
     ----------
@@ -90,7 +159,8 @@ class Marginal:
     @classmethod
     def at(cls, data: Packed, nuisance: Nuisance, x: Array, base: Model | None = None) -> Marginal:
         """Fit the motion for nuisance parameters ``x`` (V,), in addition to a model."""
-        return cls(State.of(data, nuisance.applied(base or model_of(data), x)), nuisance, x)
+        model = nuisance.applied(base or model_of(data), x, data.ratio)
+        return cls(State.of(data, model), nuisance, x)
 
     @cached_property
     def value(self) -> float:
@@ -104,6 +174,8 @@ class Marginal:
         Where all groups have the same rows, all tangents are rows times motion, and their products those of
         these few columns.
         """
+        if self.nuisance.varies:
+            return None
         own = self.state.own
         alike = np.max(np.abs(own - own[0])) <= _ALIKE * np.max(np.abs(own))
         if len(own) == 1 or not self.held.size or not alike:
@@ -117,12 +189,19 @@ class Marginal:
     @cached_property
     def held(self) -> NDArray[np.intp]:
         """Channels (h,) that have parameters."""
-        return np.flatnonzero(self.nuisance.owner[0] >= 0)
+        return np.flatnonzero(np.any(self.nuisance.owner >= 0, axis=0))
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
-        """Parameters (h, k) of the tangents."""
+        """Parameters (h, k) of the tangents; -1 for none."""
         return self.nuisance.owner[:, self.held].T
+
+    @cached_property
+    def place(self) -> NDArray[np.intp]:
+        """Place (channel,) of each channel among ``held``; -1 for none."""
+        place = np.full(self.nuisance.owner.shape[1], -1)
+        place[self.held] = np.arange(len(self.held))
+        return place
 
     @cached_property
     def tangents(self) -> ComplexArray:
@@ -130,22 +209,33 @@ class Marginal:
         return self.in_columns(self.state.tangents(self.held, self.nuisance.which)).transpose(2, 0, 1, 3)
 
     @cached_property
-    def products(self) -> ComplexArray:
-        """What products with changes of the channels' rows are made of, (h, k, D)."""
-        flat = _flat(self.tangents)
+    def coupled(self) -> list[tuple[NDArray[np.intp], Array]]:
+        """Channels (channel,) with which each has noise in common, and the products of changes of both.
+
+        First each channel itself.
+        """
+        channels = np.arange(self.nuisance.owner.shape[1])
         norm = self.state.norm
         if norm is None:
-            return flat
-        return np.einsum("hi,ikd->hkd", norm[np.ix_(self.held, self.held)], flat, optimize=True)
+            return [(channels, np.ones(len(channels)))]
+        most = int(np.max(np.sum(norm != 0.0, axis=1)))
+        with_most = np.argsort(-(np.abs(norm) + np.diag(np.full(len(norm), np.inf))), axis=1, kind="stable")
+        return [(other, norm[channels, other]) for other in with_most[:, :most].T]
+
+    @cached_property
+    def gathering(self) -> csr_array:
+        """Matrix (V, h k) that sums over the tangents of each parameter."""
+        from scipy.sparse import csr_array
+
+        owner = self.owner.ravel()
+        of_one = np.flatnonzero(owner >= 0)
+        entries = np.ones(len(of_one)), (owner[of_one], of_one)
+        return csr_array(entries, shape=(len(self.nuisance.sd), len(owner)))
 
     def gathered(self, value: Array) -> Array:
         """Sum values (h, k, ...) of the tangents for each parameter, (V, ...)."""
-        first = self.owner[:, 0]
-        if np.any(np.diff(first) < 0):  # channels of a point are mostly next to each other already
-            order = np.argsort(first, kind="stable")
-            value, first = value[order], first[order]
-        sums = np.add.reduceat(value, np.flatnonzero(np.diff(first, prepend=-1)), axis=0)
-        return sums.reshape(len(self.nuisance.sd), *value.shape[2:])
+        sums = self.gathering @ value.reshape(self.owner.size, -1)
+        return np.asarray(sums).reshape(len(self.nuisance.sd), *value.shape[2:])
 
     @cached_property
     def taken(self) -> Array:
@@ -169,12 +259,16 @@ class Marginal:
     @cached_property
     def information(self) -> Array:
         """Information (V, V), without the priors."""
-        flat = _flat(self.tangents)
-        own = np.real(flat.conj() @ self.products.swapaxes(1, 2))
-        blocks = self.gathered(own).reshape(-1, *own.shape[1:])
-        information, place = np.asarray(-self.taken @ self.taken.T), np.arange(len(blocks))
-        information.reshape(2 * blocks.shape[:2])[place, :, place] += blocks
-        return information
+        flat, count = _flat(self.tangents), len(self.nuisance.sd)
+        # An owner of -1 is the last row or column, which is left.
+        whole = np.zeros((count + 1, count + 1))
+        for partner, weight in self.coupled:
+            other = self.place[partner[self.held]]
+            some = np.flatnonzero(other >= 0)
+            own = np.real(flat[some].conj() @ flat[other[some]].swapaxes(1, 2))
+            at = self.owner[some][:, :, None], self.owner[other[some]][:, None, :]
+            np.add.at(whole, at, weight[self.held[some], None, None] * own)
+        return np.asarray(whole[:-1, :-1] - self.taken @ self.taken.T)
 
     @cached_property
     def root(self) -> Array:
@@ -206,17 +300,19 @@ class Marginal:
         if not len(self.nuisance.sd):
             return np.zeros((sets, count, 0))
         seen = real_parts(_flat(self.in_columns(taken)))
-        shared = np.asarray(-seen @ self.taken.T)
-        place = np.full(self.nuisance.owner.shape[1], -1)
-        place[self.held] = np.arange(len(self.held))
+        shared = np.zeros((sets, count, len(self.nuisance.sd) + 1))
+        shared[..., :-1] = -seen @ self.taken.T
+        flat = _flat(self.tangents)
         members = self.in_columns(tangents.transpose(0, 2, 1, 3, 4)).transpose(3, 1, 0, 2, 4)
-        for member, channels in zip(members, place[groups].T, strict=True):
-            some = np.flatnonzero(channels >= 0)
-            one = _flat(member[some]).conj()
-            own = np.real(one @ self.products[channels[some]].swapaxes(1, 2))
-            at = some[:, None, None], np.arange(count)[:, None], self.owner[channels[some]][:, None]
-            shared[at] += own
-        return shared
+        for member, channels in zip(members, groups.T, strict=True):
+            one = _flat(member).conj()
+            for partner, weight in self.coupled:
+                place = self.place[partner[channels]]
+                some = np.flatnonzero(place >= 0)
+                own = np.real(one[some] @ flat[place[some]].swapaxes(1, 2))
+                at = some[:, None, None], np.arange(count)[:, None], self.owner[place[some]][:, None]
+                shared[at] += weight[channels[some], None, None] * own
+        return shared[..., :-1]
 
     def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> Array:
         """Return the information (B, p, p) on tangents next to the nuisance."""
