@@ -19,7 +19,13 @@ from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
-from kinematics.faults.nuisance import LaserScatter, Nuisance, information_of, likeliest_size
+from kinematics.faults.nuisance import (
+    LaserScatter,
+    Nuisance,
+    estimate_nuisance,
+    information_of,
+    likeliest_size,
+)
 from kinematics.faults.packed_readings import MOST_CHANNELS, Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
 from kinematics.faults.score_information import SHIFTS
@@ -170,15 +176,23 @@ class _Diagnose:
         """Search data; ``share`` of the alarm probability."""
         prior = self.prior if prior is None else prior
         alarm = share * self.alarm
-        return Search(data, prior, self.layout, self.known, alarm, self.lasers)
+        return Search(self._freed(data), prior, self.layout, self.known, alarm, self.lasers)
+
+    def _freed(self, data: Packed) -> Packed:
+        """Return data freed of the most probable errors of lasers."""
+        if self.lasers is None:
+            return data
+        nuisance = Nuisance.of(data, self.prior, self.lasers)
+        return self.lasers.undone(data, nuisance, estimate_nuisance(data, nuisance).x)
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""
         if not self.known:
+            data = self._freed(data)
             data = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
         search = self.searched(data, share)
-        white = with_point_noise(search.state, search.noise) if self.mixes else data
-        return search if white is data else self.searched(white, share)
+        white = with_point_noise(search.state, search.noise) if self.mixes else search.data
+        return search if white is search.data else self.searched(white, share)
 
     def after(self, data: Packed, culprit: Finding, findings: list[Finding]) -> Search:
         """Search again without a finding, with the noise estimated without the faulty channels."""

@@ -198,8 +198,9 @@ def common_level(data: Packed, nuisance: Nuisance) -> tuple[float, float]:
     marginal = Marginal(state, nuisance)
     sd = nuisance.sd
     values, vectors = np.linalg.eigh(marginal.information * np.outer(sd, sd))
+    score = marginal.score - marginal.information @ np.broadcast_to(nuisance.mean, sd.shape)
     seen = values > _UNSEEN * max(float(values[-1]), 1e-300)
-    values, along = values[seen], (vectors.T @ (sd * marginal.score))[seen] ** 2 / values[seen]
+    values, along = values[seen], (vectors.T @ (sd * score))[seen] ** 2 / values[seen]
     others = max(number - len(values), 1.0)
     left = max(energy - float(np.sum(along)), 1e-12 * energy)
     half = 0.5 * plain * np.geomspace(10.0**-_DECADES, 1.0, _DECADES * _STEPS + 1)[:, None]

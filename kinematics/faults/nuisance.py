@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,8 @@ from stapeskit.arrays import Array, ComplexArray
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+# Tangents of the logarithm of a laser's factor.
+_OF_LASERS = (REAL, IMAGINARY, DELAY)
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
@@ -47,6 +49,32 @@ class LaserScatter:
     phase_sd: float
     delay_sd: float
 
+    def live_channels(self, live: Sequence[int]) -> list[NDArray[np.intp]]:
+        """Return the channels in use of each laser."""
+        own = np.array(live, dtype=np.intp)
+        return [own[self.of_channel[own] == laser] for laser in range(int(np.max(self.of_channel)) + 1)]
+
+    def undone(self, data: Packed, nuisance: Nuisance, x: Array) -> Packed:
+        """Return data whose readings are freed of the errors of lasers among ``x`` (V,), line by line.
+
+        Packed lines have one frequency for many: of a large error they leave what no rigid motion explains.
+        """
+        kinds = [k for k in _OF_LASERS if k in nuisance.which]
+        beams = self.live_channels(range(len(self.of_channel)))
+        errors = (x - nuisance.mean)[len(x) - len(kinds) * len(beams) :]
+        of_laser = dict(zip(kinds, errors.reshape(len(kinds), -1), strict=True))
+        logs = [
+            [of_laser.get(k, np.zeros(len(beams)))[laser] for k in _OF_LASERS] for laser in range(len(beams))
+        ]
+        factors = tuple((own.tolist(), partial(_factor, log)) for own, log in zip(beams, logs, strict=True))
+        return data.under(replace(data.assumed, lasers=factors, laser_errors=errors))
+
+
+def _factor(log: Sequence[float], _tau: Array, ratio: Array) -> ComplexArray:
+    """Return the factor of readings with some errors of gain, phase and lag."""
+    gain, phase, lag = log
+    return np.asarray(np.exp(gain + 1j * (phase - lag * ratio)))
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -60,11 +88,14 @@ class Nuisance:
         Prior standard deviations.
     which : tuple of int, (k,)
         Tangents, see ``State.tangents``. Factors have their logarithms as parameters.
+    mean : ndarray, (V,)
+        Prior means; none by default.
     """
 
     owner: NDArray[np.intp]
     sd: Array
     which: tuple[int, ...] = SHIFTS
+    mean: Array = field(default_factory=lambda: np.zeros(()))
 
     @classmethod
     def of(cls, data: Packed, position_sd_m: Array, lasers: LaserScatter | None = None) -> Nuisance:
@@ -82,14 +113,16 @@ class Nuisance:
         nuisance = cls.at(places, count, np.array([position_sd_m[own[0]] for own in places]))
         if lasers is None:
             return nuisance
-        live = np.array(data.live, dtype=np.intp)
-        beams = [live[lasers.of_channel[live] == laser] for laser in np.unique(lasers.of_channel[live])]
+        beams = lasers.live_channels(data.live)
         lag_sd = 2.0 * np.pi * data.source.middle_hz * lasers.delay_sd
-        sizes = {REAL: lasers.gain_sd, IMAGINARY: lasers.phase_sd, DELAY: lag_sd}
-        for tangent, sd in sizes.items():
+        positions = len(nuisance.sd)
+        for tangent, sd in zip(_OF_LASERS, (lasers.gain_sd, lasers.phase_sd, lag_sd), strict=True):
             if sd > 0.0:
                 nuisance = nuisance.beside(cls.at(beams, count, np.full(len(beams), sd), (tangent,)))
-        return nuisance
+        mean = np.zeros(len(nuisance.sd))
+        if len(data.assumed.laser_errors):
+            mean[positions:] = -data.assumed.laser_errors
+        return replace(nuisance, mean=mean)
 
     @classmethod
     def at(
@@ -119,8 +152,8 @@ class Nuisance:
         return DELAY in self.which
 
     def penalty(self, x: Array) -> float:
-        """Return half of the sum of (x / sd)^2."""
-        return 0.5 * float(np.sum((x / self.sd) ** 2))
+        """Return half of the sum of ((x - mean) / sd)^2."""
+        return 0.5 * float(np.sum(((x - self.mean) / self.sd) ** 2))
 
     def applied(self, model: Model, x: Array, ratio: Array) -> Model:
         """Return a model with errors ``x`` (V,) of coordinates, m, and of lasers.
@@ -254,7 +287,7 @@ class Marginal:
     def pull(self) -> Array:
         """Score (V,) with the priors: minus half the slope of the objective."""
         sd = self.nuisance.sd
-        return np.asarray(self.score - 0.5 * self.x / sd**2) if len(sd) else sd
+        return np.asarray(self.score - 0.5 * (self.x - self.nuisance.mean) / sd**2) if len(sd) else sd
 
     @cached_property
     def information(self) -> Array:

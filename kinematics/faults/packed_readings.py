@@ -126,6 +126,10 @@ class Assumed:
         Noise over that of the source in equal parts of the lines.
     correlation : ndarray, (channel, channel), or None
         Of the noise of channels of one point; None without.
+    lasers : tuple of (list of int, Factor)
+        By what readings of the channels of each laser are divided, too.
+    laser_errors : ndarray, (V,)
+        The errors of lasers that make these factors, see ``Nuisance``.
     """
 
     arms_m: Array
@@ -134,6 +138,8 @@ class Assumed:
     factors: tuple[tuple[list[int], Factor], ...] = ()
     level: Array = field(default_factory=lambda: np.ones(1))
     correlation: Array | None = None
+    lasers: tuple[tuple[list[int], Factor], ...] = ()
+    laser_errors: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def live(self) -> list[int]:
@@ -291,7 +297,7 @@ def divide(value: ComplexArray, weight: Array, assumed: Assumed, tau: Array, rat
 
     What is zero times the motion shows nothing of it and keeps no weight.
     """
-    for channels, factor in assumed.factors:
+    for channels, factor in (*assumed.factors, *assumed.lasers):
         by = np.broadcast_to(factor(tau, ratio), tau.shape)
         value[channels] /= np.where(by == 0.0, 1.0, by)
         weight[channels] *= np.abs(by)
@@ -317,7 +323,7 @@ def _gather(
     made: list[tuple[ComplexArray, ComplexArray, Array, float, float]] = []
     for part in map(slice, edges[:-1].tolist(), edges[1:].tolist()):
         value, mean = source.value[:, part if whole else source.lines[part]], scale
-        if assumed.factors:
+        if assumed.factors or assumed.lasers:
             value, weight = np.array(value), np.repeat(mean[:, None], part.stop - part.start, axis=1)
             divide(value, weight, assumed, source.tau[part], source.ratio[part])
             mean = np.sqrt(np.mean(weight**2, axis=1))

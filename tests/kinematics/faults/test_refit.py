@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
 from kinematics.faults.catalogue import Fault
-from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.nuisance import LaserScatter, Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
@@ -84,28 +84,36 @@ def test_the_covariance_of_a_fault_holds_what_errors_of_positions_add():
     assert inverse[0, 0] == pytest.approx(np.linalg.inv(0.5 * hessian)[0, 0], rel=1e-3)
 
 
-def test_the_information_on_positions_is_right_where_points_have_noise_in_common():
+@pytest.mark.parametrize("correlation", [0.0, 0.4])
+@pytest.mark.parametrize("scatter", [None, LaserScatter(np.arange(27) % 3, 0.01, 0.01, 1e-6)])
+def test_score_and_information_on_nuisance_parameters_are_those_of_the_objective(correlation, scatter):
     data = data_of(scene(31))
     points = np.array(data.points)
-    correlation = np.where(points[:, None] == points, 0.4, 0.0) + 0.6 * np.eye(len(points))
-    data = data.under(replace(data.assumed, correlation=correlation))
-    nuisance = Nuisance.of(data, np.full(27, SD_M))
+    if correlation:
+        alike = np.where(points[:, None] == points, correlation, 0.0)
+        data = data.under(replace(data.assumed, correlation=alike + (1.0 - correlation) * np.eye(27)))
+    nuisance = Nuisance.of(data, np.full(27, SD_M), scatter)
     count = len(nuisance.sd)
-    assert count == 27
-    base, size = model_of(data), 0.1 * SD_M
+    assert count == (27 if scatter is None else 36)
+    base, size = model_of(data), 0.1 * nuisance.sd
 
     def energy(*steps):
-        x = sum(sign * size * np.eye(count)[k] for k, sign in steps)
+        x = sum((sign * size[k] * np.eye(count)[k] for k, sign in steps), np.zeros(count))
         return State.of(data, nuisance.applied(base, x, data.ratio)).energy
 
-    hessian = np.zeros((count, count))
+    slope, hessian = np.zeros(count), np.zeros((count, count))
     for i in range(count):
+        slope[i] = (energy((i, 1)) - energy((i, -1))) / 0.2
         for j in range(i + 1):
             around = [a * b * energy((i, a), (j, b)) for a in (1, -1) for b in (1, -1)]
-            hessian[i, j] = hessian[j, i] = sum(around) / (4.0 * size**2)
-    # The energy is a sum of squares: its second derivatives are twice the information.
-    information = Marginal(State.of(data), nuisance).information
-    np.testing.assert_allclose(0.5 * hessian, information, atol=0.02 * np.max(information))
+            hessian[i, j] = hessian[j, i] = sum(around) / (4.0 * 0.1**2)
+    near = Marginal(State.of(data), nuisance)
+    # The energy is a sum of squares: its first derivatives are minus twice the score, its second ones twice
+    # the information, but for what noise adds.
+    root = np.sqrt(np.diag(near.information))
+    np.testing.assert_allclose(-0.5 * slope / nuisance.sd / root, near.score / root, atol=0.05)
+    hessian = 0.5 * hessian / np.outer(nuisance.sd * root, nuisance.sd * root)
+    np.testing.assert_allclose(hessian, near.information / np.outer(root, root), atol=0.02)
 
 
 def test_groups_of_lines_with_the_same_rows_hold_what_they_hold_one_by_one():
