@@ -12,6 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.diagnose import Diagnosis, search_body, too_large
+from kinematics.faults.findings import Finding
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled
 from kinematics.faults.packed_readings import MOST_CHANNELS
@@ -129,7 +130,9 @@ def _search(
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
 
 
-def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> SearchedFits:
+def _explain(
+    first: SearchedFits, searched: dict[tuple[int, int], LineFit], lasers: Lasers | None = None
+) -> SearchedFits:
     """Return the fits with wrong labels and causes in place of what they look like to one body's search."""
     placed, known, diagnoses = first.placed, first.known, dict(first.diagnoses)
     fits, notices = dict(first.fits), list(first.notices)
@@ -140,7 +143,8 @@ def _explain(first: SearchedFits, searched: dict[tuple[int, int], LineFit]) -> S
         other = None
         if key not in exchanged or exchanged[key].bends:
             body = first.screens[key[1]].body
-            other = explain_misfit(placed, key[0], body, searched[key], known[key], diagnoses[key])
+            scatter = None if lasers is None else lasers.scatter(key[1])
+            other = explain_misfit(placed, key[0], body, searched[key], known[key], diagnoses[key], scatter)
         diagnoses[key] = other[0] if other else exchanged.get(key, diagnoses[key])
         if other and not other[0].findings:  # no fault but another noise, which the motion is fitted with
             fits[key] = other[1]
@@ -188,7 +192,7 @@ def with_lasers(
             return again
     if searched.unexplained < 2:  # less would be nothing
         return None
-    next_to = _search(searched.placed, searched.screens, beams, robust, lasers)[0]
+    next_to = _explain(*_search(searched.placed, searched.screens, beams, robust, lasers), lasers)
     again = _freed_of_lasers(searched, lasers, beams, robust, next_to)
     return None if again is None or _scatters(again, lasers) else again
 
@@ -196,8 +200,12 @@ def with_lasers(
 def _scatters(searched: SearchedFits, lasers: Lasers) -> bool:
     """Return whether a factor that was found is one as lasers scatter by: many channels may scatter so."""
     most = _USUAL_SD * lasers.prior_sd.get("laser_gain", 0.0)
-    found = [finding for diagnosis in searched.diagnoses.values() for finding in diagnosis.findings]
-    return any(finding.kind == "gain" and np.linalg.norm(finding.parameters) < most for finding in found)
+    return any(
+        finding.kind == "gain"
+        and (np.linalg.norm(finding.parameters) if finding.fault else finding.size) < most
+        for diagnosis in searched.diagnoses.values()
+        for finding in diagnosis.findings
+    )
 
 
 def _freed_of_lasers(
@@ -236,34 +244,43 @@ def _freed_of_lasers(
     screens = [
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
-    first, fitted = _search(placed, screens, beams, robust)
+    # What is left of the errors of the lasers next to faults is no fault either.
+    rest = None if next_to is None else lasers
+    first, fitted = _search(placed, screens, beams, robust, rest)
     most = 1 if next_to is None else searched.unexplained
-    if first.unexplained >= most:  # whatever explains it, as much is found
+    if first.unexplained >= most and next_to is None:  # whatever explains it, as much is found
         return None
-    again = replace(_explain(first, fitted), applied=values)
+    again = replace(_explain(first, fitted, rest), applied=values)
     return again if again.unexplained < most else None
 
 
 def _without_faults(searched: SearchedFits) -> tuple[Measurement, dict[tuple[int, int], list[int]]]:
-    """Return the measurement freed of what was found in whole lasers, and the channels otherwise at fault."""
+    """Return the measurement freed of faults, and the channels of the others.
+
+    Faults of whole lasers and those without a size, as an exchange of names, can be undone; channels with
+    others are left out instead, as the errors of their sizes would be taken for errors of lasers.
+    """
     sound = searched.placed
 
-    def found(of_many: bool) -> dict[tuple[int, int], Diagnosis]:
+    def found(undone: bool) -> dict[tuple[int, int], Diagnosis]:
         return {
             key: replace(
                 diagnosis,
-                findings=tuple(
-                    finding
-                    for finding in diagnosis.findings
-                    if (finding.fault is not None and finding.owner in OF_MANY) == of_many
-                ),
+                findings=tuple(finding for finding in diagnosis.findings if _is_undone(finding) == undone),
             )
             for key, diagnosis in searched.diagnoses.items()
         }
 
-    for correction in corrections_of(sound, searched.fits, found(of_many=True)):
+    for correction in corrections_of(sound, searched.fits, found(undone=True)):
         sound = correction.corrected(sound)
-    return sound, channels_at_fault(found(of_many=False))
+    return sound, channels_at_fault(found(undone=False))
+
+
+def _is_undone(finding: Finding) -> bool:
+    fault = finding.fault
+    if fault is None:
+        return finding.remedied is not None
+    return fault.owner in OF_MANY or not (fault.size or finding.rivals)
 
 
 def _fitted(

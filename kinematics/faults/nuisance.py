@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 # Tangents of the logarithm of a laser's factor.
 _OF_LASERS = (REAL, IMAGINARY, DELAY)
+# An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
+MOST_SDS = 6.0
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
@@ -58,10 +60,14 @@ class LaserScatter:
         """Return data whose readings are freed of the errors of lasers among ``x`` (V,), line by line.
 
         Packed lines have one frequency for many: of a large error they leave what no rigid motion explains.
+        Errors beyond belief are what a large fault makes of them, and none is undone.
         """
         kinds = [k for k in _OF_LASERS if k in nuisance.which]
         beams = self.live_channels(range(len(self.of_channel)))
-        errors = (x - nuisance.mean)[len(x) - len(kinds) * len(beams) :]
+        first = len(x) - len(kinds) * len(beams)
+        errors = (x - nuisance.mean)[first:]
+        if np.max(np.abs(errors) / nuisance.sd[first:]) > MOST_SDS:
+            return data.under(replace(data.assumed, lasers=(), laser_errors=np.zeros(0)))
         of_laser = dict(zip(kinds, errors.reshape(len(kinds), -1), strict=True))
         logs = [
             [of_laser.get(k, np.zeros(len(beams)))[laser] for k in _OF_LASERS] for laser in range(len(beams))

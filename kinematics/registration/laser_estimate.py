@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinematics.faults.detectable import POWER
+from kinematics.faults.nuisance import MOST_SDS
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.registration.laser_moments import (
@@ -29,8 +30,6 @@ UNLIKELY = 1e-3
 _ALARM_LEVEL = 0.01
 # Lasers are tried as the cause of what is found when the sum of squares falls by this.
 _WORTH_CORRECTING = 9.0
-# An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
-_MOST_SDS = 6.0
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ class LaserEstimate:
     @property
     def beyond_belief(self) -> bool:
         """Whether an error is so many times its stated sd that it is a fault, which a small error is not."""
-        return bool(np.max(np.abs(self.values) / self.prior_sd) > _MOST_SDS)
+        return bool(np.max(np.abs(self.values) / self.prior_sd) > MOST_SDS)
 
     @property
     def explains_misfit(self) -> bool:

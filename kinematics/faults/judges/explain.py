@@ -9,6 +9,7 @@ import numpy as np
 from kinematics.faults.alternatives import BENDS, Proposal, proposed
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
+from kinematics.faults.nuisance import LaserScatter
 from kinematics.faults.proposals.misfitting_body import MisfittingBody
 from kinematics.faults.proposals.outliers import likely_outliers, with_far_values
 from kinematics.fit.body_noise import fit_with_noise
@@ -27,7 +28,13 @@ _FLOORS = (0.0, 0.2)
 
 
 def explain_misfit(
-    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool, diagnosis: Diagnosis
+    placed: Measurement,
+    run: int,
+    body: BodyChannels,
+    fit: LineFit,
+    known: bool,
+    diagnosis: Diagnosis,
+    lasers: LaserScatter | None = None,
 ) -> tuple[Diagnosis, LineFit] | None:
     """Return the diagnosis by a cause other than a body that bends, and the fit without that cause.
 
@@ -49,14 +56,14 @@ def explain_misfit(
     likely = bends or likely_outliers(suspect.plain, diagnosis.course)
     if not likely and not diagnosis.findings:
         return None
-    proportional = _by_proportional_noise(suspect, fit, diagnosis)
+    proportional = _by_proportional_noise(suspect, fit, diagnosis, lasers)
     if proportional is not None or not likely:
         return proportional
     suspect = with_far_values(suspect)
     for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
         remedy = cause.value
         again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
-        remaining = diagnose(placed, remedy.body, again, stated)
+        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers)
         most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else len(remaining.findings)
         if remaining.bends or len(remaining.findings) > most:
             continue
@@ -80,7 +87,7 @@ def explain_misfit(
 
 
 def _by_proportional_noise(
-    suspect: MisfittingBody, fit: LineFit, diagnosis: Diagnosis
+    suspect: MisfittingBody, fit: LineFit, diagnosis: Diagnosis, lasers: LaserScatter | None
 ) -> tuple[Diagnosis, LineFit] | None:
     """Return the diagnosis and fit with noise in proportion to the readings, where that leaves nothing.
 
@@ -101,7 +108,7 @@ def _by_proportional_noise(
         again, stated, _notices = fit_with_noise(suspect.placed, suspect.run, body, suspect.beams, "none")
         if _deviance(again, None) >= _deviance(fit, diagnosis.course):
             continue
-        remaining = diagnose(suspect.placed, body, again, stated)
+        remaining = diagnose(suspect.placed, body, again, stated, lasers=lasers)
         if not remaining.findings and not likely_outliers(again, remaining.course):
             return replace(remaining, kept=1.0), again
     return None
