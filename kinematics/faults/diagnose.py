@@ -183,7 +183,7 @@ class _Diagnose:
         if self.lasers is None:
             return data
         nuisance = Nuisance.of(data, self.prior, self.lasers)
-        return self.lasers.undone(data, nuisance, estimate_nuisance(data, nuisance).x)
+        return self.lasers.undone(estimate_nuisance(data, nuisance))
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""

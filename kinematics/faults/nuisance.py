@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _OF_LASERS = (REAL, IMAGINARY, DELAY)
 # An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
 MOST_SDS = 6.0
+# Share of the misfit that errors beyond belief may leave.
+_MOSTLY = 0.5
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
@@ -56,22 +58,24 @@ class LaserScatter:
         own = np.array(live, dtype=np.intp)
         return [own[self.of_channel[own] == laser] for laser in range(int(np.max(self.of_channel)) + 1)]
 
-    def undone(self, data: Packed, nuisance: Nuisance, x: Array) -> Packed:
-        """Return data whose readings are freed of the errors of lasers among ``x`` (V,), line by line.
+    def undone(self, near: Marginal) -> Packed:
+        """Return data whose readings are freed of the errors of lasers at a fit, line by line.
 
         Packed lines have one frequency for many: of a large error they leave what no rigid motion explains.
-        Errors beyond belief are what a large fault makes of them, and none is undone.
+        Errors beyond belief that do not explain most of the misfit are what another fault makes of them, and
+        none is undone.
         """
+        data, nuisance = near.state.data, near.nuisance
         kinds = [k for k in _OF_LASERS if k in nuisance.which]
         beams = self.live_channels(range(len(self.of_channel)))
-        first = len(x) - len(kinds) * len(beams)
-        errors = (x - nuisance.mean)[first:]
-        if np.max(np.abs(errors) / nuisance.sd[first:]) > MOST_SDS:
+        first = len(nuisance.sd) - len(kinds) * len(beams)
+        errors = (near.x - nuisance.mean)[first:]
+        believed = np.max(np.abs(errors) / nuisance.sd[first:]) < MOST_SDS
+        if not believed and near.state.energy > _MOSTLY * State.of(data).energy:
             return data.under(replace(data.assumed, lasers=(), laser_errors=np.zeros(0)))
         of_laser = dict(zip(kinds, errors.reshape(len(kinds), -1), strict=True))
-        logs = [
-            [of_laser.get(k, np.zeros(len(beams)))[laser] for k in _OF_LASERS] for laser in range(len(beams))
-        ]
+        none = np.zeros(len(beams))
+        logs = np.transpose([of_laser.get(k, none) for k in _OF_LASERS]).tolist()
         factors = tuple((own.tolist(), partial(_factor, log)) for own, log in zip(beams, logs, strict=True))
         return data.under(replace(data.assumed, lasers=factors, laser_errors=errors))
 
