@@ -143,7 +143,7 @@ KINDS: dict[str, Kind] = {
         ("laser",),
         (IMAGINARY,),
         (0.1,),
-        sentences.angle("phase off by"),
+        sentences.phase_offset,
         factor=lambda p, _t, _r: np.exp(1j * p[0]),
         like="gain",
     ),

@@ -19,7 +19,9 @@ from kinematics.faults.catalogue import OF_MANY
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
 from kinematics.faults.flexible_body import Structure, no_structure
+from kinematics.faults.noise_size import channel_noise
 from kinematics.faults.nuisance import (
+    MOST_SDS,
     LaserScatter,
     Nuisance,
     estimate_nuisance,
@@ -28,8 +30,8 @@ from kinematics.faults.nuisance import (
 )
 from kinematics.faults.packed_readings import MOST_CHANNELS, Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
-from kinematics.faults.score_information import SHIFTS
-from kinematics.faults.search import FALSE_ALARM, Search
+from kinematics.faults.score_information import SHIFTS, State
+from kinematics.faults.search import FALSE_ALARM, NOISE_ALONE, Search
 from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.reference_noise import bound_record_noise, holds_record_noise
@@ -179,11 +181,24 @@ class _Diagnose:
         return Search(self._freed(data), prior, self.layout, self.known, alarm, self.lasers)
 
     def _freed(self, data: Packed) -> Packed:
-        """Return data freed of the most probable errors of lasers."""
-        if self.lasers is None:
+        """Return data freed of the most probable errors of lasers.
+
+        Lines that are gathered have one frequency for many: of an error that varies with it they leave what
+        no rigid motion explains. Errors beyond belief are undone only if they leave nothing but noise:
+        another fault makes them.
+        """
+        if self.lasers is None or not data.rest.size:
             return data
-        nuisance = Nuisance.of(data, self.prior, self.lasers)
-        return self.lasers.undone(estimate_nuisance(data, nuisance))
+        near = estimate_nuisance(data, Nuisance.of(data, self.prior, self.lasers))
+        freed = self.lasers.undone(near)
+        if np.max(np.abs(self.lasers.errors(near))) < MOST_SDS:
+            return freed
+        state = State.of(freed)
+        level = 1.0 if self.known else channel_noise(state).level
+        noise = level * float(np.sum(state.free())) * state.z.shape[2]
+        if state.energy < NOISE_ALONE * noise:
+            return freed
+        return data.under(replace(data.assumed, lasers=(), laser_errors=np.zeros(0)))
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 _OF_LASERS = (REAL, IMAGINARY, DELAY)
 # An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
 MOST_SDS = 6.0
-# Share of the misfit that errors beyond belief may leave.
-_MOSTLY = 0.5
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
 
@@ -53,29 +51,30 @@ class LaserScatter:
     phase_sd: float
     delay_sd: float
 
+    @property
+    def count(self) -> int:
+        """Number of lasers."""
+        return int(np.max(self.of_channel)) + 1
+
     def live_channels(self, live: Sequence[int]) -> list[NDArray[np.intp]]:
         """Return the channels in use of each laser."""
         own = np.array(live, dtype=np.intp)
-        return [own[self.of_channel[own] == laser] for laser in range(int(np.max(self.of_channel)) + 1)]
+        return [own[self.of_channel[own] == laser] for laser in range(self.count)]
+
+    def errors(self, near: Marginal) -> Array:
+        """Return the errors (kind, laser) at a fit, in units of their sd, with those that are undone."""
+        kinds = len(set(_OF_LASERS) & set(near.nuisance.which))
+        relative = (near.x - near.nuisance.mean) / near.nuisance.sd
+        return relative[len(relative) - kinds * self.count :].reshape(kinds, self.count)
 
     def undone(self, near: Marginal) -> Packed:
-        """Return data whose readings are freed of the errors of lasers at a fit, line by line.
-
-        Packed lines have one frequency for many: of a large error they leave what no rigid motion explains.
-        Errors beyond belief that do not explain most of the misfit are what another fault makes of them, and
-        none is undone.
-        """
-        data, nuisance = near.state.data, near.nuisance
-        kinds = [k for k in _OF_LASERS if k in nuisance.which]
+        """Return data whose readings are freed of the errors of lasers at a fit, line by line."""
+        data, relative = near.state.data, self.errors(near)
+        errors = relative.ravel() * near.nuisance.sd[-relative.size :]
+        kinds = [k for k in _OF_LASERS if k in near.nuisance.which]
+        of_laser = dict(zip(kinds, errors.reshape(relative.shape), strict=True))
+        logs = np.transpose([of_laser.get(k, np.zeros(self.count)) for k in _OF_LASERS]).tolist()
         beams = self.live_channels(range(len(self.of_channel)))
-        first = len(nuisance.sd) - len(kinds) * len(beams)
-        errors = (near.x - nuisance.mean)[first:]
-        believed = np.max(np.abs(errors) / nuisance.sd[first:]) < MOST_SDS
-        if not believed and near.state.energy > _MOSTLY * State.of(data).energy:
-            return data.under(replace(data.assumed, lasers=(), laser_errors=np.zeros(0)))
-        of_laser = dict(zip(kinds, errors.reshape(len(kinds), -1), strict=True))
-        none = np.zeros(len(beams))
-        logs = np.transpose([of_laser.get(k, none) for k in _OF_LASERS]).tolist()
         factors = tuple((own.tolist(), partial(_factor, log)) for own, log in zip(beams, logs, strict=True))
         return data.under(replace(data.assumed, lasers=factors, laser_errors=errors))
 

@@ -31,6 +31,8 @@ FALSE_ALARM = 0.01
 _TESTED = {"channel": 2, "point": 1, "laser": 1, "body": 1}
 _BLAMED = {"channel": 3, "point": 3, "laser": 3, "body": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
+# Energy over that of noise below which nothing but noise is left.
+NOISE_ALONE = 2.0
 # Points whose names are exchanged in trial, and exchanges that are fitted.
 _SUSPECTS, _EXCHANGED = 10, 5
 # Difference of log evidence that the data hardly show.
@@ -254,7 +256,7 @@ class Search:
         small = float(np.linalg.norm(fit.parameters)) < kind.largest * kind.unit(
             self.data.source.beams.lever_m
         )
-        return small or self.near.value - fit.drop < 2.0 * self.noise_energy
+        return small or self.near.value - fit.drop < NOISE_ALONE * self.noise_energy
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""

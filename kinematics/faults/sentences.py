@@ -90,6 +90,15 @@ def angle(words: str, place: str = "") -> Sentence:
     return describe
 
 
+def phase_offset(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
+    """Describe a phase; half a turn is a wrong sign."""
+    past = float(np.angle(-np.exp(1j * fit.parameters[0])))
+    if abs(past) < _SIGN:
+        size, sd = (float(np.rad2deg(one)) for one in (past, _sd(fit)[0]))
+        return "sign", f"factor -1, phase besides {with_sd(size, sd, 'deg')}"
+    return angle("phase off by")(fit, body)
+
+
 def drift(fit: Fitted, _body: BodyChannels) -> tuple[str, str]:
     """Describe a factor that runs over the lines by its ends."""
     mean = 1.0 + fit.parameters[0] + 1j * fit.parameters[1]
