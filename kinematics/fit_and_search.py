@@ -238,6 +238,8 @@ def _freed_of_lasers(
         if not (estimate.explains_misfit if stated and next_to is None else estimate.as_stated):
             return None
         values = estimate.values
+        if not np.any(values):  # no body is sound enough to show them
+            return None
         placed = lasers.corrected(sound, values)
     if sound is not searched.placed:
         placed = lasers.corrected(searched.placed, estimate.values)

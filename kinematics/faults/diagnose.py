@@ -118,6 +118,7 @@ def diagnose(
     known: bool,
     without: list[int] | None = None,
     lasers: LaserScatter | None = None,
+    one: bool = False,
 ) -> Diagnosis:
     """Search one body in one run for faults, with all degrees of freedom that its beams observe.
 
@@ -133,6 +134,8 @@ def diagnose(
         Channels whose fault is known already.
     lasers : LaserScatter, optional
         Errors next to which faults are sought; none by default.
+    one : bool
+        Where no single fault explains all, the body is said to bend, and nothing else is sought.
 
     Notes
     -----
@@ -148,7 +151,7 @@ def diagnose(
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     prior = np.nan_to_num(body.position_sd_mm) * 1e-3
     mixes = not holds_record_noise(placed, body)
-    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data)
+    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data, one)
 
 
 def _nothing(fit: LineFit) -> Diagnosis:
@@ -226,9 +229,11 @@ class _Diagnose:
                 loud[finding.channels] *= finding.size
         return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
 
-    def run(self, data: Packed) -> Diagnosis:
+    def run(self, data: Packed, one: bool) -> Diagnosis:
         """Search round after round, the culprit left out each time, until nothing is found."""
         first = search = self.prepared(data)
+        if one and first.bends and first.beyond_one():
+            return _diagnosis([first.flexible()], first, first)
         findings: list[Finding] = []
         kept = 1.0
         while (culprit := search.best()) is not None:

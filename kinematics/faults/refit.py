@@ -40,11 +40,12 @@ class _Trial:
 class Refit:
     """Fits of faults to data with nuisance parameters, from a fit ``near`` without fault.
 
-    ``flat`` are the data for faults that are the same at all lines.
+    ``merged`` are its data with all lines as one, for what is the same at all lines.
     """
 
-    def __init__(self, near: Marginal, flat: Packed) -> None:
-        self.near, self.data, self.flat = near, near.state.data, flat
+    def __init__(self, near: Marginal, merged: Packed) -> None:
+        self.near, self.data, self.merged = near, near.state.data, merged
+        self.flat = self.data if near.nuisance.varies else merged
         self.start = np.broadcast_to(near.x, near.nuisance.sd.shape)
         self.lever = self.data.source.beams.lever_m
 
@@ -64,7 +65,7 @@ class Refit:
     def sight(self, fault: Fault) -> float:
         """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
         starts = [self.start, np.zeros_like(self.start)] if len(self.start) else [self.start]
-        return min(self._try(self.flat, fault, np.zeros(0), x).value for x in starts)
+        return min(self._try(self.merged, fault, np.zeros(0), x).value for x in starts)
 
     def most(self, channels: Sequence[int]) -> float:
         """Return by how much the objective falls without some channels: no fault of theirs takes more."""

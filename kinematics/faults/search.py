@@ -76,14 +76,15 @@ class Search:
     ) -> None:
         self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
         self.given, nuisance = State.of(data), Nuisance.of(data, prior_m, lasers)
-        flat = data if nuisance.varies else data.merged(self.given.z)
+        merged = data.merged(self.given.z)
         self.exact = not len(nuisance.sd)
         self.near = Marginal(self.given, nuisance)
         if not self.exact:
+            flat = data if nuisance.varies else merged
             self.near = Marginal.at(data, nuisance, estimate_nuisance(flat, nuisance).x)
         self.state = self.near.state
         self.live = data.live
-        self.refit = Refit(self.near, flat)
+        self.refit = Refit(self.near, merged)
         noise = self.noise = channel_noise(self.state)
         self.least = noise.least
         self.of_all = not known and noise.least < LEAST_SAMPLES
@@ -198,6 +199,19 @@ class Search:
     def empty(self) -> bool:
         """Whether nothing can be tested: no redundancy, or no noise."""
         return self.freedom < 0.5 or not self.scale > 0.0
+
+    def beyond_one(self) -> bool:
+        """Return whether no single fault leaves nothing but noise.
+
+        Without the channels of a place the objective is no higher than with a fault there; what a turn of all
+        beams takes is known to first order only, and twice of that is granted.
+        """
+        sets = {own for test in self.tested if test.owner != "body" for own in test.sets}
+        if any(2 * len(own) >= len(self.live) for own in sets):
+            return False
+        falls = [np.max(self.near.state.left_out(same)) for same in of_one_size(sorted(sets))]
+        falls += [np.max(test.statistic) for test in self.tested if test.owner == "body"]
+        return self.near.value - max(falls, default=0.0) > NOISE_ALONE * self.noise_energy
 
     def clean(self) -> bool:
         """Return whether nothing is significant, without fits of suspects."""

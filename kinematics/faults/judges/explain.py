@@ -63,7 +63,7 @@ def explain_misfit(
     for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
         remedy = cause.value
         again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
-        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers)
+        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers, one=bends)
         most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else len(remaining.findings)
         if remaining.bends or len(remaining.findings) > most:
             continue
