@@ -22,6 +22,7 @@ from kinematics.fit.body_noise import fit_with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.laser_errors import Lasers
+from kinematics.registration.laser_estimate import WORTH_CORRECTING
 from kinematics.registration.laser_notices import channels_at_fault
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
@@ -109,10 +110,11 @@ def _search(
     beams: Sequence[BeamSet],
     robust: str,
     lasers: Lasers | None = None,
+    most: int | None = None,
 ) -> tuple[SearchedFits, dict[tuple[int, int], LineFit]]:
     """Return the fits of every body in every run, searched by itself, and the fits that the search made.
 
-    With ``lasers`` faults are sought next to their scatter.
+    With ``lasers`` faults are sought next to their scatter; ``most`` as of ``diagnose``.
     """
     fits: dict[tuple[int, int], LineFit] = {}
     searched: dict[tuple[int, int], LineFit] = {}
@@ -126,7 +128,7 @@ def _search(
         if too_large(body, known[key]):
             notices.append(_not_searched_notice(body))
         scatter = None if lasers is None else lasers.scatter(key[1])
-        diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key], scatter)
+        diagnoses[key], searched[key] = search_body(placed, run, body, fits[key], known[key], scatter, most)
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices), searched
 
 
@@ -190,11 +192,20 @@ def with_lasers(
         again = _freed_of_lasers(searched, lasers, beams, robust)
         if again is not None:
             return again
-    if searched.unexplained < 2:  # less would be nothing
+    if searched.unexplained < 2 or _are_alike(searched, lasers):  # less would be nothing
         return None
     next_to = _explain(*_search(searched.placed, searched.screens, beams, robust, lasers), lasers)
     again = _freed_of_lasers(searched, lasers, beams, robust, next_to)
     return None if again is None or _scatters(again, lasers) else again
+
+
+def _are_alike(searched: SearchedFits, lasers: Lasers) -> bool:
+    """Return whether nothing shows of errors of lasers without the channels at fault."""
+    left_out = channels_at_fault(searched.diagnoses)
+    if len(left_out) < len(searched.fits):
+        return False
+    estimate = lasers.estimate(searched.placed, searched.fits, left_out)
+    return estimate.fall < WORTH_CORRECTING
 
 
 def _scatters(searched: SearchedFits, lasers: Lasers) -> bool:
@@ -247,13 +258,13 @@ def _freed_of_lasers(
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     # What is left of the errors of the lasers next to faults is no fault either.
-    rest = None if next_to is None else lasers
-    first, fitted = _search(placed, screens, beams, robust, rest)
-    most = 1 if next_to is None else searched.unexplained
-    if first.unexplained >= most and next_to is None:  # whatever explains it, as much is found
+    alone = next_to is None
+    rest = None if alone else lasers
+    first, fitted = _search(placed, screens, beams, robust, rest, 0 if alone else None)
+    if alone and not first.clean:  # whatever explains it, something is found
         return None
     again = replace(_explain(first, fitted, rest), applied=values)
-    return again if again.unexplained < most else None
+    return again if again.unexplained < (1 if alone else searched.unexplained) else None
 
 
 def _without_faults(searched: SearchedFits) -> tuple[Measurement, dict[tuple[int, int], list[int]]]:

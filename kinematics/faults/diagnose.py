@@ -118,7 +118,7 @@ def diagnose(
     known: bool,
     without: list[int] | None = None,
     lasers: LaserScatter | None = None,
-    one: bool = False,
+    most: int | None = None,
 ) -> Diagnosis:
     """Search one body in one run for faults, with all degrees of freedom that its beams observe.
 
@@ -134,8 +134,9 @@ def diagnose(
         Channels whose fault is known already.
     lasers : LaserScatter, optional
         Errors next to which faults are sought; none by default.
-    one : bool
-        Where no single fault explains all, the body is said to bend, and nothing else is sought.
+    most : int, optional
+        None or one fault is of interest: where there are plainly more, the body is said to bend, and nothing
+        else is sought.
 
     Notes
     -----
@@ -151,7 +152,7 @@ def diagnose(
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     prior = np.nan_to_num(body.position_sd_mm) * 1e-3
     mixes = not holds_record_noise(placed, body)
-    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data, one)
+    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data, most)
 
 
 def _nothing(fit: LineFit) -> Diagnosis:
@@ -229,10 +230,10 @@ class _Diagnose:
                 loud[finding.channels] *= finding.size
         return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
 
-    def run(self, data: Packed, one: bool) -> Diagnosis:
+    def run(self, data: Packed, most: int | None) -> Diagnosis:
         """Search round after round, the culprit left out each time, until nothing is found."""
         first = search = self.prepared(data)
-        if one and first.bends and first.beyond_one():
+        if most is not None and first.more_than(most):
             return _diagnosis([first.flexible()], first, first)
         findings: list[Finding] = []
         kept = 1.0
@@ -379,6 +380,7 @@ def search_body(
     fit: LineFit,
     known: bool,
     lasers: LaserScatter | None = None,
+    most: int | None = None,
 ) -> tuple[Diagnosis, LineFit]:
     """Search one body in one run for faults, and return the fit in which they were looked for.
 
@@ -390,7 +392,7 @@ def search_body(
     basis = extended_beams(body, fit.beams.dof).basis
     bound = bound_record_noise(placed, run, body, basis)
     if bound is None or not known:
-        return diagnose(placed, body, fit, known, lasers=lasers), fit
+        return diagnose(placed, body, fit, known, lasers=lasers, most=most), fit
     usual = fit_with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
 
     def search_without(without: list[int], out: list[int]) -> Diagnosis:

@@ -15,7 +15,7 @@ from kinematics.faults.catalogue import OF_MANY, Fault
 from kinematics.faults.findings import STEP, Finding
 from kinematics.faults.nuisance import Marginal, estimate_nuisance
 from kinematics.faults.packed_readings import Packed, packed
-from kinematics.faults.score_information import Model, State, model_of, weighted_rows
+from kinematics.faults.score_information import Model, State, energies, model_of, weighted_rows
 from stapeskit.arrays import Array, ComplexArray
 
 # Limit of steps of Gauss and Newton for a fault and the nuisance parameters. Computation; measured on 50
@@ -62,10 +62,18 @@ class Refit:
         base = fault.applied(model_of(data), theta, data)
         return _Trial(theta, Marginal.at(data, self.near.nuisance, x, base))
 
-    def sight(self, fault: Fault) -> float:
-        """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
+    def sights(self, faults: Sequence[Fault]) -> Array:
+        """Return the least objective (n,) with each of some exchanges, the nuisance as it is or zero."""
         starts = [self.start, np.zeros_like(self.start)] if len(self.start) else [self.start]
-        return min(self._try(self.merged, fault, np.zeros(0), x).value for x in starts)
+        data, nuisance, found = self.merged, self.near.nuisance, []
+        for x in starts:
+            base = nuisance.applied(model_of(data), x, data.ratio)
+            places = [fault.geometry(base.arms_m, base.directions, np.zeros(0)) for fault in faults]
+            arms, beams = (
+                np.array(part).reshape(-1, *base.arms_m.shape) for part in zip(*places, strict=True)
+            )
+            found.append(energies(data, base, arms, beams) + nuisance.penalty(x))
+        return np.min(found, axis=0)
 
     def most(self, channels: Sequence[int]) -> float:
         """Return by how much the objective falls without some channels: no fault of theirs takes more."""

@@ -266,6 +266,25 @@ class State:
         return np.concatenate(falls)
 
 
+def energies(data: Packed, base: Model, arms_m: Array, directions: Array) -> Array:
+    """Return the residual energy (B,) of a model with other positions and directions (B, channel, 3)."""
+    each = data.y.size * (1 + data.size)
+    step = max(1, _HELD // max(each, 1))
+    found = [np.zeros(0)]
+    for start in range(0, len(arms_m), step):
+        part = slice(start, start + step)
+        rows: NDArray[Any] = data.weight[:, :, None] * data.rows(arms_m[part], directions[part])[:, None]
+        rows = rows if base.factor is None else base.factor[:, :, None] * rows
+        rows = whitened(rows, data.whiten)
+        turned = rows.conj().swapaxes(2, 3)
+        root = _root((turned @ rows).reshape(-1, *rows.shape[-1:], rows.shape[-1]))
+        upper = np.linalg.inv(root).conj().swapaxes(1, 2).reshape(*rows.shape[:2], *root.shape[1:])
+        span = rows @ upper
+        e = data.y - span @ (span.conj().swapaxes(2, 3) @ data.y)
+        found.append(np.sum(e.real**2 + e.imag**2, axis=(1, 2, 3)))
+    return np.concatenate(found)
+
+
 def _root(gram: NDArray[Any]) -> NDArray[Any]:
     """Return the triangular root (group, m, m) of normal matrices; with a ridge where one is singular."""
     size = np.maximum(np.trace(gram, axis1=1, axis2=2).real, 1e-300)

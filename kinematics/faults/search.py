@@ -31,6 +31,8 @@ FALSE_ALARM = 0.01
 _TESTED = {"channel": 2, "point": 1, "laser": 1, "body": 1}
 _BLAMED = {"channel": 3, "point": 3, "laser": 3, "body": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
+# Share of the alarm probability below which a score test needs no fit to be believed.
+_PLAINLY = 1e-3
 # Energy over that of noise below which nothing but noise is left.
 NOISE_ALONE = 2.0
 # Points whose names are exchanged in trial, and exchanges that are fitted.
@@ -200,12 +202,20 @@ class Search:
         """Whether nothing can be tested: no redundancy, or no noise."""
         return self.freedom < 0.5 or not self.scale > 0.0
 
-    def beyond_one(self) -> bool:
-        """Return whether no single fault leaves nothing but noise.
+    def more_than(self, most: int) -> bool:
+        """Return whether it is plain without fits that there are more faults than none or one.
 
+        Notes
+        -----
         Without the channels of a place the objective is no higher than with a fault there; what a turn of all
         beams takes is known to first order only, and twice of that is granted.
         """
+        if self.empty:
+            return False
+        if not most:
+            return self.bends or self._lowest() < _PLAINLY * self.alarm
+        if not self.bends:
+            return False
         sets = {own for test in self.tested if test.owner != "body" for own in test.sets}
         if any(2 * len(own) >= len(self.live) for own in sets):
             return False
@@ -374,9 +384,12 @@ class Search:
                     stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
         layout = Layout(self.data, self.points, self._lasers(), *self.reported, order)
-        exchanges = [replace(found.value, text=found.text) for found in proposed("exchange", layout)]
-        exchanges.sort(key=self.refit.sight)
-        return exchanges[:_EXCHANGED]
+        exchanges = list(proposed("exchange", layout))
+        if not exchanges:
+            return []
+        sights = self.refit.sights([found.value for found in exchanges])
+        best = [exchanges[k] for k in np.argsort(sights, kind="stable")[:_EXCHANGED]]
+        return [replace(found.value, text=found.text) for found in best]
 
     def _p_value(self, fit: Finding) -> float:
         """Return the probability of a fit by chance, corrected for the number of tests."""

@@ -29,7 +29,7 @@ UNLIKELY = 1e-3
 # A scatter of the lasers that fewer correct measurements show than the search raises alarms is a fault.
 _ALARM_LEVEL = 0.01
 # Lasers are tried as the cause of what is found when the sum of squares falls by this.
-_WORTH_CORRECTING = 9.0
+WORTH_CORRECTING = 9.0
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class LaserEstimate:
         """Whether errors of lasers and positions as small as stated may explain the misfit."""
         excess = self.energy - self.fall - self.freedom
         enough = excess < COHERENT_SD * np.sqrt(self.freedom)
-        return bool(enough and self.fall > _WORTH_CORRECTING and self.as_stated)
+        return bool(enough and self.fall > WORTH_CORRECTING and self.as_stated)
 
     @property
     def as_stated(self) -> bool:

@@ -63,9 +63,9 @@ def explain_misfit(
     for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
         remedy = cause.value
         again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
-        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers, one=bends)
-        most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else len(remaining.findings)
-        if remaining.bends or len(remaining.findings) > most:
+        most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else None
+        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers, most=most)
+        if remaining.bends or (most is not None and len(remaining.findings) > most):
             continue
         if remedy.alike:
             findings = tuple(_or(cause, finding) for finding in diagnosis.findings)
@@ -108,7 +108,7 @@ def _by_proportional_noise(
         again, stated, _notices = fit_with_noise(suspect.placed, suspect.run, body, suspect.beams, "none")
         if _deviance(again, None) >= _deviance(fit, diagnosis.course):
             continue
-        remaining = diagnose(suspect.placed, body, again, stated, lasers=lasers)
+        remaining = diagnose(suspect.placed, body, again, stated, lasers=lasers, most=0)
         if not remaining.findings and not likely_outliers(again, remaining.course):
             return replace(remaining, kept=1.0), again
     return None
