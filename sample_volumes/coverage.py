@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 _OFFSET = 1.234567e-7
 _MOST_AT_ONCE = 1 << 23
+_TRIED_AT_ONCE = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -89,50 +90,65 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
         Sub-columns along each side of a voxel.
     """
     nx, ny = shape
-    columns, heights, signs = [np.zeros(0, dtype=np.int32)], [np.zeros(0)], [0.0]
-    for triangle in np.asarray(vertices, dtype=float)[faces].tolist():
-        crossed = _triangle(triangle, nx, ny, samples)
-        if crossed is not None:
-            columns.append(crossed[0])
-            heights.append(crossed[1])
-            signs.append(crossed[2])
-    height = np.concatenate(heights)
-    weight = np.repeat(np.array(signs) / samples**2, [len(part) for part in heights])
+    corners = np.asarray(vertices, dtype=float)[faces]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    corners = corners[(b - a)[:, 0] * (c - a)[:, 1] != (c - a)[:, 0] * (b - a)[:, 1]]
+    first, last = _sample_range(corners.min(axis=1), corners.max(axis=1), np.array([nx, ny]), samples)
+    wide = np.maximum(last - first + 1, 0)
+    count = wide[:, 0] * wide[:, 1]
+    chunk = np.cumsum(count) // _TRIED_AT_ONCE
+    parts = [(np.zeros(0, dtype=np.int32), np.zeros(0), np.zeros(0))]
+    for start, stop in zip(*_runs(chunk), strict=True):
+        own = slice(start, stop)
+        parts.append(_crossed(corners[own], first[own], wide[own], nx, samples))
+    column, height, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
     ends = np.iinfo(np.int16)
     layer = np.clip(np.floor(height + 0.5), ends.min, ends.max).astype(np.int16)
     order = np.argsort(layer, kind="stable")  # by radix: a tenth of what sorting the heights takes
-    return Crossings(layer[order], np.concatenate(columns)[order], height[order], weight[order], shape)
+    return Crossings(layer[order], column[order], height[order], weight[order], shape)
 
 
-def _triangle(
-    triangle: list[list[float]], nx: int, ny: int, samples: int
-) -> tuple[NDArray[np.int32], Array, float] | None:
-    """Return column and height (n,) of each crossing, and whether (1.0 or -1.0) columns enter the body."""
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle
+def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
+    """Return where runs of equal values start and stop."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    bounds = [0, *edges.tolist(), len(values)]
+    return bounds[:-1], bounds[1:]
+
+
+def _crossed(
+    corners: Array, first: NDArray[np.int64], wide: NDArray[np.int64], nx: int, samples: int
+) -> tuple[NDArray[np.int32], Array, Array]:
+    """Return column, height and weight (n,) of the crossings of some triangles (k, 3, 3).
+
+    ``first`` (k, 2) is the first sub-column of each that may cross it, along x and y, ``wide`` their numbers.
+    """
+    count = wide[:, 0] * wide[:, 1]
+    triangle = np.repeat(np.arange(len(corners)), count)
+    place = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    row, along = np.divmod(place, wide[triangle, 0])
+    along, row = first[triangle, 0] + along, first[triangle, 1] + row
+    x = (along + 0.5) / samples - 0.5 + _OFFSET
+    y = (row + 0.5) / samples - 0.5 + 2.0 * _OFFSET
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
     twice_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    if twice_area == 0.0:
-        return None
-    x, column_x = _samples(min(ax, bx, cx), max(ax, bx, cx), nx, samples, _OFFSET)
-    y, column_y = _samples(min(ay, by, cy), max(ay, by, cy), ny, samples, 2.0 * _OFFSET)
-    if not len(x) or not len(y):
-        return None
-    x = x[None, :]
-    y = y[:, None]
-    v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / twice_area
-    w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / twice_area
+
+    def at(value: Array) -> Array:
+        return value[triangle]
+
+    v = ((x - at(ax)) * at(cy - ay) - at(cx - ax) * (y - at(ay))) / at(twice_area)
+    w = (at(bx - ax) * (y - at(ay)) - (x - at(ax)) * at(by - ay)) / at(twice_area)
     inside = (v >= 0.0) & (w >= 0.0) & (v + w < 1.0)
-    if not inside.any():
-        return None
-    height = az + v * (bz - az) + w * (cz - az)
-    flat = (column_y[:, None] * nx + column_x[None, :]).astype(np.int32)
-    return flat[inside], height[inside], -1.0 if twice_area > 0.0 else 1.0
+    triangle = triangle[inside]
+    height = at(az) + v[inside] * at(bz - az) + w[inside] * at(cz - az)
+    column = (row[inside] // samples * nx + along[inside] // samples).astype(np.int32)
+    return column, height, np.where(at(twice_area) > 0.0, -1.0, 1.0) / samples**2
 
 
-def _samples(
-    low: float, high: float, count: int, samples: int, offset: float
-) -> tuple[Array, NDArray[np.int64]]:
-    """Return the sub-column positions in [low, high] and the voxel each belongs to."""
-    first = max(0, int(np.ceil((low + 0.5) * samples - 0.5)))
-    last = min(count * samples - 1, int(np.floor((high + 0.5) * samples - 0.5)))
-    index = np.arange(first, last + 1)
-    return (index + 0.5) / samples - 0.5 + offset, index // samples
+def _sample_range(
+    low: Array, high: Array, count: NDArray[np.int64], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last sub-column in [low, high], (k, 3), along x and y, within a grid."""
+    first = np.ceil((low[:, :2] + 0.5) * samples - 0.5)
+    last = np.floor((high[:, :2] + 0.5) * samples - 0.5)
+    ends = count * samples
+    return np.clip(first, 0, ends).astype(np.int64), np.clip(last, -1, ends - 1).astype(np.int64)

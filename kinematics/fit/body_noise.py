@@ -106,7 +106,7 @@ def _convergence_notices(
     where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""
     text = (
         f"body {body.body}{where}: the robust fit had not settled at {fit.unsettled} lines after "
-        f"{fit.iterations} reweightings; look for two groups of channels that contradict each other."
+        f"{fit.iterations} iterations; look for two groups of channels that contradict each other."
     )
     return [Notice("robust_unsettled", text)]
 

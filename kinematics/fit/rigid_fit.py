@@ -50,9 +50,9 @@ class LineFit:
         Coefficients and sums per channel.
     robust : str
     iterations : int
-        Most reweightings that a line took; 0 without a robust estimate.
+        Most iterations that a line took; 0 without a robust estimate.
     unsettled : int
-        Lines at which the reweighting had not settled.
+        Lines at which the robust fit had not settled.
     """
 
     beams: BeamSet
@@ -205,8 +205,8 @@ def fit_lines(
     sd : ndarray, broadcastable to (channel, freq)
         Standard deviation of its real part, m; positive, NaN or infinite where the value is not to be used.
     robust : str
-        ``none``, ``huber`` or ``t4``: iteratively reweighted by the normalised size of each complex
-        residual until no line moves by more than 1e-6 of its standard deviation.
+        ``none``, ``huber`` or ``t4``: each complex residual is weighted by its normalised size; iterated
+        until no line moves by more than 1e-6 of its standard deviation.
     factor : ndarray, (freq,), optional
         Multiplies ``sd``.
     floor : ndarray, (freq,), optional

@@ -1,6 +1,8 @@
-"""Huber and Student-t fits at many lines: reweighting until every line has settled."""
+"""Huber and Student-t fits at many lines: Newton steps until every line has settled."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ TOLERANCE = 1e-6
 _ROUGH = 1e-2
 # Limit of iterations.
 _MOST = 300
+# Relative rounding of a cost, and least share of the trace on the diagonal of second derivatives.
+_ROUNDING = 1e-12
 # Values of the sample on which the noise level is found.
 _LOSS_VALUES = 400_000
 
@@ -36,6 +40,14 @@ def robust_weight(size: Array, kind: str) -> tuple[Array, Array]:
         return u, np.where(size <= HUBER_TUNING, 1.0, 0.0)
     u = (T_FREEDOM + 2.0) / (T_FREEDOM + size**2)
     return u, u * (T_FREEDOM - size**2) / (T_FREEDOM + size**2)
+
+
+def robust_cost(size: Array, kind: str) -> Array:
+    """Return rho(|e|), whose derivative is u |e|, see `robust_weight`; in sum it is minimal at the fit."""
+    if kind == "huber":
+        inner = np.minimum(size, HUBER_TUNING)
+        return inner * (size - 0.5 * inner)
+    return 0.5 * (T_FREEDOM + 2.0) * np.log1p(size**2 / T_FREEDOM)
 
 
 def robust_solve(
@@ -111,22 +123,110 @@ def _make_piece(lines: slice, y: Array, weight: Array) -> Piece:
 def _iterate(
     basis: Array, piece: Piece, top: Array, z: Array, good: NDArray[np.bool_], kind: str, tolerance: float
 ) -> tuple[int, int]:
-    """Reweight ``z`` (m, 2, n) in place; return the number of turns and the lines not settled."""
+    """Minimize the sum of rho(|e|) at each line, ``z`` (m, 2, n) in place.
+
+    Returns
+    -------
+    int
+        Number of turns.
+    int
+        Lines not settled.
+
+    Notes
+    -----
+    Newton's method. A step that does not lower the sum is replaced by one of reweighting, which always does
+    (Huber and Ronchetti 2009, Robust Statistics, 7.8); the second derivatives of the next step are then
+    mixed with those of reweighting, which are never smaller: half, three quarters and so on of these.
+    """
     live = np.flatnonzero(good)
-    y, noise, peak = piece.y[:, :, live], piece.noise[:, live], top[live]
+    now = _Lines.of(basis, piece.y[:, :, live], piece.noise[:, live], top[live], z[:, :, live], kind)
+    mixed = np.zeros(len(live))
     for turn in range(1, _MOST + 1):
         if len(live) == 0:
             return turn - 1, 0
-        old = z[:, :, live]
-        weight = noise * robust_weight(_sizes(basis, y, noise, old) * peak, kind)[0]
-        fit = weighted(basis, [_make_piece(slice(0, len(live)), y, weight)], len(live))
-        step = fit.z - old
-        moved = np.sum(step * symmetric_batches.times(fit.gram, step), axis=(0, 1)) * peak**2
-        z[:, :, live] = np.where(fit.good, fit.z, old)
-        going = (moved > tolerance**2) & fit.good
+        step, moved = now.newton_step(basis, mixed, kind)
+        new = now.at(basis, now.z + step, kind)
+        worse = ~((moved >= 0.0) & (new.cost <= now.cost * (1.0 + _ROUNDING)))
+        mixed = np.where(worse, 0.5 * (1.0 + mixed), 0.25 * mixed)
+        if np.any(worse):
+            step[:, :, worse], moved[worse] = now.part(worse).reweighting_step(basis, kind)
+            new = now.at(basis, now.z + step, kind)
+        z[:, :, live], now = new.z, new
+        going = moved > tolerance**2
         if np.sum(going) < 0.8 * len(live):
-            live, y, noise, peak = live[going], y[:, :, going], noise[:, going], peak[going]
+            live, mixed, now = live[going], mixed[going], now.part(going)
     return _MOST, len(live)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines on their way.
+
+    Attributes
+    ----------
+    y : ndarray, (2, channel, n)
+    noise : ndarray, (channel, n)
+        Relative weights.
+    peak : ndarray, (n,)
+        1 / sd of the best channel.
+    z : ndarray, (m, 2, n)
+    residual : ndarray, (2, channel, n)
+    size : ndarray, (channel, n)
+        |residual| / sd.
+    cost : ndarray, (n,)
+    """
+
+    y: Array
+    noise: Array
+    peak: Array
+    z: Array
+    residual: Array
+    size: Array
+    cost: Array
+
+    @classmethod
+    def of(cls, basis: Array, y: Array, noise: Array, peak: Array, z: Array, kind: str) -> _Lines:
+        residual = y - predicted(basis, z)
+        size = np.sqrt((residual[0] ** 2 + residual[1] ** 2) * noise) * peak
+        return cls(y, noise, peak, z, residual, size, np.sum(robust_cost(size, kind), axis=0))
+
+    def at(self, basis: Array, z: Array, kind: str) -> _Lines:
+        return _Lines.of(basis, self.y, self.noise, self.peak, z, kind)
+
+    def part(self, chosen: NDArray[np.bool_]) -> _Lines:
+        return _Lines(**{field.name: getattr(self, field.name)[..., chosen] for field in fields(self)})
+
+    def newton_step(self, basis: Array, mixed: Array, kind: str) -> tuple[Array, Array]:
+        """Return the step (m, 2, n) and its square in units of sd, (n,).
+
+        Along its residual e a value has the weight ``along`` of `robust_weight`, across it u:
+        u I + (along - u) e e^T / |e|^2 is a symmetric matrix of the real and the imaginary part.
+        """
+        m, count = len(self.z), len(self.peak)
+        u, along = robust_weight(self.size, kind)
+        weight = self.noise * u
+        square = self.residual[0] ** 2 + self.residual[1] ** 2
+        bent = self.noise * (along - u) * (1.0 - mixed) / np.where(square > 0.0, square, 1.0)
+        rows = np.ascontiguousarray(symmetric_batches.products(basis).T)
+        second = np.empty((count, 2, m, 2, m))
+        for (i, j), straight in zip(((0, 0), (0, 1), (1, 1)), (weight, 0.0, weight), strict=True):
+            gram = rows @ (straight + bent * self.residual[i] * self.residual[j])
+            second[:, i, :, j] = second[:, j, :, i] = symmetric_batches.unpack(gram, m)
+        matrix = second.reshape(count, 2 * m, 2 * m)
+        trace = np.trace(matrix, axis1=1, axis2=2)
+        matrix += (_ROUNDING * np.where(trace > 0.0, trace, 1.0))[:, None, None] * np.eye(2 * m)
+        slope = np.stack([basis.T @ (weight * part) for part in self.residual]).transpose(2, 0, 1)
+        step = np.linalg.solve(matrix, slope.reshape(count, 2 * m, 1)).reshape(slope.shape)
+        return step.transpose(2, 1, 0), np.sum(step * slope, axis=(1, 2)) * self.peak**2
+
+    def reweighting_step(self, basis: Array, kind: str) -> tuple[Array, Array]:
+        """Return the step (m, 2, n) of one reweighting and its square in units of sd; 0 without solution."""
+        weight = self.noise * robust_weight(self.size, kind)[0]
+        count = len(self.peak)
+        fit = weighted(basis, [_make_piece(slice(0, count), self.y, weight)], count)
+        step = np.where(fit.good, fit.z - self.z, 0.0)
+        square = np.sum(step * symmetric_batches.times(fit.gram, step), axis=(0, 1))
+        return step, square * self.peak**2
 
 
 def loss(size: Array, share: float, kind: str) -> float:

@@ -193,17 +193,20 @@ def test_singular_lines_are_told_whichever_way_they_are_solved():
 
 
 @pytest.mark.parametrize("robust", ["huber", "t4"])
-def test_robust_fits_settle_where_their_equations_hold(robust):
+@pytest.mark.parametrize(("share", "missing"), [(0.0, 0.0), (0.1, 0.0), (0.1, 0.3), (0.5, 0.0), (0.5, 0.2)])
+def test_robust_fits_settle_where_their_equations_hold(robust, share, missing):
     made = scene(11, lines=300)
     rng = np.random.default_rng(1)
-    hit = rng.random(made.value.shape) < 0.1
+    hit = rng.random(made.value.shape) < share
     made.value[hit] += 20.0 * made.sd[hit] * (rng.normal(size=(int(hit.sum()), 2)) @ [1.0, 1j])
+    made.value[rng.random(made.value.shape) < missing] = np.nan
     beams = beam_set("s", made.positions_mm, made.directions, DOF_NAMES)
     fit = fit_lines(beams, made.value, made.sd, robust)
     assert fit.unsettled == 0
-    assert 3 < fit.iterations < 300
-    weight = robust_weight(np.abs(fit.residual) / made.sd, robust)[0]
-    left = beams.basis.T @ (weight * fit.residual / made.sd**2)
+    assert 2 < fit.iterations < 100
+    residual = np.nan_to_num(fit.residual)
+    weight = robust_weight(np.abs(residual) / made.sd, robust)[0]
+    left = beams.basis.T @ (weight * residual / made.sd**2)
     step = np.sqrt(np.sum(np.abs(np.einsum("fab,bf->af", fit.inverse, left)) ** 2, axis=0))
     sd = np.sqrt(np.einsum("faa->f", fit.inverse))
     assert np.max(step / sd) < 10.0 * TOLERANCE
@@ -216,7 +219,7 @@ def test_contradicting_channels_are_told_when_a_robust_fit_does_not_settle(monke
         measurement(body("stapes", made), freq_hz=made.freq_hz), options=Options(robust="huber")
     )
     text = next(n.text for n in result.notices if n.code == "robust_unsettled")
-    assert "had not settled at 20 lines after 1 reweightings" in text
+    assert "had not settled at 20 lines after 1 iterations" in text
 
 
 def test_the_same_noise_serves_another_subset():
