@@ -95,12 +95,21 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
     corners = corners[(b - a)[:, 0] * (c - a)[:, 1] != (c - a)[:, 0] * (b - a)[:, 1]]
     first, last = _sample_range(corners.min(axis=1), corners.max(axis=1), np.array([nx, ny]), samples)
     wide = np.maximum(last - first + 1, 0)
-    count = wide[:, 0] * wide[:, 1]
-    chunk = np.cumsum(count) // _TRIED_AT_ONCE
+    owner, row = _numbered(np.where(wide[:, 0] > 0, wide[:, 1], 0))
+    row += first[owner, 1]
+    y = (row + 0.5) / samples - 0.5 + 2.0 * _OFFSET
+    start, stop = _row_spans(corners, owner, y, samples)
+    start, stop = np.maximum(start, first[owner, 0]), np.minimum(stop, last[owner, 0])
+    count = np.maximum(stop - start + 1, 0)
     parts = [(np.zeros(0, dtype=np.int32), np.zeros(0), np.zeros(0))]
-    for start, stop in zip(*_runs(chunk), strict=True):
-        own = slice(start, stop)
-        parts.append(_crossed(corners[own], first[own], wide[own], nx, samples))
+    for low, high in zip(*_runs(np.cumsum(count) // _TRIED_AT_ONCE), strict=True):
+        own = slice(low, high)
+        line, along = _numbered(count[own])
+        along += start[own][line]
+        x = (along + 0.5) / samples - 0.5 + _OFFSET
+        inside, height, sign = _crossed(corners, owner[own], y[own], line, x)
+        column = (row[own] // samples * nx)[line[inside]] + along[inside] // samples
+        parts.append((column.astype(np.int32), height, sign / samples**2))
     column, height, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
     ends = np.iinfo(np.int16)
     layer = np.clip(np.floor(height + 0.5), ends.min, ends.max).astype(np.int16)
@@ -115,33 +124,48 @@ def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
     return bounds[:-1], bounds[1:]
 
 
-def _crossed(
-    corners: Array, first: NDArray[np.int64], wide: NDArray[np.int64], nx: int, samples: int
-) -> tuple[NDArray[np.int32], Array, Array]:
-    """Return column, height and weight (n,) of the crossings of some triangles (k, 3, 3).
+def _numbered(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return owner and place within it (n,) of as many members as each owner has."""
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
 
-    ``first`` (k, 2) is the first sub-column of each that may cross it, along x and y, ``wide`` their numbers.
+
+def _crossed(
+    corners: Array, owner: NDArray[np.int64], y: Array, line: NDArray[np.int64], x: Array
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Tell which sub-columns cross their triangles, at which height, and whether they enter the body (1) or not.
+
+    The sub-columns (n,) at ``x`` lie in rows ``line`` at heights ``y`` (r,), of triangles ``owner`` (r,).
     """
-    count = wide[:, 0] * wide[:, 1]
-    triangle = np.repeat(np.arange(len(corners)), count)
-    place = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
-    row, along = np.divmod(place, wide[triangle, 0])
-    along, row = first[triangle, 0] + along, first[triangle, 1] + row
-    x = (along + 0.5) / samples - 0.5 + _OFFSET
-    y = (row + 0.5) / samples - 0.5 + 2.0 * _OFFSET
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
     twice_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-
-    def at(value: Array) -> Array:
-        return value[triangle]
-
-    v = ((x - at(ax)) * at(cy - ay) - at(cx - ax) * (y - at(ay))) / at(twice_area)
-    w = (at(bx - ax) * (y - at(ay)) - (x - at(ax)) * at(by - ay)) / at(twice_area)
+    triangle, below = owner[line], y - ay[owner]
+    left, area = x - ax[triangle], twice_area[triangle]
+    v = (left * (cy - ay)[triangle] - ((cx - ax)[owner] * below)[line]) / area
+    w = (((bx - ax)[owner] * below)[line] - left * (by - ay)[triangle]) / area
     inside = (v >= 0.0) & (w >= 0.0) & (v + w < 1.0)
     triangle = triangle[inside]
-    height = at(az) + v[inside] * at(bz - az) + w[inside] * at(cz - az)
-    column = (row[inside] // samples * nx + along[inside] // samples).astype(np.int32)
-    return column, height, np.where(at(twice_area) > 0.0, -1.0, 1.0) / samples**2
+    height = az[triangle] + v[inside] * (bz - az)[triangle] + w[inside] * (cz - az)[triangle]
+    return inside, height, np.where(area[inside] > 0.0, -1.0, 1.0)
+
+
+def _row_spans(
+    corners: Array, owner: NDArray[np.int64], y: Array, samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first and last sub-column (n,) along x that may cross a triangle at a height y, one spared."""
+    low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
+    for one, two in ((0, 1), (1, 2), (2, 0)):
+        p, step = corners[:, one], corners[:, two] - corners[:, one]
+        rise = step[:, 1]
+        part = (y - p[owner, 1]) / np.where(rise == 0.0, np.inf, rise)[owner]
+        x = p[owner, 0] + part * step[owner, 0]
+        crossed = (part >= -1e-9) & (part <= 1.0 + 1e-9) & (rise != 0.0)[owner]
+        np.minimum(low, x, out=low, where=crossed)
+        np.maximum(high, x, out=high, where=crossed)
+    some = low <= high
+    first = np.floor((np.where(some, low, 0.0) + 0.5) * samples - 0.5) - 1.0
+    last = np.ceil((np.where(some, high, 0.0) + 0.5) * samples - 0.5) + 1.0
+    return first.astype(np.int64), np.where(some, last, first - 1.0).astype(np.int64)
 
 
 def _sample_range(

@@ -247,14 +247,16 @@ class _Diagnose:
             search = self.after(search.data, culprit, findings)
             if len(findings) == 1 and culprit.owner != "body":
                 kept = search.excess() / max(first.excess(), _ROUNDING * first.noise_energy, 1e-300)
-        if findings and first.structure.significant and not self._explain(first, findings):
-            return self._many(first, search, findings, first.flexible())
         if len(findings) > 1:
-            spread = self._find_scattered(first, findings)
-            if spread is not None:
-                return _diagnosis([spread], first, first)
+            # The first was estimated beside the others.
             findings = self._again(_as_quiet(first.data, search.data, findings), findings)
-        return _diagnosis(findings, first, search, kept)
+        if findings and first.structure.significant:
+            hidden = self._find_hidden(first, findings)
+            if hidden is None:
+                return self._many(first, search, findings, first.flexible())
+            findings += hidden
+        spread = self._find_scattered(first, findings) if len(findings) > 1 else None
+        return _diagnosis([spread], first, first) if spread else _diagnosis(findings, first, search, kept)
 
     def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
         """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
@@ -284,19 +286,34 @@ class _Diagnose:
                 confirmed.append(again if same else finding)
         return confirmed
 
-    def _explain(self, first: Search, findings: list[Finding]) -> bool:
-        """Return whether findings, undone by their estimates, leave nothing to be found.
+    def _find_hidden(self, first: Search, findings: list[Finding]) -> list[Finding] | None:
+        """Return faults of the channels that were left out already; None where the body bends.
 
         Notes
         -----
         To leave a channel out removes whatever it holds. With few channels a motion that is not rigid shows
-        in one or two of them, and a factor that fits it partly is no explanation. A single channel among
-        many is believed.
+        in one or two of them, and a factor that fits it partly is no explanation: undone by their estimates
+        all findings must leave nothing. A single channel among many is believed. At channels that are left
+        out a second fault does not show, but it does where the first is undone.
         """
         if len(findings) == 1 == len(findings[0].channels) and first.freedom >= _MANY:
-            return True
+            return []
+        hidden: list[Finding] = []
+        left_out = {channel for finding in findings for channel in finding.channels}
+        while len(findings) + len(hidden) <= self.most:
+            search = self._undone(first, [*findings, *hidden])
+            if search.clean():
+                return hidden
+            culprit = search.best()
+            if culprit is None or culprit.fault is None or not left_out.issuperset(culprit.channels):
+                return None
+            hidden.append(culprit)
+        return None
+
+    def _undone(self, first: Search, findings: list[Finding]) -> Search:
+        """Search again with findings undone by their estimates, all channels kept."""
         undone = correct_findings(first.data, findings)
-        return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), _NEXT).clean()
+        return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), _NEXT)
 
     def _find_scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""
@@ -341,7 +358,7 @@ class _Diagnose:
                 continue
             faults = [fault for search in alone if (fault := search.best()) is not None]
             named = [fault.channels for fault in faults if fault.fault is not None and fault.kind != "drift"]
-            if named == [pair[:1], pair[1:]] and self._explain(first, faults):
+            if named == [pair[:1], pair[1:]] and self._undone(first, faults).clean():
                 return faults, last
         return None
 
