@@ -8,13 +8,14 @@ springs; the noise is white in velocity, of another size for each head.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Response = Callable[[Array, float], ComplexArray]
 
 
 @dataclass
@@ -33,9 +34,8 @@ class Reading:
         Displacement along each beam, m.
     sd : ndarray, (channel, freq)
         Standard deviation of its real part, m.
-    culprits : list of int
-    verdict : str
-        As in ``dof.channels.csv``.
+    expected : dict of int to str
+        The verdict that is right of each channel at fault, as in ``dof.channels.csv``.
     twist : ndarray, (6, freq), complex
         The true motion, m and rad.
     """
@@ -47,9 +47,18 @@ class Reading:
     freq_hz: Array
     value: ComplexArray
     sd: Array
-    culprits: list[int] = field(default_factory=list)
-    verdict: str = ""
+    expected: dict[int, str] = field(default_factory=dict)
     twist: ComplexArray = field(default_factory=lambda: np.zeros((6, 0), dtype=complex))
+
+    @property
+    def culprits(self) -> list[int]:
+        """The channels at fault, ascending."""
+        return sorted(self.expected)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict of all channels at fault; of several faults, each, joined by plus signs."""
+        return "+".join(dict.fromkeys(self.expected.values()))
 
 
 @dataclass
@@ -67,6 +76,7 @@ class _World:
     loud: Array
     added: ComplexArray
     size: float
+    response: Response
 
     def of_point(self, point: int) -> list[int]:
         return np.flatnonzero(self.point_of == point).tolist()
@@ -74,9 +84,10 @@ class _World:
     def of_head(self, head: int) -> list[int]:
         return np.flatnonzero(self.head == head).tolist()
 
-    def readings(self) -> ComplexArray:
+    def readings(self, twist: ComplexArray | None = None) -> ComplexArray:
+        twist = self.twist if twist is None else twist
         turned = np.cross(self.places * 1e-3, self.beams)
-        return self.beams @ self.twist[:3] + turned @ self.twist[3:]
+        return self.beams @ twist[:3] + turned @ twist[3:]
 
 
 # Number of points, heads, half-angle of the heads about y (degrees; a range), half-axes of the shell, mm.
@@ -88,17 +99,25 @@ BODIES: dict[str, tuple[int, int, tuple[float, float], tuple[float, float, float
 }
 
 
-def forced_response(rng: np.random.Generator, freq_hz: Array, arm_mm: float) -> ComplexArray:
-    """Return the twist (6, freq) of a mass on springs under a harmonic force, m and rad."""
+def forced_response(rng: np.random.Generator, arm_mm: float) -> Response:
+    """Return the twist (6, freq), m and rad, of a mass on springs under a harmonic force.
+
+    It is a function of the frequencies (freq,), Hz, and of what the stiffness is multiplied with; the ratios
+    of damping stay.
+    """
     lever = np.array([1.0] * 3 + [arm_mm * 1e-3] * 3)
     root = rng.normal(size=(6, 6))
     basis = np.linalg.qr(root)[0]
     natural = 2.0 * np.pi * np.exp(rng.uniform(np.log(700.0), np.log(6000.0), 6))
     damping = rng.uniform(0.05, 0.3, 6)
     force = rng.normal(size=6) * natural**2
-    w = 2.0 * np.pi * freq_hz
-    modal = force[:, None] / (natural[:, None] ** 2 - w**2 + 2j * (damping * natural)[:, None] * w)
-    return np.asarray(80e-9 * (basis @ modal) / lever[:, None])
+
+    def twist(freq_hz: Array, stiffness: float = 1.0) -> ComplexArray:
+        w, own = 2.0 * np.pi * freq_hz, natural * np.sqrt(stiffness)
+        modal = force[:, None] / (own[:, None] ** 2 - w**2 + 2j * (damping * own)[:, None] * w)
+        return np.asarray(80e-9 * (basis @ modal) / lever[:, None])
+
+    return twist
 
 
 def _shell(rng: np.random.Generator, count: int, axes: tuple[float, float, float]) -> Array:
@@ -166,7 +185,8 @@ def draw(
     beams = eyes[head] - places[point_of]
     beams /= np.linalg.norm(beams, axis=1, keepdims=True)
     at = places[point_of]
-    twist = forced_response(rng, freq, float(np.max(axes)))
+    response = forced_response(rng, float(np.max(axes)))
+    twist = response(freq, 1.0)
     if heads == 1:
         twist[[0, 2, 4]] *= 0.02
     if motion is not None:
@@ -176,13 +196,13 @@ def draw(
     world = _World(
         rng, point_of, head, freq, at + off[point_of], beams.copy(), twist,
         np.ones(shape, dtype=complex), np.ones(len(pairs)), np.zeros(shape, dtype=complex),
-        float(np.max(axes)),
+        float(np.max(axes)), response,
     )  # fmt: skip
     size = np.sqrt(np.mean(np.abs(world.readings()) ** 2))
     course = (1.0 / freq) / np.sqrt(np.mean(1.0 / freq**2))
     level = rng.uniform(0.7, 1.4, heads)
     sd = noise * size / np.sqrt(2.0) * level[head][:, None] * course
-    culprits, verdict = FAULTS[fault](world) if fault else ([], "")
+    expected = FAULTS[fault](world) if fault else {}
     value = world.readings() * world.factor + world.added
     dead = np.all(world.factor == 0.0, axis=1)[:, None]
     error = rng.normal(size=shape) + 1j * rng.normal(size=shape)
@@ -190,10 +210,11 @@ def draw(
     if gaps:
         value[rng.random(shape) < gaps] = np.nan
     points = [f"P{p + 1}" for p in point_of]
-    return Reading(points, at, beams, head, freq, value, sd, sorted(culprits), verdict, twist)
+    return Reading(points, at, beams, head, freq, value, sd, expected, twist)
 
 
-Made = tuple[list[int], str]
+# The verdict that is right of each channel at fault.
+Made = dict[int, str]
 
 
 def _channel(world: _World) -> int:
@@ -204,7 +225,7 @@ def _factor(factor: complex, verdict: str) -> Callable[[_World], Made]:
     def spoil(world: _World) -> Made:
         channel = _channel(world)
         world.factor[channel] = factor
-        return [channel], verdict
+        return dict.fromkeys([channel], verdict)
 
     return spoil
 
@@ -212,19 +233,19 @@ def _factor(factor: complex, verdict: str) -> Callable[[_World], Made]:
 def _delay(world: _World) -> Made:
     channel = _channel(world)
     world.factor[channel] = np.exp(-2j * np.pi * world.freq_hz * 8e-6)
-    return [channel], "gain"
+    return dict.fromkeys([channel], "gain")
 
 
 def _drift(world: _World) -> Made:
     channel = _channel(world)
     world.factor[channel] = np.linspace(1.0, 0.93, len(world.freq_hz))
-    return [channel], "drift"
+    return dict.fromkeys([channel], "drift")
 
 
 def _loud(world: _World) -> Made:
     channel = _channel(world)
     world.loud[channel] = 4.0
-    return [channel], "noise"
+    return dict.fromkeys([channel], "noise")
 
 
 def _tilt(world: _World, channels: list[int], degrees: float) -> None:
@@ -237,14 +258,14 @@ def _tilt(world: _World, channels: list[int], degrees: float) -> None:
 def _direction(world: _World) -> Made:
     channel = _channel(world)
     _tilt(world, [channel], 4.0)
-    return [channel], "direction"
+    return dict.fromkeys([channel], "direction")
 
 
 def _position(world: _World) -> Made:
     own = world.of_point(int(world.rng.integers(world.point_of.max() + 1)))
     shift = world.rng.normal(size=3)
     world.places[own] += 0.12 * world.size * shift / np.linalg.norm(shift)
-    return own, "position"
+    return dict.fromkeys(own, "position")
 
 
 def _coordinates(world: _World) -> Made:
@@ -254,7 +275,7 @@ def _coordinates(world: _World) -> Made:
     ]
     own = world.of_point(int(np.argsort(most)[-1 - int(world.rng.integers(len(most) // 2))]))
     world.places[own] = world.places[own][:, [2, 1, 0]]
-    return own, "position"
+    return dict.fromkeys(own, "position")
 
 
 def _points(world: _World) -> range:
@@ -275,7 +296,7 @@ def _names(world: _World) -> Made:
     first, second = world.of_point(a), world.of_point(b)
     for table in (world.places, world.beams):
         table[first], table[second] = table[second].copy(), table[first].copy()
-    return [*first, *second], "label_swap"
+    return dict.fromkeys([*first, *second], "label_swap")
 
 
 def _cycle(world: _World) -> Made:
@@ -289,7 +310,7 @@ def _cycle(world: _World) -> Made:
             break
     for table in (world.places, world.beams):
         table[np.concatenate(own)] = table[np.concatenate([*own[1:], own[0]])]
-    return [int(row) for rows in own for row in rows], "label_swap"
+    return dict.fromkeys([int(row) for rows in own for row in rows], "label_swap")
 
 
 def _range(world: _World) -> Made:
@@ -299,14 +320,14 @@ def _range(world: _World) -> Made:
     factor = float(world.rng.choice([2.0, 5.0, 10.0, np.sqrt(2.0)])) ** world.rng.choice([-1.0, 1.0])
     own = np.flatnonzero(np.isin(world.point_of, some))
     world.factor[own], world.loud[own] = factor, factor
-    return own.tolist(), "gain"
+    return dict.fromkeys(own.tolist(), "gain")
 
 
 def _beams(world: _World) -> Made:
     own = world.of_point(int(world.rng.integers(world.point_of.max() + 1)))
     pair = world.rng.choice(own, 2, replace=False)
     world.beams[pair] = world.beams[pair[::-1]]
-    return pair.tolist(), "label_swap"
+    return dict.fromkeys(pair.tolist(), "label_swap")
 
 
 def _axes(world: _World) -> Made:
@@ -314,14 +335,14 @@ def _axes(world: _World) -> Made:
     axis = np.radians(2.5) * axis / np.linalg.norm(axis)
     world.beams += np.cross(axis, world.beams)
     world.beams /= np.linalg.norm(world.beams, axis=1, keepdims=True)
-    return list(range(len(world.head))), "direction"
+    return dict.fromkeys(list(range(len(world.head))), "direction")
 
 
 def _head(factor: Callable[[Array], ComplexArray], verdict: str) -> Callable[[_World], Made]:
     def spoil(world: _World) -> Made:
         own = world.of_head(int(world.rng.integers(world.head.max() + 1)))
         world.factor[own] = factor(world.freq_hz)
-        return own, verdict
+        return dict.fromkeys(own, verdict)
 
     return spoil
 
@@ -329,7 +350,7 @@ def _head(factor: Callable[[Array], ComplexArray], verdict: str) -> Callable[[_W
 def _head_direction(world: _World) -> Made:
     own = world.of_head(int(world.rng.integers(world.head.max() + 1)))
     _tilt(world, own, 3.0)
-    return own, "direction"
+    return dict.fromkeys(own, "direction")
 
 
 def _bends(world: _World) -> Made:
@@ -343,7 +364,39 @@ def _bends(world: _World) -> Made:
     size = np.sqrt(np.mean(np.abs(world.readings()) ** 2))
     added = np.outer((world.beams @ way) * shape, course)
     world.added += 0.06 * size * added / np.sqrt(np.mean(np.abs(added) ** 2))
-    return list(range(len(world.head))), "flexible"
+    return dict.fromkeys(list(range(len(world.head))), "flexible")
+
+
+def _drying(world: _World) -> Made:
+    """Let the stiffness rise by 3 % while the points are measured one after the other."""
+    last = _points(world)[-1]
+    for point in _points(world)[1:]:
+        own = world.of_point(point)
+        now = world.response(world.freq_hz, 1.0 + 0.03 * point / last)
+        world.added[own] += (world.readings(now) - world.readings())[own]
+    return dict.fromkeys(range(len(world.head)), "drift")
+
+
+def _both(one: str, two: str) -> Callable[[_World], Made]:
+    """Make two faults of which no point has both."""
+
+    def spoil(world: _World) -> Made:
+        first = FAULTS[one](world)
+        for _ in range(100):
+            tried = replace(
+                world,
+                **{
+                    name: getattr(world, name).copy()
+                    for name in ("places", "beams", "factor", "loud", "added")
+                },
+            )
+            second = FAULTS[two](tried)
+            if not {*world.point_of[list(first)]} & {*world.point_of[list(second)]}:
+                break
+        vars(world).update(vars(tried))
+        return first | second
+
+    return spoil
 
 
 # Faults by name; each returns the channels at fault and the verdict that is right.
@@ -369,9 +422,14 @@ FAULTS: dict[str, Callable[[_World], Made]] = {
     "head sign": _head(lambda f: np.full(len(f), -1.0 + 0j), "sign"),
     "head direction 3 deg": _head_direction,
     "bends 6 %": _bends,
+    "drying 3 %": _drying,
+    "gain 6 % + position": _both("gain 6 %", "position"),
+    "sign + gain 6 %": _both("sign", "gain 6 %"),
+    "names of points + gain 6 %": _both("names of points", "gain 6 %"),
+    "drift 7 % + phase 4 deg": _both("drift 7 %", "phase 4 deg"),
 }
 # Faults that one head alone cannot show.
-SEVERAL_HEADS = ("beams of a point", "axes", "head")
+SEVERAL_HEADS = ("beams of a point", "axes", "head", "drying")
 
 
 def possible(fault: str, body: str) -> bool:

@@ -104,8 +104,8 @@ def faults(arguments: argparse.Namespace) -> Iterator[str]:
                 accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
                 detected += bool(accused)
                 named += sorted(accused) == reading.culprits
-                right += accused == dict.fromkeys(reading.culprits, reading.verdict)
-                if arguments.show and accused != dict.fromkeys(reading.culprits, reading.verdict):
+                right += accused == reading.expected
+                if arguments.show and accused != reading.expected:
                     verdicts = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
                     print(
                         f"  {body}; {fault}; {seed}; {reading.culprits[:6]}: {sorted(accused)[:8]} {verdicts}"

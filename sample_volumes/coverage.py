@@ -133,7 +133,7 @@ def _numbered(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
 def _crossed(
     corners: Array, owner: NDArray[np.int64], y: Array, line: NDArray[np.int64], x: Array
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Tell which sub-columns cross their triangles, at which height, and whether they enter the body (1) or not.
+    """Tell which sub-columns cross their triangles, at which height, and if they enter (1) or leave (-1).
 
     The sub-columns (n,) at ``x`` lie in rows ``line`` at heights ``y`` (r,), of triangles ``owner`` (r,).
     """

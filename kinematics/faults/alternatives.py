@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinematics.faults.proposals import body_labels, exchanges, line_orders, row_places, unit_slips
+from kinematics.faults.proposals.drifting_motion import drifting_motion
 from kinematics.faults.proposals.gains import drifting_points, scattered_gains
 from kinematics.faults.proposals.outliers import outliers
 from kinematics.faults.proposals.two_bodies import BAD
@@ -104,6 +105,10 @@ _TURN = "check on which side the laser head was, and turn the sign or the direct
 _LEADS = (
     "{structure} leads {base} at {leading} of {sure} lines ({lead:.0f} standard deviations), which no "
     "passive ligament does"
+)
+_DRIFTED = (
+    "The motion changed while the points were recorded one after the other (drying, drift of the source): "
+    "measure the first point again at the end, or give a reference recorded with each point"
 )
 _RELABEL = "Correct body, run or freq_hz of these rows"
 _PUT_RIGHT = "Check the ranges of the vibrometer, and correct the values of that body"
@@ -244,8 +249,18 @@ ALTERNATIVES: dict[str, Alternative] = {
         "point {first} to {last}",
         "drift_between_points",
         "drift",
-        "The motion changed while the points were recorded one after the other (drying, drift of the "
-        "source): measure the first point again at the end, or give a reference recorded with each point",
+        _DRIFTED,
+        BENDS,
+        of_channels=True,
+    ),
+    "drift of the motion": Alternative(
+        "misfit",
+        drifting_motion,
+        "the motion changes from point to point in the order of the file, by {share:.2g} % of it from point "
+        "{first} to {last}",
+        "drift_between_points",
+        "drift",
+        _DRIFTED,
         BENDS,
         of_channels=True,
     ),

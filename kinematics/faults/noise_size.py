@@ -80,11 +80,12 @@ def channel_noise(state: State) -> ChannelNoise:
         energy = np.sum(np.abs(state.plain(held)) ** 2, axis=1)
     else:
         held, e = e[:, :0], state.plain(e)
-        energy = np.sum(np.abs(e) ** 2, axis=1) + np.sum(np.abs(state.plain(rest)) ** 2, axis=1)
+        energy = np.sum(np.abs(e) ** 2, axis=1)
         enough = np.array([c for c in live if columns[c] - len(z) >= LEAST_SAMPLES], dtype=np.intp)
         if len(z) and len(enough):
             energy[enough] = _off_each(e[enough], z, _column_weight(state, enough))
             number[enough] -= len(z)
+        energy += np.sum(np.abs(_flat(state.plain(state.rest))) ** 2, axis=1)
     left = np.where(mean_kept > 1.0 - _WHOLE, mean_kept, np.inf)
     ratios = energy / left / np.maximum(number, 1.0)
     if not live:

@@ -62,9 +62,11 @@ def explain_misfit(
     suspect = with_far_values(suspect)
     for cause in proposed("misfit", suspect, BENDS if bends else 0.0):
         remedy = cause.value
-        again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
         most = 0 if cause.entry.of_channels else _NEXT_TO_IT if bends else None
-        remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers, most=most)
+        again, remaining = fit, replace(diagnosis, findings=())
+        if not remedy.judged:
+            again, stated, _notices = fit_with_noise(placed, run, remedy.body, fit.beams, "none")
+            remaining = diagnose(placed, remedy.body, again, stated, lasers=lasers, most=most)
         if remaining.bends or (most is not None and len(remaining.findings) > most):
             continue
         if remedy.alike:
@@ -132,5 +134,5 @@ def _deviance(fit: LineFit, course: Array | None) -> float:
 
 def _or(cause: Proposal, finding: Finding) -> Finding:
     """Return a finding that says of a body that bends that a cause would look alike."""
-    step = f"So few channels do not tell this from another cause: {cause.text}. {cause.step}"
+    step = f"The readings do not tell this from another cause: {cause.text}. {cause.step}"
     return replace(finding, step=step) if finding.kind == "flexible" else finding

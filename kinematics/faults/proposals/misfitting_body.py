@@ -142,8 +142,8 @@ class MisfittingBody:
 class Remedy:
     """What a cause would be of: its channels, the body in this run without it, and its size.
 
-    ``alike``: a body that bends would look alike, as the channels are too few. ``one_sided``: the other
-    channels could not be at fault instead.
+    ``alike``: a body that bends would look alike. ``one_sided``: the other channels could not be at fault
+    instead. ``judged``: nothing else was left with the cause, and the body is as it was.
     """
 
     channels: list[int]
@@ -151,6 +151,7 @@ class Remedy:
     size: float
     alike: bool = False
     one_sided: bool = True
+    judged: bool = False
 
 
 # A remedy, and what the sentence says of it.
