@@ -11,7 +11,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import Diagnosis, search_body, too_large
+from kinematics.faults.diagnose import Diagnosis, most_findings, search_body, too_large
 from kinematics.faults.findings import Finding
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled
@@ -69,9 +69,11 @@ class SearchedFits:
 
     @property
     def unexplained(self) -> int:
-        """Number of findings; a body that bends, which explains any misfit, counts as two."""
-        found = [finding for diagnosis in self.diagnoses.values() for finding in diagnosis.findings]
-        return len(found) + sum(finding.kind == "flexible" for finding in found)
+        """Number of findings; a body that bends, which explains any misfit, counts as more than are named."""
+        return sum(
+            1 + most_findings(self.screens[number].body) if diagnosis.bends else len(diagnosis.findings)
+            for (_run, number), diagnosis in self.diagnoses.items()
+        )
 
 
 def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:

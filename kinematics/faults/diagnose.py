@@ -111,6 +111,11 @@ def too_large(body: BodyChannels, known: bool) -> bool:
     return len(body.points) > MOST_CHANNELS and not (known and exact)
 
 
+def most_findings(body: BodyChannels) -> int:
+    """Return the number of faults of one body beyond which it is said to bend."""
+    return max(2, len(set(body.points)) // 3)
+
+
 def diagnose(
     placed: Measurement,
     body: BodyChannels,
@@ -176,7 +181,7 @@ class _Diagnose:
     ) -> None:
         self.prior, self.known, self.mixes, self.alarm, self.lasers = prior, known, mixes, alarm, lasers
         self.layout = (body.reported_positions_mm, body.file_from_here)
-        self.most = max(2, len(set(body.points)) // 3)
+        self.most = most_findings(body)
 
     def searched(self, data: Packed, share: float = 1.0, prior: Array | None = None) -> Search:
         """Search data; ``share`` of the alarm probability."""
@@ -420,7 +425,7 @@ def search_body(
 
     findings: list[Finding] = []
     first = last = search_without([], [])
-    most = max(2, len(set(body.points)) // 3)
+    most = most_findings(body)
     while last.findings:
         out = sorted({channel for finding in findings for channel in finding.channels})
         named = diagnose(placed, body, usual, known, out, lasers)

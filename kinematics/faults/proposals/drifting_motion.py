@@ -22,6 +22,8 @@ _ORDERS = 99
 # Share of the misfit beyond noise that may be left, and standard deviations of noise that are granted. A body
 # that bends leaves a third and more, on average, where most of the residual directions are taken.
 _LEFT, _SURELY = 0.05, 3.0
+# Share of the motion beyond which it does not change in an hour.
+_LARGEST = 0.5
 # Share of the variance of the order that the places of the points explain beyond chance, from which on a
 # body that bends would change in that order as well.
 _ALONG_PLACES = 0.5
@@ -49,8 +51,10 @@ def drifting_motion(suspect: MisfittingBody) -> Iterator[Cause]:
         if rest is None:
             return
         if _explains(state, rest, suspect.known) and _surpasses(state, rest, number, power):
-            alike = _explained(data.assumed.arms_m, order, [own[0] for own in data.by_point.values()])
             share = _share(data, order, power)
+            if share > _LARGEST:
+                return
+            alike = _explained(data.assumed.arms_m, order, [own[0] for own in data.by_point.values()])
             remedy = Remedy(list(data.live), suspect.body, share, alike > _ALONG_PLACES, judged=True)
             yield remedy, {"first": names[0], "last": names[-1], "share": 100.0 * share}
             return

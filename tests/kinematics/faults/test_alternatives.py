@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene
 from benchmarks.two_bodies import shaken
 from kinematics.faults.alternatives import ALTERNATIVES, proposed
@@ -52,6 +53,18 @@ def misfitting(code):
     return with_far_values(MisfittingBody(data, 0, body, beams, True))
 
 
+def dried():
+    """Return a body whose resonances rose while its points were measured."""
+    made = draw(1, "shell, 12 points, 3 heads", "drying 3 %", lines=60)
+    body = BodyChannels(
+        "incus", tuple(made.points), made.positions_mm, made.directions, made.value[None], made.sd[None]
+    )
+    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
+    return MisfittingBody(
+        data, 0, body, beam_set("incus", made.positions_mm, made.directions, DOF_NAMES), True
+    )
+
+
 @cache
 def rows(lines):
     """Return the rows of a point of one of two bodies in two runs, at some lines."""
@@ -93,6 +106,7 @@ EXAMPLES = {
     "ranges": lambda: misfitting("unit_slip"),
     "outliers": lambda: misfitting("sparse_outliers"),
     "drift between points": lambda: misfitting("drift_between_points"),
+    "drift of the motion": dried,
     "scattered gains": lambda: misfitting("gains_scattered"),
     "exchange": layout,
     "rows": lambda: rows(tuple(range(40))),
