@@ -60,9 +60,8 @@ def dried():
         "incus", tuple(made.points), made.positions_mm, made.directions, made.value[None], made.sd[None]
     )
     data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
-    return MisfittingBody(
-        data, 0, body, beam_set("incus", made.positions_mm, made.directions, DOF_NAMES), True
-    )
+    beams = beam_set("incus", made.positions_mm, made.directions, DOF_NAMES)
+    return with_far_values(MisfittingBody(data, 0, body, beams, True))
 
 
 @cache

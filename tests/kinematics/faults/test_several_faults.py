@@ -1,0 +1,89 @@
+"""Two faults of one body are both named, and a motion that drifts between points is no body that bends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.fault_bodies import BODIES, FAULTS, draw
+from benchmarks.faults_gate import judged, scattered
+from kinematics.faults.noise_size import channel_noise
+from kinematics.faults.packed_readings import Assumed, packed
+from kinematics.faults.score_information import State
+from tests.kinematics.faults.test_catalogue import data_of
+from tests.kinematics.simulated import scene
+
+PAIRS = [fault for fault in FAULTS if " + " in fault]
+THREE_HEADS = [body for body in BODIES if "1 head" not in body]
+
+
+def accused(reading, stated):
+    """Return the verdicts of the channels that have one."""
+    return {c: v.verdict for c, v in enumerate(judged(reading, stated).channels) if v.verdict != "ok"}
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(("fault", "body"), [*zip(PAIRS, BODIES, strict=True)])
+def test_both_of_two_faults_are_named(fault, body, stated):
+    reading = draw(2100, body, fault, lines=60)
+    assert accused(reading, stated) == reading.expected  # one of three before each was estimated alone
+
+
+@pytest.mark.parametrize("fault", PAIRS[1:3])
+def test_both_of_two_faults_are_named_next_to_lasers_that_scatter(fault):
+    reading = scattered(draw(2001, "shell, 12 points, 3 heads", fault, lines=60), 2001)
+    assert accused(reading, True) == reading.expected  # never when a body that bends counted as two faults
+
+
+def test_a_second_fault_of_channels_that_are_left_out_is_found():
+    """Exchanged names leave both points out, and with them the gain of one of their channels."""
+    body = "shell, 12 points, 3 heads"
+    for seed in range(2):
+        reading = draw(2200 + seed, body, "names of points", lines=60)
+        reading.value[reading.culprits[1]] *= 1.06
+        assert set(accused(reading, True)) == set(reading.culprits)
+
+
+@pytest.mark.parametrize(("body", "stated"), [*zip(THREE_HEADS, (True, True, False), strict=True)])
+def test_a_stiffness_that_rises_between_points_is_no_body_that_bends(body, stated):
+    reading = draw(1003, body, "drying 3 %", lines=60)
+    result = judged(reading, stated)
+    assert {channel.verdict for channel in result.channels} == {"drift"}
+    (text,) = (notice.text for notice in result.notices if notice.code == "drift_between_points")
+    assert "in the order of the file, by" in text
+    assert "measure the first point again" in text
+
+
+@pytest.mark.parametrize(("in_rows", "said"), [(False, 0), (True, 2)])
+def test_a_body_that_bends_is_not_said_to_dry(in_rows, said):
+    """Measured along itself it changes in the order of the file as well: both are said then."""
+    for seed in range(4000, 4002):
+        reading = draw(seed, THREE_HEADS[2], "bends 6 %", lines=60)
+        if in_rows:
+            along = np.argmax(np.ptp(reading.positions_mm, axis=0))
+            order = np.argsort(reading.positions_mm[:, along], kind="stable")
+            names = ("positions_mm", "directions", "head", "value", "sd")
+            points = [reading.points[c] for c in order]
+            reading = replace(
+                reading, points=points, **{name: getattr(reading, name)[order] for name in names}
+            )
+        result = judged(reading)
+        assert {channel.verdict for channel in result.channels} == {"flexible"}
+        text = next(notice.text for notice in result.notices if notice.code == "flexible")
+        said -= "do not tell this from another cause: the motion changes from point to point" in text
+    assert said == 0
+
+
+def test_the_noise_of_channels_with_a_drifting_factor_is_that_of_all_lines():
+    made = scene(31, lines=400)
+    data = data_of(made)
+    factor = [([4], lambda tau, _ratio: 1.0 - 0.2 * tau)]
+    drifting = packed(data.source, replace(data.assumed, factors=tuple(factor)))
+    assert isinstance(drifting.assumed, Assumed)
+    assert np.ptp(drifting.weight, axis=0).max() > 0.0
+    before, after = (channel_noise(State.of(one)) for one in (data, drifting))
+    others = np.arange(len(made.points)) != 4
+    assert after.ratios[others] == pytest.approx(before.ratios[others], rel=0.2)
+    assert after.number[others] == pytest.approx(before.number[others], rel=0.1)
