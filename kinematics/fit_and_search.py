@@ -11,7 +11,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import Diagnosis, most_findings, search_body, too_large
+from kinematics.faults.diagnose import NEXT, Diagnosis, most_findings, search_body, too_large
 from kinematics.faults.findings import Finding
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled
@@ -242,13 +242,14 @@ def _freed_of_lasers(
     if next_to is not None:
         sound, left_out = _without_faults(next_to)
         own = beam_sets(sound, beams[0].dof)
-    placed, fits = sound, searched.fits
+    placed, fits, alone = sound, searched.fits, next_to is None
     values: Array | None = None
     for turn in range(1 if stated else _ROUNDS):
         if turn or next_to is not None:
             fits = _fitted(placed, left_out or {}, fits, own, robust)
         estimate = lasers.estimate(placed, fits, left_out, values)
-        if not (estimate.explains_misfit if stated and next_to is None else estimate.as_stated):
+        share = 1.0 if alone else NEXT
+        if not (estimate.explains_misfit if stated and alone else estimate.is_as_stated(share)):
             return None
         values = estimate.values
         if not np.any(values):  # no body is sound enough to show them
@@ -260,7 +261,6 @@ def _freed_of_lasers(
         replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
     ]
     # What is left of the errors of the lasers next to faults is no fault either.
-    alone = next_to is None
     rest = None if alone else lasers
     first, fitted = _search(placed, screens, beams, robust, rest, 0 if alone else None)
     if alone and not first.clean:  # whatever explains it, something is found
@@ -281,7 +281,11 @@ def _without_faults(searched: SearchedFits) -> tuple[Measurement, dict[tuple[int
         return {
             key: replace(
                 diagnosis,
-                findings=tuple(finding for finding in diagnosis.findings if _is_undone(finding) == undone),
+                findings=tuple(
+                    replace(finding, rivals=())
+                    for finding in diagnosis.findings
+                    if _is_undone(finding) == undone
+                ),
             )
             for key, diagnosis in searched.diagnoses.items()
         }

@@ -40,7 +40,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 
 # A finding next to others must be surer: what remains holds the errors of their estimates.
-_NEXT = 0.1
+NEXT = 0.1
 # Share of the energy of noise below which a misfit is rounding.
 _ROUNDING = 1e-9
 # From so many residual directions on, a misfit of one channel alone is that channel's.
@@ -222,8 +222,8 @@ class _Diagnose:
         """Search again without a finding, with the noise estimated without the faulty channels."""
         left = apply_finding(data, culprit)
         if culprit.kind == "noise" or (self.known and left.whiten is None):
-            return self.searched(left, _NEXT)
-        return self.prepared(left.under(self._as_stated(left.assumed, findings)), _NEXT)
+            return self.searched(left, NEXT)
+        return self.prepared(left.under(self._as_stated(left.assumed, findings)), NEXT)
 
     def _as_stated(self, assumed: Assumed, findings: list[Finding]) -> Assumed:
         """Return assumptions without what residuals with a culprit showed of the noise."""
@@ -287,8 +287,9 @@ class _Diagnose:
                 others = apply_finding(others, other)
             again = self.searched(others).best()
             if again is not None:
-                same = again.kind != "flexible" and set(again.channels) & set(finding.channels)
-                confirmed.append(again if same else finding)
+                both_whole = (again.owner == "body") == (finding.owner == "body")
+                same = set(again.channels) & set(finding.channels) and again.kind != "flexible"
+                confirmed.append(again if same and both_whole else finding)
         return confirmed
 
     def _find_hidden(self, first: Search, findings: list[Finding]) -> list[Finding] | None:
@@ -318,7 +319,7 @@ class _Diagnose:
     def _undone(self, first: Search, findings: list[Finding]) -> Search:
         """Search again with findings undone by their estimates, all channels kept."""
         undone = correct_findings(first.data, findings)
-        return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), _NEXT)
+        return self.prepared(undone.under(self._as_stated(undone.assumed, findings)), NEXT)
 
     def _find_scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
         """Return the finding that positions are off by more than stated, if it explains more."""

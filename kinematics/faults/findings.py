@@ -35,6 +35,8 @@ class Finding:
     parameters, covariance : ndarray, (p,) and (p, p)
     drop : float
         Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
+    strain : float
+        The largest nuisance parameter next to it, over its sd.
     source : Source, optional
         Of the readings.
     size : float
@@ -57,6 +59,7 @@ class Finding:
     parameters: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     drop: float = 0.0
+    strain: float = 0.0
     source: Source | None = None
     rivals: tuple[Finding, ...] = ()
     text: str = ""

@@ -209,6 +209,12 @@ class Marginal:
         """The objective: residual energy and half the squares of the parameters over their sd."""
         return self.state.energy + self.nuisance.penalty(self.x)
 
+    @property
+    def strain(self) -> float:
+        """The largest of the parameters over their sd."""
+        nuisance = self.nuisance
+        return float(np.max(np.abs((self.x - nuisance.mean) / nuisance.sd), initial=0.0))
+
     @cached_property
     def turn(self) -> ComplexArray | None:
         """Orthonormal columns (group column, k) that hold all motion; None where groups differ in their rows.

@@ -101,6 +101,7 @@ class Refit:
             parameters=now.theta,
             covariance=0.5 * inverse,
             drop=null.value - now.value,
+            strain=now.near.strain,
             source=self.data.source,
         )
 

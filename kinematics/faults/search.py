@@ -16,7 +16,7 @@ from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
-from kinematics.faults.nuisance import LaserScatter, Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.nuisance import MOST_SDS, LaserScatter, Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit, log_evidence
@@ -35,8 +35,8 @@ _VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
 _PLAINLY = 1e-3
 # Energy over that of noise below which nothing but noise is left.
 NOISE_ALONE = 2.0
-# Points whose names are exchanged in trial, and exchanges that are fitted.
-_SUSPECTS, _EXCHANGED = 10, 5
+# Exchanges that are fitted.
+_EXCHANGED = 5
 # Difference of log evidence that the data hardly show.
 _NEAR = 3.0
 # Share of the evidence for a body that bends from which a fault at one place is tried in its stead: it has
@@ -273,8 +273,13 @@ class Search:
         return log_evidence(fit, scale, self.data.source.beams.lever_m)
 
     def _credible(self, fit: Finding) -> bool:
-        """Return whether a fault is of a size that happens, or else leaves nothing but noise."""
+        """Return whether a fault is of a size that happens, or else leaves nothing but noise.
+
+        Errors of positions or lasers beyond belief would explain the misfit in its stead.
+        """
         kind = KINDS.get(fit.kind)
+        if fit.strain > max(MOST_SDS, self.near.strain):
+            return False
         if kind is None:
             return True
         small = float(np.linalg.norm(fit.parameters)) < kind.largest * kind.unit(
@@ -382,7 +387,7 @@ class Search:
                 for own, value in zip(test.groups[:, 0], test.statistic, strict=True):
                     name = self.data.points[own]
                     stand[name] = max(stand[name], float(value))
-        order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
+        order = sorted(stand, key=lambda name: -stand[name])
         layout = Layout(self.data, self.points, self._lasers(), *self.reported, order)
         exchanges = list(proposed("exchange", layout))
         if not exchanges:

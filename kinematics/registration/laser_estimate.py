@@ -133,12 +133,11 @@ class LaserEstimate:
         """Whether errors of lasers and positions as small as stated may explain the misfit."""
         excess = self.energy - self.fall - self.freedom
         enough = excess < COHERENT_SD * np.sqrt(self.freedom)
-        return bool(enough and self.fall > WORTH_CORRECTING and self.as_stated)
+        return bool(enough and self.fall > WORTH_CORRECTING and self.is_as_stated())
 
-    @property
-    def as_stated(self) -> bool:
-        """Whether the errors of the lasers are as small as stated."""
-        return min(self.p_value, self.largest_p_value) > _ALARM_LEVEL
+    def is_as_stated(self, share: float = 1.0) -> bool:
+        """Return whether the errors of the lasers are as small as stated, at a share of the alarm level."""
+        return min(self.p_value, self.largest_p_value) > share * _ALARM_LEVEL
 
 
 def laser_estimate(

@@ -14,9 +14,9 @@ from stapeskit.arrays import Array
 
 # Directions that differ by less are written alike: rounding of six digits in a file.
 _SAME_BEAM = 1e-6
-# Suspected points of which three may carry each other's names: 40 cycles, tried in some milliseconds; and
-# those of which two beams, or coordinates, are exchanged.
-_IN_CYCLES, _BY_THEMSELVES = 10, 4
+# The most suspected points, those that may be exchanged with them (at 24 points 1100 exchanges of two or
+# three are looked at in 40 ms), and those of which two beams, or coordinates, are exchanged.
+_MOST_SUSPECTED, _PARTNERS, _BY_THEMSELVES = 6, 24, 4
 # A fault, and what the sentence says of it.
 Exchange = tuple[Fault, Mapping[str, object]]
 
@@ -34,6 +34,16 @@ class Layout:
     reported_mm: Array
     file_from_here: Array
     suspects: Sequence[str]
+
+    def sets(self, number: int) -> Iterator[tuple[str, ...]]:
+        """Yield sets of points of which all but one are among the most suspected.
+
+        One of exchanged points may look sound: the fit is mostly wrong at the others.
+        """
+        most = self.suspects[:_MOST_SUSPECTED]
+        for some in combinations(self.suspects[:_PARTNERS], number):
+            if some[-2] in most:
+                yield some
 
     def swap(self, owner: str, first: list[int], second: list[int], places: int) -> Fault:
         """Exchange the directions of two lists of channels, one by one."""
@@ -63,14 +73,14 @@ class Layout:
 def two_points(layout: Layout) -> Iterator[Exchange]:
     """Exchange the positions of two points, and their beams where these differ."""
     number = len(layout.points)
-    for pair in combinations(layout.suspects, 2):
+    for pair in layout.sets(2):
         yield from layout.rename(pair, pair[::-1], number * (number - 1) // 2, {"points": " and ".join(pair)})
 
 
 def three_points(layout: Layout) -> Iterator[Exchange]:
     """Exchange the positions of three points in a cycle, and their beams where these differ."""
     number = len(layout.points)
-    for three in combinations(layout.suspects[:_IN_CYCLES], 3):
+    for three in layout.sets(3):
         for right in (three, three[::-1]):
             wrong = (*right[1:], right[0])
             rows = ", ".join(f"{a} are those of {b}" for a, b in zip(wrong, right, strict=True))
