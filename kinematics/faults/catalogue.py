@@ -244,6 +244,11 @@ class Fault:
         """Number of real parameters."""
         return len(self.entry.tangents)
 
+    def is_within(self, other: Fault) -> bool:
+        """Return whether another fault of the same channels makes of readings whatever this one can."""
+        both = self.entry.factor is not None and other.entry.factor is not None
+        return both and self.channels == other.channels and {*self.entry.tangents} <= {*other.entry.tangents}
+
     def scale(self, lever_m: float) -> Array:
         """Return how large each parameter commonly is."""
         return self.entry.scale(lever_m)

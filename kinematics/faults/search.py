@@ -360,18 +360,21 @@ class Search:
         """Fit faults, without those that cannot come near the best, the most promising first.
 
         No fault lowers the objective by more than leaving its channels out does: without the squares of their
-        residuals the least sum of squares is no larger, whatever the fault makes of them.
+        residuals the least sum of squares is no larger, whatever the fault makes of them. Nor by more than
+        one of which it is a special case, as a gain is of any complex factor.
         """
         fall = self._blame(tuple(fault.channels) for fault in faults)
         # What explains less than half of what bending does is no rival of it.
-        fits, best = [], _HALF * self.bending + _NEAR if self.bending else 0.0
+        fits: list[Finding] = []
+        best = _HALF * self.bending + _NEAR if self.bending else 0.0
         freed = dict[tuple[int, ...], float]()
-        for fault in sorted(faults, key=lambda fault: fall[tuple(fault.channels)]):
+        for fault in sorted(faults, key=lambda fault: (fall[tuple(fault.channels)], *_widest_first(fault))):
             own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
             if needed > 0.0:
                 if own not in freed:
                     freed[own] = -fall[own] if self.exact else self.refit.most(own)
-                if freed[own] < needed:
+                wider = [fit.drop for fit in fits if fit.fault is not None and fault.is_within(fit.fault)]
+                if min([freed[own], *wider]) < needed:
                     continue
             fit = self.refit.fit(fault)
             fits.append(fit)
@@ -404,3 +407,8 @@ class Search:
 
     def _scale(self, fit: Finding, p_value: float) -> Finding:
         return replace(fit, p_value=p_value, covariance=fit.covariance * self.scale)
+
+
+def _widest_first(fault: Fault) -> tuple[bool, int]:
+    """Sort faults of the same channels: the same at all lines first, those with most parameters first."""
+    return fault.entry.varies, -fault.size
