@@ -278,7 +278,7 @@ def test_a_resonance_of_the_holder_is_named_near_its_frequency() -> None:
 @pytest.mark.parametrize(("cause", "size"), [("second_run", -8.0), ("step", 8.0)])
 def test_a_step_of_the_stiffness_is_named_with_its_size_and_is_in_the_intervals(cause, size) -> None:
     """Of a second run that is 5 % stiffer `test_model_error.py` shows the same."""
-    for seed in range(3):
+    for seed in range(2):
         case = case_of(cause, seed, size=size)
         fit = fitted(case)
         found = fit.diagnosis.named

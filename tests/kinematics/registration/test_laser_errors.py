@@ -226,30 +226,29 @@ def test_estimates_are_judged_by_what_the_data_add_to_their_priors():
 
 def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
     found = dict.fromkeys((0.3, 1.0), 0)
-    for seed in range(20):
+    least = float(agreement(measured(0, gain=(0.003, 0.012, -0.008), count=6)[0]).detectable[0])
+    assert 0.055 < least < 0.065  # (3.26 + 1.64) / sqrt(2 / 3) %
+    for seed in range(12):
         rng = np.random.default_rng([seed, 5])
         scatter = 0.01 * rng.normal(size=3)
-        clean, _ = measured(seed, gain=tuple(scatter), count=6)
-        least = float(agreement(clean).detectable[0])
-        assert 0.055 < least < 0.065  # (3.26 + 1.64) / sqrt(2 / 3) %
         for share in found:
             gain = scatter + share * least * np.eye(3)[seed % 3] * rng.choice([-1.0, 1.0])
             result = points2dof(measured(seed, gain=tuple(gain), count=6)[0])
             found[share] += any(channel.verdict != "ok" for channel in result.channels)
-    assert found[1.0] >= 18
-    assert found[0.3] <= 5
+    assert found[1.0] >= 10
+    assert found[0.3] <= 3
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.15])
 def test_a_usual_scatter_of_lasers_is_no_fault_where_the_noise_is_not_stated(missing):
     rng = np.random.default_rng(5)
     alarms = 0
-    for seed in range(12):
+    for seed in range(8):
         gain, phase, delay = (sd * rng.normal(size=3) for sd in (0.01, np.radians(0.5), 1e-6))
         readings, _ = measured(100 + seed, 150.0, gain, phase, delay, stated=False, count=6)
         readings = with_gaps(readings, missing, seed)
         alarms += any(channel.verdict != "ok" for channel in points2dof(readings).channels)
-    # An alarm in one of a hundred files: two in twelve have a probability of .006.
+    # An alarm in one of a hundred files: two in eight have a probability of .003.
     assert alarms <= 1
 
 
