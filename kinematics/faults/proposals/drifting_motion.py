@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.noise_size import channel_noise
@@ -43,7 +44,10 @@ def drifting_motion(suspect: MisfittingBody) -> Iterator[Cause]:
     if not suspect.known:
         data = equalise_noise(data, Nuisance.of(data, suspect.position_sd_m))
     names = list(data.by_point)
-    number = np.array([names.index(point) for point in data.points], dtype=float)
+    place = {name: number for number, name in enumerate(names)}
+    number = np.array(
+        [place.get(point, 0) for point in data.points]
+    )  # a point without readings weighs nothing
     order = 2.0 * number / max(len(names) - 1, 1) - 1.0
     state = State.of(data)
     for power in _POWERS:
@@ -84,7 +88,7 @@ def _explains(state: State, rest: State, known: bool) -> bool:
     return left - after - chance < _LEFT * (misfit - before)
 
 
-def _surpasses(state: State, rest: State, number: Array, power: int) -> bool:
+def _surpasses(state: State, rest: State, number: NDArray[np.int_], power: int) -> bool:
     """Return whether the order of the file leaves less than each of many other orders of the points."""
     rng = np.random.default_rng(0)
     count = int(number.max()) + 1
@@ -95,7 +99,7 @@ def _surpasses(state: State, rest: State, number: Array, power: int) -> bool:
         if one in tried or one in (tuple(range(count)), tuple(range(count))[::-1]):
             continue
         tried.add(one)
-        other = _with_drift(state, 2.0 * turn[number.astype(int)] / (count - 1) - 1.0, power)
+        other = _with_drift(state, 2.0 * turn[number] / (count - 1) - 1.0, power)
         if other is not None and other.energy <= least:
             return False
     return len(tried) >= _ORDERS // 2

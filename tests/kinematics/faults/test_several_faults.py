@@ -26,6 +26,14 @@ def accused(reading, stated):
     return {c: v.verdict for c, v in enumerate(judged(reading, stated).channels) if v.verdict != "ok"}
 
 
+def test_a_motion_that_drifts_is_seen_beside_a_point_without_readings():
+    reading = draw(1003, THREE_HEADS[1], "drying 3 %", lines=60)
+    reading.value[[point == "P4" for point in reading.points]] = np.nan
+    ((remedy, words),) = drifting_motion(suspected(reading))
+    assert not remedy.alike
+    assert (words["first"], words["last"]) == ("P1", "P12")
+
+
 def in_order(reading, order):
     """Return a reading with its rows in another order."""
     names = ("positions_mm", "directions", "head", "value", "sd")
