@@ -172,7 +172,7 @@ def inertia_rows(equations: Equations, parameters: Array) -> Array:
 
 def operator_of(lines: JointLines, equations: Equations, parameters: Array) -> ComplexArray:
     """Return B without errors of the motion, (lines, n, 12), of lines and equations that have their terms."""
-    elastic = dynamic(equations, parameters, lines.omega) @ equations.difference_at(parameters)
+    elastic = times(dynamic(equations, parameters, lines.omega), equations.difference_at(parameters))
     inertia = inertia_rows(equations, parameters) @ mass_at(lines, parameters[equations.unknowns :])
     operator = np.empty((lines.count, equations.n, 2 * DOFS), dtype=complex)
     operator[:, :, :DOFS] = elastic - (lines.omega**2)[:, None, None] * inertia
@@ -191,7 +191,12 @@ def times_turn(rows: ComplexArray, turn: ComplexArray | None) -> ComplexArray:
     """Return rows (..., 12) of both bodies times the map of their motions."""
     if turn is None:
         return rows
-    return np.concatenate([rows[..., :DOFS] @ turn[0], rows[..., DOFS:] @ turn[1]], axis=-1)
+    return np.concatenate([times(rows[..., :DOFS], turn[0]), times(rows[..., DOFS:], turn[1])], axis=-1)
+
+
+def times(rows: ComplexArray, matrix: Any) -> ComplexArray:
+    """Return rows (..., k) times one matrix (k, m), by one product, not one for each line."""
+    return np.asarray((rows.reshape(-1, len(matrix)) @ matrix).reshape(*rows.shape[:-1], -1))
 
 
 def moved_motion(motion: ComplexArray, turn: ComplexArray | None, shift: ComplexArray | None) -> ComplexArray:
