@@ -290,7 +290,7 @@ class _Diagnose:
                 both_whole = (again.owner == "body") == (finding.owner == "body")
                 same = set(again.channels) & set(finding.channels) and again.kind != "flexible"
                 confirmed.append(again if same and both_whole else finding)
-        return confirmed
+        return confirmed or findings
 
     def _find_hidden(self, first: Search, findings: list[Finding]) -> list[Finding] | None:
         """Return faults of the channels that were left out already; None where the body bends.
