@@ -105,8 +105,8 @@ def _measure(result: dict[str, Any]) -> str:
 if __name__ == "__main__":
     wanted = sys.argv[1:]
     for page in sorted((ROOT / "docs").glob("*.md")):
-        before = page.read_text(encoding="utf-8")
-        for command in commands(before):
+        for command in commands(page.read_text(encoding="utf-8")):
             if wanted != ["--pages"] and (not wanted or any(word in command for word in wanted)):
                 measure(command)
-        page.write_text(with_results(before), encoding="utf-8")
+        # Read again: hours later somebody may have edited it.
+        page.write_text(with_results(page.read_text(encoding="utf-8")), encoding="utf-8")
