@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, lgamma, log, pi
@@ -155,15 +155,19 @@ class Refit:
         self, data: Packed, fault: Fault, theta: Array, base: Model, z: NDArray[Any]
     ) -> ComplexArray:
         """Return derivatives (p, group, n, column) of the readings of the fault's channels."""
-        channels = np.array(fault.channels)
+        channels, factor = np.array(fault.channels), fault.entry.factor
+        steps = np.diag(STEP * fault.scale(self.lever))
 
-        def rows(p: Array) -> NDArray[Any]:
-            return weighted_rows(data, fault.applied(base, p, data), channels)
+        def change(at: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
+            here = at(theta)
+            moved = [(at(theta + step) - here) / np.sum(step) for step in steps]
+            return np.reshape(moved, (len(steps), *here.shape))
 
-        here = rows(theta)
-        steps = STEP * fault.scale(self.lever)
-        moved = [(rows(theta + step) - here) / np.sum(step) for step in np.diag(steps)]
-        return np.reshape(moved, (len(steps), *here.shape)) @ z
+        if factor is not None:
+            size = len(data.tau)
+            slopes = change(lambda p: np.broadcast_to(factor(p, data.tau, data.ratio), (size,)))
+            return np.asarray(slopes[..., None, None] * (weighted_rows(data, base, channels) @ z))
+        return change(lambda p: weighted_rows(data, fault.applied(base, p, data), channels)) @ z
 
     def _step(self, data: Packed, fault: Fault, now: _Trial) -> tuple[Array, Array]:
         """Return the step of all parameters, and the inverse of the information on those of the fault.

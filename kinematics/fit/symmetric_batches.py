@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from stapeskit.arrays import Array
 _TINY = 1e-300
 
 
+@cache
 def places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return row and column (p,) of the packed entries: the lower triangle, p = size (size + 1) / 2."""
     return np.tril_indices(size)
