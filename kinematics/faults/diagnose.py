@@ -39,7 +39,8 @@ from kinematics.fit.rigid_fit import LineFit, refit
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array
 
-# A finding next to others must be surer: what remains holds the errors of their estimates.
+# Share of the alarm probability of a finding next to others, by judgement: what remains holds the errors of
+# their estimates. Alarms of clean files do not depend on it.
 NEXT = 0.1
 # Share of the energy of noise below which a misfit is rounding.
 _ROUNDING = 1e-9

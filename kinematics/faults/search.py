@@ -35,7 +35,7 @@ _VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
 _PLAINLY = 1e-3
 # Energy over that of noise below which nothing but noise is left.
 NOISE_ALONE = 2.0
-# Exchanges that are fitted.
+# Exchanges that are fitted, the likeliest at first sight. Computation.
 _EXCHANGED = 5
 # Difference of log evidence that the data hardly show.
 _NEAR = 3.0

@@ -22,7 +22,8 @@ TOLERANCE = 1e-6
 _ROUGH = 1e-2
 # Limit of iterations.
 _MOST = 300
-# Relative rounding of a cost, and least share of the trace on the diagonal of second derivatives.
+# Relative rounding of a sum of some hundred values, 1e4 times that of one, and the least share of the trace
+# on the diagonal of second derivatives, so that they can be inverted.
 _ROUNDING = 1e-12
 # Values of the sample on which the noise level is found.
 _LOSS_VALUES = 400_000

@@ -129,9 +129,9 @@ def test_conjugates_of_what_was_measured_are_found(order):
     assert [finding.code for finding in result.diagnoses[0, 0].findings] == ["conjugated_laser"]
 
 
+@pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize(("code", "spoil"), [(code, one) for code, many in SPOILED.items() for one in many])
-def test_cause_is_found_beside_errors_of_positions(code, spoil):
-    stated = list(SPOILED).index(code) % 2 == 0
+def test_cause_is_found_beside_errors_of_positions(code, spoil, stated):
     assert found(3, spoil, stated=stated, position_um=20.0)[0] == {code}
 
 

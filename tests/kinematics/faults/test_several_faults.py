@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fault_bodies import BODIES, FAULTS, draw
 from benchmarks.faults_gate import judged, scattered
 from kinematics.faults.noise_size import channel_noise
-from kinematics.faults.packed_readings import Assumed, packed
+from kinematics.faults.packed_readings import packed
 from kinematics.faults.proposals.drifting_motion import drifting_motion
 from kinematics.faults.score_information import State
 from tests.kinematics.faults.test_alternatives import suspected
@@ -93,7 +93,6 @@ def test_the_noise_of_channels_with_a_drifting_factor_is_that_of_all_lines():
     data = data_of(made)
     factor = [([4], lambda tau, _ratio: 1.0 - 0.2 * tau)]
     drifting = packed(data.source, replace(data.assumed, factors=tuple(factor)))
-    assert isinstance(drifting.assumed, Assumed)
     assert np.ptp(drifting.weight, axis=0).max() > 0.0
     before, after = (channel_noise(State.of(one)) for one in (data, drifting))
     others = np.arange(len(made.points)) != 4

@@ -235,7 +235,7 @@ def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
             gain = scatter + share * least * np.eye(3)[seed % 3] * rng.choice([-1.0, 1.0])
             result = points2dof(measured(seed, gain=tuple(gain), count=6)[0])
             found[share] += any(channel.verdict != "ok" for channel in result.channels)
-    assert found[1.0] >= 10
+    assert found[1.0] >= 11
     assert found[0.3] <= 3
 
 

@@ -285,13 +285,13 @@ def test_a_large_measurement_makes_a_small_page_soon(tmp_path):
     freq = np.linspace(100.0, 10000.0, 2500)
 
     def large(name):
-        places = np.repeat(stapes_points(rng, 60), 3, axis=0)
-        beams = np.tile(three_beams(), (60, 1))
+        places = np.repeat(stapes_points(rng, 100), 3, axis=0)
+        beams = np.tile(three_beams(), (100, 1))
         value = readings(places, beams, smooth_motion(rng, freq))
         sd = np.full(value.shape, np.sqrt(np.mean(np.abs(value) ** 2)) / 100.0)
         value = value + sd * (rng.normal(size=(*value.shape, 2)) @ np.array([1.0, 1j]))
         value[7] *= 1.1
-        points = tuple(f"P{1 + c // 3}" for c in range(180))
+        points = tuple(f"P{1 + c // 3}" for c in range(300))
         return BodyChannels(name, points, places, beams, value[None], sd[None])
 
     made = points2dof(Measurement("footplate", ("1",), freq, (large("stapes"), large("base")), 0))
@@ -301,7 +301,7 @@ def test_a_large_measurement_makes_a_small_page_soon(tmp_path):
     assert (tmp_path / "dof.html").stat().st_size < 3_000_000
     text = (tmp_path / "dof.html").read_text(encoding="utf-8")
     assert len(picture(text)["freq"]) == 2500
-    assert "2 of 360 channels have a verdict" in words(text)
+    assert "2 of 600 channels have a verdict" in words(text)
 
 
 def test_a_stapes_far_from_the_footplate_is_told_of():
