@@ -28,6 +28,7 @@ def pytest_collection_finish():
     """Leave modules and tests out of the search for garbage, which would look at all of them each time."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000)
 
 
 @cache
