@@ -10,8 +10,9 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
+from kinematics.faults.body_search import search_body
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import NEXT, Diagnosis, most_findings, search_body, too_large
+from kinematics.faults.diagnose import NEXT, Diagnosis, most_findings, too_large
 from kinematics.faults.findings import Finding
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from math import prod
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.laser_scatter import OF_LASERS, LaserScatter
 from kinematics.faults.packed_readings import Packed, real_parts
 from kinematics.faults.score_information import (
     DELAY,
@@ -27,62 +28,10 @@ from stapeskit.arrays import Array, ComplexArray
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Tangents of the logarithm of a laser's factor.
-_OF_LASERS = (REAL, IMAGINARY, DELAY)
 # An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
 MOST_SDS = 6.0
 # Rows of groups of lines that differ by less, relative to the largest, are the same.
 _ALIKE = 1e-9
-
-
-@dataclass(frozen=True)
-class LaserScatter:
-    """The lasers of one body, and how well they agree.
-
-    Attributes
-    ----------
-    of_channel : ndarray, (channel,), int
-    gain_sd, phase_sd, delay_sd : float
-        Standard deviations of each laser: 1, rad, s.
-    """
-
-    of_channel: NDArray[np.intp]
-    gain_sd: float
-    phase_sd: float
-    delay_sd: float
-
-    @property
-    def count(self) -> int:
-        """Number of lasers."""
-        return int(np.max(self.of_channel)) + 1
-
-    def live_channels(self, live: Sequence[int]) -> list[NDArray[np.intp]]:
-        """Return the channels in use of each laser."""
-        own = np.array(live, dtype=np.intp)
-        return [own[self.of_channel[own] == laser] for laser in range(self.count)]
-
-    def errors(self, near: Marginal) -> Array:
-        """Return the errors (kind, laser) at a fit, in units of their sd, with those that are undone."""
-        kinds = len(set(_OF_LASERS) & set(near.nuisance.which))
-        relative = (near.x - near.nuisance.mean) / near.nuisance.sd
-        return relative[len(relative) - kinds * self.count :].reshape(kinds, self.count)
-
-    def undone(self, near: Marginal) -> Packed:
-        """Return data whose readings are freed of the errors of lasers at a fit, line by line."""
-        data, relative = near.state.data, self.errors(near)
-        errors = relative.ravel() * near.nuisance.sd[-relative.size :]
-        kinds = [k for k in _OF_LASERS if k in near.nuisance.which]
-        of_laser = dict(zip(kinds, errors.reshape(relative.shape), strict=True))
-        logs = np.transpose([of_laser.get(k, np.zeros(self.count)) for k in _OF_LASERS]).tolist()
-        beams = self.live_channels(range(len(self.of_channel)))
-        factors = tuple((own.tolist(), partial(_factor, log)) for own, log in zip(beams, logs, strict=True))
-        return data.under(replace(data.assumed, lasers=factors, laser_errors=errors))
-
-
-def _factor(log: Sequence[float], _tau: Array, ratio: Array) -> ComplexArray:
-    """Return the factor of readings with some errors of gain, phase and lag."""
-    gain, phase, lag = log
-    return np.asarray(np.exp(gain + 1j * (phase - lag * ratio)))
 
 
 @dataclass(frozen=True)
@@ -125,7 +74,7 @@ class Nuisance:
         beams = lasers.live_channels(data.live)
         lag_sd = 2.0 * np.pi * data.source.middle_hz * lasers.delay_sd
         positions = len(nuisance.sd)
-        for tangent, sd in zip(_OF_LASERS, (lasers.gain_sd, lasers.phase_sd, lag_sd), strict=True):
+        for tangent, sd in zip(OF_LASERS, (lasers.gain_sd, lasers.phase_sd, lag_sd), strict=True):
             if sd > 0.0:
                 nuisance = nuisance.beside(cls.at(beams, count, np.full(len(beams), sd), (tangent,)))
         mean = np.zeros(len(nuisance.sd))
@@ -214,6 +163,19 @@ class Marginal:
         """The largest of the parameters over their sd."""
         nuisance = self.nuisance
         return float(np.max(np.abs((self.x - nuisance.mean) / nuisance.sd), initial=0.0))
+
+    def laser_errors(self, lasers: LaserScatter) -> dict[int, Array]:
+        """Return the errors (laser,) by their tangent, in units of their sd, with those that are undone."""
+        kinds = [k for k in OF_LASERS if k in self.nuisance.which]
+        relative = ((self.x - self.nuisance.mean) / self.nuisance.sd)[-len(kinds) * lasers.count :]
+        return dict(zip(kinds, relative.reshape(len(kinds), -1), strict=True))
+
+    def without_laser_errors(self, lasers: LaserScatter) -> Packed:
+        """Return the data freed of the errors of lasers."""
+        relative = self.laser_errors(lasers)
+        sd = self.nuisance.sd[-len(relative) * lasers.count :].reshape(len(relative), -1)
+        errors = {k: error * own for (k, error), own in zip(relative.items(), sd, strict=True)}
+        return lasers.undone(self.state.data, errors)
 
     @cached_property
     def turn(self) -> ComplexArray | None:

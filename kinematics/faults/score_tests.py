@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
 from kinematics.faults.nuisance import Marginal
-from kinematics.faults.packed_readings import LEAST_SEGMENTS
-from kinematics.faults.score_information import AXES
+from kinematics.faults.packed_readings import LEAST_SEGMENTS, Packed
+from kinematics.faults.score_information import AXES, State
+from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
 # Share of the largest information below which parameters are not seen.
-_UNSEEN = 1e-9
+_NO_INFORMATION = 1e-9
+# Leverage above which the residual of a channel shows nothing.
+UNSEEN = 0.98
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,31 @@ class Tested:
     def sets(self) -> list[tuple[int, ...]]:
         """The channels of each place."""
         return [tuple(own) for own in self.groups.tolist()]
+
+
+def lasers_of(data: Packed) -> list[list[int]]:
+    """Return the channels of beams that are nearly parallel at several points, when there are others.
+
+    A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere else
+    is no explanation.
+    """
+    groups = laser_channels(data.assumed.directions, data.live)
+    many = [own for own in groups if len({data.points[c] for c in own}) > 2]
+    return many if len(groups) > 1 and len(many) <= 8 else []
+
+
+def places_of(state: State) -> dict[str, Sequence[Sequence[int]]]:
+    """Return the sets of channels at which faults are looked for, by their owner."""
+    data, used = state.data, state.data.weight > 0.0
+    kept = np.sum(np.where(used, 1.0 - state.leverage, 0.0), axis=0)
+    seen = kept > (1.0 - UNSEEN) * np.sum(used, axis=0)
+    whole = len(data.live) == np.count_nonzero(data.source.share)
+    return {
+        "channel": [[channel] for channel in data.live if seen[channel]],
+        "point": [own for own in data.by_point.values() if len(data.live) - len(own) >= data.size],
+        "laser": lasers_of(data),
+        "body": [data.live] if whole else [],
+    }
 
 
 def score_tests(near: Marginal, owners: dict[str, Sequence[Sequence[int]]]) -> list[Tested]:
@@ -94,7 +122,7 @@ def _statistic(score: Array, information: Array) -> tuple[Array, NDArray[np.intp
     unit = np.where(size > 1e-145, 1.0 / np.maximum(size, 1e-145), 0.0)
     values, vectors = np.linalg.eigh(information * unit[:, :, None] * unit[:, None, :])
     along = (vectors.swapaxes(1, 2) @ (score * unit)[:, :, None])[:, :, 0]
-    seen = values > _UNSEEN * np.maximum(values[:, -1:], 1e-300)
+    seen = values > _NO_INFORMATION * np.maximum(values[:, -1:], 1e-300)
     seen &= values > 1e-12
     statistic = 2.0 * np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
     return statistic, np.sum(seen, axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 
@@ -15,14 +15,14 @@ from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.estimated_weights import NOISY
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible_body import structure_of
+from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.faults.noise_size import LEAST_SAMPLES, channel_noise, channel_noise_energy, common_level
-from kinematics.faults.nuisance import MOST_SDS, LaserScatter, Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.nuisance import MOST_SDS, Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Packed
 from kinematics.faults.proposals.exchanges import Layout
 from kinematics.faults.refit import Refit, log_evidence
 from kinematics.faults.score_information import State
-from kinematics.faults.score_tests import Tested, of_one_size, score_tests
-from kinematics.fit.laser_groups import laser_channels
+from kinematics.faults.score_tests import UNSEEN, Tested, lasers_of, of_one_size, places_of, score_tests
 from stapeskit.arrays import Array
 
 # Share of clean files that may raise an alarm.
@@ -54,8 +54,6 @@ _INFLATED = 0.5
 
 # Share of the alarm probability that the tests of noise have.
 _NOISE_SHARE = 0.05
-# Leverage above which the residual of a channel shows nothing.
-_UNSEEN = 0.98
 # How many times the stated sd noise must be to be reported; less is a matter of chi2.
 _NOISY_KNOWN = 1.5
 # Ratio of variances by which channels of unknown noise may differ without a fault.
@@ -170,7 +168,7 @@ class Search:
         energy, h = self.energy, 1.0 - self.kept
         limit, margin = (_NOISY_KNOWN, 1.0) if self.known else (NOISY, _ALIKE)
         for channel in sorted(self.live, key=lambda c: -energy[c])[:_LOUDEST]:
-            if energy[channel] < _QUIET * self.scale or h[channel] > _UNSEEN:
+            if energy[channel] < _QUIET * self.scale or h[channel] > UNSEEN:
                 continue
             value, count = channel_noise_energy(self.state, channel)
             ratio, left = value / self.scale, 1.0 - float(h[channel])
@@ -300,32 +298,10 @@ class Search:
         count = sum(len(test.statistic) for test in self.tested if test.owner == owner)
         return max(count, 1) / _ALARM_SHARE[owner]
 
-    def _lasers(self) -> list[list[int]]:
-        """Return the channels of beams that are nearly parallel at several points, when there are others.
-
-        A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
-        else is no explanation.
-        """
-        groups = laser_channels(self.data.assumed.directions, self.live)
-        many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
-        return many if len(groups) > 1 and len(many) <= 8 else []
-
     @cached_property
     def tested(self) -> list[Tested]:
         """Tests of all kinds at all places."""
-        return score_tests(self.near, self._owners())
-
-    def _owners(self) -> dict[str, Sequence[Sequence[int]]]:
-        """Return the places where faults are looked for."""
-        size, used = self.data.size, self.data.weight > 0.0
-        kept = np.sum(np.where(used, 1.0 - self.given.leverage, 0.0), axis=0)
-        seen = kept > (1.0 - _UNSEEN) * np.sum(used, axis=0)
-        return {
-            "channel": [[c] for c in self.live if seen[c]],
-            "point": [own for own in self.points.values() if len(self.live) - len(own) >= size],
-            "laser": self._lasers(),
-            "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
-        }
+        return score_tests(self.near, places_of(self.given))
 
     def _suspects(self) -> list[Finding]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
@@ -391,7 +367,7 @@ class Search:
                     name = self.data.points[own]
                     stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])
-        layout = Layout(self.data, self.points, self._lasers(), *self.reported, order)
+        layout = Layout(self.data, self.points, lasers_of(self.data), *self.reported, order)
         exchanges = list(proposed("exchange", layout))
         if not exchanges:
             return []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.nuisance import LaserScatter
+from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.fit import symmetric_batches
 from kinematics.fit.laser_groups import group_lasers
 from kinematics.fit.line_noise import blocks

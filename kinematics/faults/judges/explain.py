@@ -9,7 +9,7 @@ import numpy as np
 from kinematics.faults.alternatives import BENDS, Proposal, proposed
 from kinematics.faults.diagnose import Diagnosis, diagnose
 from kinematics.faults.findings import Finding
-from kinematics.faults.nuisance import LaserScatter
+from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.faults.proposals.misfitting_body import MisfittingBody
 from kinematics.faults.proposals.outliers import likely_outliers, with_far_values
 from kinematics.fit.body_noise import fit_with_noise

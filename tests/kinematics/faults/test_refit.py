@@ -10,7 +10,8 @@ import pytest
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
 from kinematics.faults.catalogue import Fault
-from kinematics.faults.nuisance import LaserScatter, Marginal, Nuisance, estimate_nuisance
+from kinematics.faults.laser_scatter import LaserScatter
+from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Source, initial
 from kinematics.faults.refit import Refit
 from kinematics.faults.score_information import State, model_of
