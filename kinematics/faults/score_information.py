@@ -166,9 +166,13 @@ class State:
         return None if whiten is None else np.asarray(whiten.T @ whiten)
 
     def free(self) -> Array:
-        """Return the residual degrees of freedom (group,) of a complex column."""
+        """Return the residual degrees of freedom (group,) of a complex column: whole numbers.
+
+        A sum of leverages is one but for rounding, which must not decide where a number is compared with
+        another.
+        """
         used = np.sum(self.data.weight > 0.0, axis=1)
-        return np.maximum(used - np.sum(np.abs(self.span) ** 2, axis=(1, 2)), 0.0)
+        return np.maximum(np.round(used - np.sum(np.abs(self.span) ** 2, axis=(1, 2))), 0.0)
 
     def tangents(
         self, channels: NDArray[np.intp], which: Sequence[int], beam: Array | None = None

@@ -48,9 +48,8 @@ def drifting_motion(suspect: MisfittingBody) -> Iterator[Cause]:
         data = equalise_noise(data, Nuisance.of(data, suspect.position_sd_m))
     names = list(data.by_point)
     place = {name: number for number, name in enumerate(names)}
-    number = np.array(
-        [place.get(point, 0) for point in data.points]
-    )  # a point without readings weighs nothing
+    # A point without readings weighs nothing.
+    number = np.array([place.get(point, 0) for point in data.points])
     order = 2.0 * number / max(len(names) - 1, 1) - 1.0
     state = State.of(data)
     for power in _POWERS:

