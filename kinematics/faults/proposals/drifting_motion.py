@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from kinematics.faults.nuisance import Nuisance
 from kinematics.faults.packed_readings import Packed, whitened
 from kinematics.faults.proposals.misfitting_body import Cause, MisfittingBody, Remedy
 from kinematics.faults.score_information import State
+from kinematics.faults.score_tests import lasers_of, of_one_size
 from stapeskit.arrays import Array
 
 # Powers of the order of the file that are tried, and residual directions that the last leaves at least.
@@ -24,6 +26,8 @@ _ORDERS = 99
 # Share of the misfit beyond noise that may be left, and standard deviations of noise that are granted. A body
 # that bends leaves a third and more, on average, where most of the residual directions are taken.
 _LEFT, _SURELY = 0.05, 3.0
+# Points that are left out together in trial, and among how many of those that a fault alone explains best.
+_TOGETHER, _SUSPECTS = 3, 16
 # Share of the mean motion by which it may change: beyond, it would turn round on the way. A stiffness that
 # rises by 20 % changes it by 0.3 to 1.0 in 40 simulated bodies; exchanged names pass for a drift of 2.8.
 _LARGEST = 2.0
@@ -40,8 +44,8 @@ def drifting_motion(suspect: MisfittingBody) -> Iterator[Cause]:
     -----
     At every point the body moves as a rigid body, by a motion that is a polynomial of the number of the
     point: where a stiffness falls or rises, resonances shift, and no factor of a point explains that. It
-    must explain nearly all of the misfit, and the order of the file more than each of many other orders
-    (a permutation test: Fisher 1935, The design of experiments).
+    must explain nearly all of the misfit, more than faults at a few places could, and the order of the file
+    more than each of many other orders (a permutation test: Fisher 1935, The design of experiments).
     """
     data = suspect.packed(suspect.plain, suspect.known)
     if not suspect.known:
@@ -56,7 +60,11 @@ def drifting_motion(suspect: MisfittingBody) -> Iterator[Cause]:
         rest = _with_drift(state, order, power)
         if rest is None:
             return
-        if _explains(state, rest, suspect.known) and _surpasses(state, rest, number, power):
+        if (
+            _explains(state, rest, suspect.known)
+            and rest.energy < _least_without(state, power)
+            and _surpasses(state, rest, number, power)
+        ):
             share = _share(data, order, power)
             if share > _LARGEST:
                 return
@@ -88,6 +96,31 @@ def _explains(state: State, rest: State, known: bool) -> bool:
     chance = _SURELY * float(np.sqrt(level * after))
     misfit, left = (float(np.sum(np.abs(fit.both) ** 2)) for fit in (state, rest))
     return left - after - chance < _LEFT * (misfit - before)
+
+
+def _least_without(state: State, power: int) -> float:
+    """Return the least energy without a channel, a laser, or a few points.
+
+    No fault there leaves less. A drift has as many parameters as the channels of some points: of these, and
+    of no more, points are left out.
+    """
+    data = state.data
+    points = [tuple(own) for own in data.by_point.values()]
+    alone = [*points, *((channel,) for channel in data.live), *map(tuple, lasers_of(data))]
+    alone = [own for own in dict.fromkeys(alone) if 2 * len(own) < len(data.live)]
+    falls = dict[tuple[int, ...], float]()
+    for same in of_one_size(alone):
+        falls |= zip(map(tuple, same.tolist()), state.left_out(same).tolist(), strict=True)
+    worst = sorted((own for own in points if own in falls), key=lambda own: -falls[own])[:_SUSPECTS]
+    most = power * state.own.shape[2]
+    sets = [
+        sum(some, ())
+        for count in range(2, _TOGETHER + 1)
+        for some in combinations(worst, count)
+        if sum(map(len, some)) <= most
+    ]
+    together = [np.max(state.left_out(same)) for same in of_one_size(sets)]
+    return state.energy - float(max([*falls.values(), *together], default=0.0))
 
 
 def _surpasses(state: State, rest: State, number: NDArray[np.int_], power: int) -> bool:

@@ -79,6 +79,17 @@ def test_a_stiffness_that_rises_between_points_is_no_body_that_bends(body, state
     assert named >= (2 if body == THREE_HEADS[0] else 3)
 
 
+@pytest.mark.parametrize("body", THREE_HEADS)
+def test_a_fault_of_a_few_points_is_no_drift(body):
+    """A polynomial of the order takes up most of a fault of the first or the last point."""
+    said = []
+    for seed in range(6000, 6006):
+        for fault in ("sign", "position", "names of points", "names of three points"):
+            reading = scattered(draw(seed, body, fault, lines=60), seed)
+            said += [(seed, fault) for _ in drifting_motion(suspected(reading))]
+    assert said == []
+
+
 def test_degrees_of_freedom_are_whole_numbers():
     """On 5 points 3 directions are left beside a drift: rounding decided whether that is enough."""
     for seed in range(8):
