@@ -263,11 +263,22 @@ class _Diagnose:
         return _diagnosis([spread], first, first) if spread else _diagnosis(findings, first, search, kept)
 
     def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
-        """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
+        """Return a fault at one place that with a few others leaves nothing, instead of a body that bends."""
         for other in bending.rivals:
-            if other.fault is not None and self.after(data, other, findings).clean():
+            if other.fault is not None and self._ends_clean(data, [*findings, other]):
                 return other
         return bending
+
+    def _ends_clean(self, data: Packed, findings: list[Finding]) -> bool:
+        """Return whether the last of the findings leaves nothing, or a few faults that leave nothing."""
+        search = self.after(data, findings[-1], findings)
+        while not search.clean():
+            culprit = search.best()
+            if culprit is None or culprit.kind == "flexible" or len(findings) >= self.most:
+                return False
+            findings = [*findings, culprit]
+            search = self.after(search.data, culprit, findings)
+        return True
 
     def _many(self, first: Search, last: Search, findings: list[Finding], otherwise: Finding) -> Diagnosis:
         """Return what explains a misfit at many places."""
