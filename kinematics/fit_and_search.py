@@ -12,7 +12,8 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.body_search import search_body
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import NEXT, Diagnosis, most_findings, too_large
+from kinematics.faults.diagnose import NEXT, most_findings, too_large
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding
 from kinematics.faults.judges.explain import explain_misfit
 from kinematics.faults.judges.row_labels import find_mislabelled

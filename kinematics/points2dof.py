@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import Correction, correction_notices, shown
-from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.judges.line_order import order_notices, put_in_order, reordered_bodies
 from kinematics.faults.judges.phase_convention import phase_notice
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices

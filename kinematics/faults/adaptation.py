@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.faults.catalogue import KINDS, Fault
-from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.fit.beams import observability
 from kinematics.fit.rigid_fit import LineFit

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import Diagnosis, diagnose, most_findings
+from kinematics.faults.diagnose import diagnose, most_findings
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding
 from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.fit.body_noise import fit_with_noise

@@ -9,15 +9,15 @@ others gone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.estimated_weights import equalise_noise
 from kinematics.faults.findings import Finding, apply_finding, correct_findings, is_redundant
-from kinematics.faults.flexible_body import Structure, no_structure
+from kinematics.faults.flexible_body import no_structure
 from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.faults.noise_size import channel_noise
 from kinematics.faults.nuisance import (
@@ -53,52 +53,6 @@ _MOST_POINTS = 1000
 _MOST_PAIRED, _TRIED, _EXPLAINED = 600, 3, 0.9
 # What each parameter of a single fault, and the choice of its place, costs of log likelihood next to these.
 _PER_PARAMETER = 5.0
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What was found in one body and run.
-
-    Attributes
-    ----------
-    findings : tuple of Finding
-        One per culprit; empty when the body moves rigidly within its noise.
-    energy : ndarray, (channel,)
-        Leverage-corrected mean residual energy of each channel in units of its stated noise, with the
-        culprits left out for the other channels.
-    level : float
-        Median of the energies that remain: 1 when the stated noise is right.
-    structure : Structure
-        Of the residuals that remain.
-    lines : ndarray, (channel,)
-        Number of complex values behind each energy.
-    offsets_m : ndarray, (channel, 3)
-        Most probable errors of the positions, of those with a stated sd.
-    kept : float
-        Share of the misfit beyond noise that the first finding leaves by itself, 0 to 1; 1 without a finding,
-        when that concerns all beams, and when the body is not rigid; 0 for two faults that hid each other.
-    course : ndarray, (freq,), or None
-        Of noise that is not stated, where it has one; see ``noise_course``.
-    """
-
-    findings: tuple[Finding, ...]
-    energy: Array
-    level: float
-    structure: Structure
-    lines: NDArray[np.int64]
-    offsets_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    kept: float = 1.0
-    course: Array | None = None
-
-    @property
-    def bends(self) -> bool:
-        """Whether the body moves by more than rigid motions and noise, and nothing else explains it."""
-        return any(finding.kind == "flexible" for finding in self.findings)
-
-    @property
-    def level_matters(self) -> bool:
-        """Whether the level is known well enough to differ from 1."""
-        return float(np.sum(self.lines)) * (self.level - 1.0) ** 2 > 16.0
 
 
 def too_large(body: BodyChannels, known: bool) -> bool:

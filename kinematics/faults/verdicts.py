@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.faults.catalogue import ADVICE
-from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.arrays import Array

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kinematics.faults.catalogue import OF_MANY
-from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_errors import LaserErrors
 from kinematics.registration.laser_estimate import UNLIKELY

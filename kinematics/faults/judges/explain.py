@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.faults.alternatives import BENDS, Proposal, proposed
-from kinematics.faults.diagnose import Diagnosis, diagnose
+from kinematics.faults.diagnose import diagnose
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding
 from kinematics.faults.laser_scatter import LaserScatter
 from kinematics.faults.proposals.misfitting_body import MisfittingBody

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.alternatives import Proposal, proposed
-from kinematics.faults.diagnose import Diagnosis, diagnose
+from kinematics.faults.diagnose import diagnose
+from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding
 from kinematics.faults.proposals.clean_motion import CleanMotion, Lines, chosen_lines, fit_clean_motion
 from kinematics.faults.proposals.row_places import Place, Rows
