@@ -1,4 +1,7 @@
-"""The table of exports: each is a module of ct_inertia.exports and one line here."""
+"""The table of exports: each is a module of ct_inertia.exports and one line here.
+
+A module has ``UNITS`` and ``write(body, folder)``, which returns the names of its files.
+"""
 
 from __future__ import annotations
 

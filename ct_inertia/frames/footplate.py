@@ -2,7 +2,7 @@
 
 The definition. On the surface, let n be the outward normals diffused over 0.05 mm, and for a direction y
 let the medial face F(y) be the connected part of the footplate where n lies within 60 degrees of -y
-(`FACE_ANGLE_DEG`). Then
+(`footplate_face.FACE_ANGLE_DEG`). Then
 
 * y is the normal of the robust plane of F(y), pointing into the body (lateral, towards the head): a fixed
   point, found by iteration;

@@ -19,7 +19,7 @@ _NEAR_DEG = 10.0
 _REFINED = 3
 # Edge of the cells that pool triangles, in diameters of the body: a quarter of the slab of a face.
 _CELL = 0.02
-_CONE_DEG = calibrated("footplate_search.cone_deg")
+_SEARCH_CONE_DEG = calibrated("footplate_search.cone_deg")
 _SLAB = calibrated("footplate_search.slab")
 _OTHER_DEG = calibrated("footplate_search.other_deg")
 
@@ -81,7 +81,7 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
 def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:
     """Return the area (n,) of the face that each direction (n, 3) sees at the extremity of the body."""
     centres, normals, areas = pieces
-    cosine, slab = np.cos(np.radians(_CONE_DEG)), _SLAB * extent_mm
+    cosine, slab = np.cos(np.radians(_SEARCH_CONE_DEG)), _SLAB * extent_mm
     scores = np.zeros(len(directions))
     for number, direction in enumerate(directions):
         height = centres @ direction

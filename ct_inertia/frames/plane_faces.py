@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ct_inertia.frames.footplate import SurfaceLike
 
 
-_CONE_DEG = calibrated("plane_faces.cone_deg")
+_PLATE_CONE_DEG = calibrated("plane_faces.cone_deg")
 _LAYER_MM = calibrated("plane_faces.layer_mm")
 # Bins of height; the layer with most area is looked for in three of them at a time.
 _BIN_MM = 0.5 * _LAYER_MM
@@ -174,7 +174,7 @@ def _largest(pieces: _Pieces, directions: Array) -> tuple[PlaneFace | None, NDAr
     """Return the largest plane face among the pieces, and which of them it takes up."""
     areas = pieces.areas
     pooled = np.bincount(pieces.direction, areas, minlength=len(directions))
-    cosine = np.cos(np.radians(_CONE_DEG))
+    cosine = np.cos(np.radians(_PLATE_CONE_DEG))
     near = directions @ directions.T > cosine
     normal = directions[int(np.argmax(near @ pooled))]
     for _ in range(3):

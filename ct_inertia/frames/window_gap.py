@@ -29,8 +29,8 @@ _STEP_MM = 0.06
 _FARTHEST_MM = 0.25
 # Heights of rim and wall above the lowest point of the outline and below it, mm: the window's depth.
 _HEIGHT_MM, _BELOW_MM = 0.45, 0.3
-# A surface looks at the wall within 60 degrees of the outward direction of the rim, half open like the cone
-# in which the medial face is cut.
+# Cosine of the angle, 60 degrees, within which a surface looks at the wall. It is not that of the cone
+# in which the medial face is cut (`footplate_face.FACE_ANGLE_DEG`), which is a definition.
 _FACING = 0.5
 # Share of the points of the rim at a place, the nearest to the wall, whose mean distance is the gap there:
 # the least distance alone would be too small by the noise of the surfaces.

@@ -1,4 +1,4 @@
-"""The catalogue of faults with a size: each kind is one entry, and all that search and report know of it.
+"""The catalogue of faults with a size: each kind is one entry, from its tangents to its sentence.
 
 To add a kind, add an entry to KINDS; what has no size is an entry of ``alternatives.ALTERNATIVES``.
 """
@@ -40,7 +40,7 @@ class Kind:
     owners : tuple of str
         What can have it: ``channel``, ``point``, ``laser`` (all beams of one direction), ``body``.
     tangents : tuple of int
-        How the readings change with each parameter; see ``state``.
+        How the readings change with each parameter: out of REAL to AXES of ``score_information``.
     prior : tuple of float
         How large each parameter commonly is; lengths in levers of the body.
     sentence : callable
@@ -58,10 +58,10 @@ class Kind:
     lengths : bool
         ``prior`` and ``largest`` are in levers of the body.
     like : str
-        The kind whose statement it is, too; empty for its own.
+        Another kind that says the same of a channel: the two are not reported as different; empty for none.
     code, step : str
-        Of the verdict that has the name of this kind: its warning, and what to do; empty of a kind whose
-        sentences have other verdicts.
+        Code of the warning, and what to do, where the name of this kind is a verdict; empty where its
+        sentences give other verdicts, whose warnings are in ``ADVICE``.
     """
 
     owners: tuple[str, ...]

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from kinematics.faults.catalogue import OF_MANY
+from kinematics.faults.catalogue import KINDS, OF_MANY
 from kinematics.faults.diagnosis import Diagnosis
+from kinematics.faults.laser_scatter import OF_LASERS
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_errors import LaserErrors
 from kinematics.registration.laser_estimate import UNLIKELY
@@ -15,7 +16,8 @@ from kinematics.registration.prior_errors import shown
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
-_LASER_KINDS = ("gain", "phase", "delay")
+# Kinds of fault that are an error of gain, phase or delay.
+_LASER_KINDS = {name for name, kind in KINDS.items() if set(kind.tangents) <= set(OF_LASERS)}
 
 
 def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], list[int]]:

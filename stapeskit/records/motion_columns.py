@@ -1,4 +1,7 @@
-"""The names of the columns of dof.csv."""
+"""The header of dof.csv: the names of its columns for the degrees of freedom that were chosen.
+
+A column is an entry of ``motion.ROW_COLUMNS``.
+"""
 
 from __future__ import annotations
 

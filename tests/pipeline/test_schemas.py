@@ -9,6 +9,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from fitting.estimators import ESTIMATORS
+
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
 
 
@@ -22,6 +24,10 @@ def test_results_obey_their_schema(name, finished):
     checker = jsonschema.Draft202012Validator(schema(name))
     checker.check_schema(schema(name))
     checker.validate(content)
+
+
+def test_the_schema_names_every_estimator():
+    assert schema("kd")["properties"]["estimator"]["enum"] == list(ESTIMATORS)
 
 
 def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):
