@@ -29,7 +29,7 @@ PATIENCE_S = 0.7
 """How long an interrupted command may take to leave by itself."""
 
 # Objects made before Python looks for garbage again. Imports and figures make some 10^5 that live to the
-# end; with Python's own number, 700, the search takes a twelfth of a command's time.
+# end; with Python's own number, 700, the search takes some 5 to 10 % of a command's time.
 _GARBAGE_AFTER = 50_000
 _STARVED = "not enough memory; crop the scan with --box or close other programs."
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))

@@ -1,4 +1,4 @@
-"""The interface of the estimators and their linear algebra; all are scaled (`model.scaled_lines.Scale`)."""
+"""The interface of the estimators and their linear algebra, in scaled units (`model.scaled_lines.Scale`)."""
 
 from __future__ import annotations
 

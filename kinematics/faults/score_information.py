@@ -168,8 +168,8 @@ class State:
     def free(self) -> Array:
         """Return the residual degrees of freedom (group,) of a complex column: whole numbers.
 
-        A sum of leverages is one but for rounding, which must not decide where a number is compared with
-        another.
+        The sum of leverages is rounded: its last digits depend on the processor, which a comparison with a
+        limit must not.
         """
         used = np.sum(self.data.weight > 0.0, axis=1)
         return np.maximum(np.round(used - np.sum(np.abs(self.span) ** 2, axis=(1, 2))), 0.0)

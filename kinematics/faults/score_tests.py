@@ -15,9 +15,10 @@ from kinematics.faults.score_information import AXES, State
 from kinematics.fit.laser_groups import laser_channels
 from stapeskit.arrays import Array
 
-# Share of the largest information below which parameters are not seen.
+# Share of the largest information below which parameters are not seen: rounding.
 _NO_INFORMATION = 1e-9
-# Leverage above which the residual of a channel shows nothing.
+# Leverage above which the residual of a channel shows nothing: a fiftieth of a fault is left, and over the
+# noise that is left with it a seventh.
 UNSEEN = 0.98
 
 

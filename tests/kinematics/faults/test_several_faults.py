@@ -54,6 +54,13 @@ def test_both_of_two_faults_are_named_next_to_lasers_that_scatter(fault):
     assert accused(reading, True) == reading.expected  # never when a body that bends counted as two faults
 
 
+@pytest.mark.parametrize("seed", [6000, 6002])
+def test_a_misplaced_point_and_a_gain_next_to_lasers_are_no_body_that_bends(seed):
+    """Neither fault alone leaves nothing."""
+    reading = draw(seed, "rod, 8 points, 2-3 heads", "gain 6 % + position", lines=60)
+    assert accused(scattered(reading, seed), True) == reading.expected
+
+
 def test_a_second_fault_of_channels_that_are_left_out_is_found():
     """Exchanged names leave both points out, and with them the gain of one of their channels."""
     body = "shell, 12 points, 3 heads"
