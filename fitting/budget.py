@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fitting.damping_laws import LawFit
 from fitting.estimators.problem import Problem
+from fitting.law_fits import LawFit
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.model import modes
 from fitting.model.parameter_vector import entry_names, join, matrix, split, vector

@@ -13,7 +13,14 @@ from fitting.budget import budget_of, without_rounding
 from fitting.calibrated import calibrated
 from fitting.causes.diagnosis import model_error
 from fitting.causes.model_error import minimum_error
-from fitting.damping_laws import (
+from fitting.errors import FittingError
+from fitting.estimators.base import EstimatorOptions
+from fitting.estimators.multistart import improve
+from fitting.estimators.problem import Problem
+from fitting.fluid_mass import FLUID, choose_fluid
+from fitting.inplane_load import AUTO, LOAD, InplaneChoice, choose_inplane_load
+from fitting.kd_fit import KDFit
+from fitting.law_fits import (
     LawFit,
     best_of_each,
     fit_at,
@@ -23,13 +30,6 @@ from fitting.damping_laws import (
     start_of_law,
     with_ligament,
 )
-from fitting.errors import FittingError
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.multistart import improve
-from fitting.estimators.problem import Problem
-from fitting.fluid_mass import FLUID, choose_fluid
-from fitting.inplane_load import AUTO, LOAD, InplaneChoice, choose_inplane_load
-from fitting.kd_fit import KDFit
 from fitting.ligament.joint_lines import JointLines, joint_lines
 from fitting.ligament.ligament import NotWithin, applies
 from fitting.ligament.misfit import is_explained

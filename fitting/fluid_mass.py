@@ -13,8 +13,8 @@ from fitting.causes.catalogue import title_of
 from fitting.causes.diagnosis import Diagnosis, diagnose, with_corrected, with_refits
 from fitting.causes.model_error import law_error
 from fitting.causes.refits import Refit
-from fitting.damping_laws import LawFit, best_of_each, fits_of_laws, rescale_bic, start_of_law, with_ligament
 from fitting.errors import FittingError
+from fitting.law_fits import LawFit, best_of_each, fits_of_laws, rescale_bic, start_of_law, with_ligament
 from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament import NotWithin
 from fitting.ligament.misfit import is_explained

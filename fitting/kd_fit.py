@@ -10,11 +10,11 @@ import numpy as np
 
 from fitting.budget import Budget, Derived, derived_quantities
 from fitting.causes.diagnosis import Diagnosis
-from fitting.damping_laws import LawFit, indistinguishable_laws
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
 from fitting.fluid_mass import FluidChoice
 from fitting.inplane_load import InplaneChoice
+from fitting.law_fits import LawFit, indistinguishable_laws
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.model import Modes, passive

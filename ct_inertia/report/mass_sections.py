@@ -10,6 +10,7 @@ import numpy as np
 from ct_inertia.mass.budget import mass_sd_missing
 from ct_inertia.mass.mass_estimates import WORDS
 from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import MASS, SMALL_LENGTH
 
 if TYPE_CHECKING:
@@ -85,8 +86,8 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
 def _with_sd(mass_kg: float, sd_kg: float | None) -> str:
     """Return a mass with its standard deviation; None: it has none of its density, calibration or balance."""
     if sd_kg is None:
-        return f"{MASS.of(mass_kg):.4f} (sd not stated)"
-    return f"{MASS.of(mass_kg):.4f} ± {MASS.of(sd_kg):.2g}"
+        return f"{MASS.of(mass_kg):.5g} (sd not stated)"
+    return plus_minus(MASS.of(mass_kg), MASS.of(sd_kg))
 
 
 def cross_check_section(content: Mapping[str, Any]) -> page.Section:

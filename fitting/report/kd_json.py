@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.damping_laws import LawFit
 from fitting.kd_fit import KDFit
+from fitting.law_fits import LawFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.model.model import NORMALISATION
 from fitting.model.parameter_vector import split

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.damping_laws import LawFit
 from fitting.kd_fit import KDFit
+from fitting.law_fits import LawFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.parameter_vector import join, split

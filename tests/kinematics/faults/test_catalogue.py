@@ -9,6 +9,7 @@ import pytest
 
 from kinematics.faults.alternatives import proposed
 from kinematics.faults.catalogue import ADVICE, KINDS, Fault
+from kinematics.faults.findings import Finding
 from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
 from kinematics.faults.packed_readings import Source, initial, packed
 from kinematics.faults.proposals.exchanges import Layout
@@ -42,12 +43,19 @@ def test_every_verdict_has_a_warning_of_the_table_and_a_step():
     for verdict, (code, step) in ADVICE.items():
         assert step.endswith(".")
         assert code in table() or verdict in ("zeros", "unused")
-    assert {name for name, kind in KINDS.items() if not kind.code} == {
-        "phase",
-        "delay",
-        "phase_offset",
-        "axes",
-    }
+
+
+@pytest.mark.parametrize(("name", "owner"), PLACES)
+@pytest.mark.parametrize("sd", [1e-3, 1.0])
+def test_every_kind_is_told_as_a_verdict_that_has_a_warning(name, owner, sd):
+    described = body("stapes", scene(20))
+    for size in (0.1, -2.0, np.pi):
+        parameters = size / 0.1 * small(name)
+        fault, covariance = Fault(name, owner, CHANNELS[owner]), sd**2 * np.eye(len(parameters))
+        fit = Finding(name, fault.channels, fault=fault, parameters=parameters, covariance=covariance)
+        verdict, estimate = KINDS[name].sentence(fit, described)
+        assert ADVICE[verdict][0] in table()
+        assert estimate
 
 
 @pytest.mark.parametrize(("name", "owner"), PLACES)
