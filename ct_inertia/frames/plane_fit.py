@@ -195,9 +195,10 @@ def _share_beyond_blur(
     for other in others:
         if other.at_border:
             continue
-        height = other.distance(feet)[:, None] + index * float(step @ other.normal)
-        near = np.flatnonzero(height.max(axis=1) > -_NEAR * sigma_mm)
-        left[near] *= _blurred_step(height[near] / sigma_mm)
+        foot, slope = other.distance(feet)[:, None], float(step @ other.normal)
+        highest = (foot + index[:, [0, -1]] * slope).max(axis=1)
+        near = np.flatnonzero(highest > -_NEAR * sigma_mm)
+        left[near] *= _blurred_step((foot[near] + index[near] * slope) / sigma_mm)
     return left
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.grey_scale import bend_of_scale, with_bent_scale
-from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.neighbours import away_from_others
 from ct_inertia.grey.partial_volume import with_contribution
@@ -174,7 +173,6 @@ def bare_bone(
     spacing = volume.spacing_mm
     air, distance, reach = ready.air, ready.distance_mm, ready.reach_mm
     contrast = bone.level - air.level
-    rim = grow_mask(grow_mask(ready.cut.stapes))
     cut, face, displaced = _without_plate(volume, ready, (air.level, guess.plastic, blur[0]), bone.level)
     if face is not None and abs(face.face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.face.sigma_mm, _FACE_BLUR_SD * face.face.sigma_mm, "face of the plate")
@@ -204,7 +202,7 @@ def bare_bone(
         soft = subtract_soft_tissue(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
         # Edges in something soft are less high and looked blurred otherwise: once more without it.
-        clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
+        clear = blur_of(replace(cut, grey=soft.grey), ready.rim, (air.level, bone.level), spacing, air.noise)
         if not fitted and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
             blur = clear
             soft = taken_off(cut, (distance, away), reach, spacing, (air, bone.level), blur[0])

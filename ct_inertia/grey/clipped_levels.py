@@ -117,8 +117,8 @@ def clipped_levels(
     store = quantisation_of(ones)
     if store.step > _MOST_STEP * (store.high - store.low):
         return None
-    low, inside = ones[shell].astype(float), ones[around.bone].astype(float)
-    low = low[:: max(1, low.size // _SAMPLE)]
+    outside, inside = ones[shell], ones[around.bone]
+    low = outside[:: max(1, outside.size // _SAMPLE)].astype(float)
     if low.size < _LEAST or inside.size < _LEAST:
         return None
     piled = store.clips_low and _share_at(low, store.low) > _PILE

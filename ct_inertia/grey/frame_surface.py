@@ -61,8 +61,9 @@ def frame_surface(share: NDArray[np.float32], scan_from_index: Array, sigma_mm: 
     """
     part, transform, variance = coarse_share(share, scan_from_index)
     surface = iso_surface(straightened(part), 0.0, transform)
-    shift = thin_wall_shift(surface, part, transform, float(np.sqrt(sigma_mm**2 + variance)))
-    return FrameSurface(_lift(surface, shift), blur_on_grid(sigma_mm, transform, variance), shift)
+    normals = vertex_normals(surface)
+    shift = thin_wall_shift(surface, normals, part, transform, float(np.sqrt(sigma_mm**2 + variance)))
+    return FrameSurface(_lift(surface, shift, normals), blur_on_grid(sigma_mm, transform, variance), shift)
 
 
 def coarse_share(
@@ -99,8 +100,8 @@ def blur_on_grid(sigma_mm: float, transform: Array, variance_mm2: float) -> floa
     return float(np.sqrt(sigma_mm**2 + variance_mm2 + chords))
 
 
-def _lift(surface: Surface, shift_mm: Array) -> Surface:
-    return Surface(surface.vertices_mm + shift_mm[:, None] * vertex_normals(surface), surface.faces)
+def _lift(surface: Surface, shift_mm: Array, normals: Array) -> Surface:
+    return Surface(surface.vertices_mm + shift_mm[:, None] * normals, surface.faces)
 
 
 def height_noise_of(noise: float, correlation: float, scan_from_index: Array, blur_mm: float) -> float:
@@ -158,7 +159,7 @@ def doubted_surface(
         known = frame_surface(share + doubt, scan_from_index, sigma_mm)
     elif float(np.mean(known.wall_shift_mm)) < _THIN_WALLS_MM:
         return None
-    return _lift(known.surface, _WALL_SD * known.wall_shift_mm)
+    return _lift(known.surface, _WALL_SD * known.wall_shift_mm, vertex_normals(known.surface))
 
 
 def _crop_to_bone(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:

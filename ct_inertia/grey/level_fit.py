@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled, shape_of
-from ct_inertia.volume.grid_operations import gaussian
+from ct_inertia.volume.grid_operations import dilated, gaussian
 from stapeskit.arrays import Array
 
 Value = TypeVar("Value", bound=np.generic)
@@ -246,15 +246,17 @@ def _quarter(middle: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray
 
 def grow_mask(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
     """Return a mask grown by a voxel in all 26 directions, or in the 6 across faces only."""
+    if not corners:
+        return dilated(mask)
     kernels = compiled()
-    if kernels is not None and corners:
+    if kernels is not None:
         mask = np.ascontiguousarray(mask)
         out = np.empty(mask.shape, dtype=bool)
         checked(kernels.spread(mask.ctypes.data, shape_of(mask), out.ctypes.data))
         return out
     grown = mask.copy()
     for axis in range(3):
-        before = grown.copy() if corners else mask
+        before = grown.copy()
         ahead: list[slice] = [slice(None)] * 3
         back: list[slice] = [slice(None)] * 3
         ahead[axis], back[axis] = slice(1, None), slice(None, -1)

@@ -12,7 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bare_bone import Blur, bare_bone
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.cupping import cupping_notice
-from ct_inertia.grey.level_fit import BodyFit, fit_bodies, grow_mask
+from ct_inertia.grey.level_fit import BodyFit, fit_bodies
 from ct_inertia.grey.levels import Air, Guess, Surroundings
 from ct_inertia.grey.neighbours import NeighbourSeparation, cut_through_bone, separate_from_neighbours
 from ct_inertia.grey.partial_volume import (
@@ -155,8 +155,7 @@ def _bone_and_blur(ready: Prepared, spacing_mm: Array) -> tuple[Bone, Blur, bool
     if ready.stored is not None:
         notices = (*bone.notices, *ready.stored.notices())
         bone = replace(bone, sd=ready.stored.bone_sd(bone.sd), notices=notices)
-    rim = grow_mask(grow_mask(ready.cut.stapes))
-    blur = blur_of(ready.cut, rim, (air.level, bone.level), spacing_mm, air.noise)
+    blur = blur_of(ready.cut, ready.rim, (air.level, bone.level), spacing_mm, air.noise)
     if fit is not None:
         off = 0.5 * abs(blur[0] - fit.sigma_mm)
         sd = max(_FITTED_BLUR_SD * fit.sigma_mm, min(off, _MOST_BLUR_SD * fit.sigma_mm))

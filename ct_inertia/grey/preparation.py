@@ -40,6 +40,8 @@ class Prepared:
         Grey values corrected for storing and for the shape of the point spread.
     around : Surroundings
         The same grey values with masks.
+    rim : ndarray of bool, [z, y, x]
+        The stapes and two voxels around it: where its edges are.
     air : Air
     stored : ClippedLevels or None
         What storing did.
@@ -56,6 +58,7 @@ class Prepared:
 
     cut: Cut
     around: Surroundings
+    rim: NDArray[np.bool_]
     air: Air
     stored: ClippedLevels | None
     overshoot: float
@@ -110,7 +113,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     edges = shapes[-1] if shapes else None
     if grey is cut.grey:
         reach, distance = first.reach_mm, first.distance_mm
-        return Prepared(cut, around, air, stored, 0.0, sigma, reach, distance, edges, ())
+        return Prepared(cut, around, rim, air, stored, 0.0, sigma, reach, distance, edges, ())
     again = _locate(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
     air = replace(again.air, clipped=air.clipped, sd=max(air.sd, again.air.sd))
     long = spacing_mm.max() > _LONG_VOXELS * spacing_mm.min()
@@ -120,6 +123,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     return Prepared(
         cut=again.cut,
         around=again.around,
+        rim=rim,
         air=air,
         stored=stored,
         overshoot=sharp[0].overshoot if sharp else 0.0,

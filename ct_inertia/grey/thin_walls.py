@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.grid_operations import interpolated
 from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
 from stapeskit.arrays import Array
 
@@ -24,13 +25,17 @@ _SMOOTHING = 4
 _LEAST_PLATEAU = 0.55
 
 
-def thin_wall_shift(surface: Surface, share: NDArray[np.float32], transform: Array, blur_mm: float) -> Array:
+def thin_wall_shift(
+    surface: Surface, normals: Array, share: NDArray[np.float32], transform: Array, blur_mm: float
+) -> Array:
     """Return by how much each vertex (n,) lies too deep, mm, along its outward normal.
 
     Parameters
     ----------
     surface : Surface
         The half level of ``share``.
+    normals : ndarray, (n, 3)
+        Its `vertex_normals`.
     share : ndarray of float32, [z, y, x]
     transform : ndarray, (4, 4)
         Index x, y, z of the share to scan coordinates, mm.
@@ -44,7 +49,6 @@ def thin_wall_shift(surface: Surface, share: NDArray[np.float32], transform: Arr
     At the edge of a plate the inward normal runs within it: its grey value p < 1 there puts the half level
     where p Phi(x / b) = 1/2.
     """
-    normals = vertex_normals(surface)
     seen, most = _seen_thickness(surface.vertices_mm, normals, share, transform, blur_mm)
     true, lost = _lost_thickness()
     shift = np.interp(seen / blur_mm, true - 2.0 * lost, lost, left=float(lost[0]), right=0.0) * blur_mm
@@ -93,43 +97,18 @@ def _seen_thickness(
 ) -> tuple[Array, Array]:
     """Return how far the half level is along the inward normals (n,), mm, infinite where far; and the most.
 
-    The most (n,) is the largest share between 1.5 widths of the blur behind the surface and that end.
+    The most (n,) is the largest share beyond 1.5 widths of the blur behind the surface.
     """
     back = np.linalg.inv(transform)
-    start = points_mm @ back[:3, :3].T + back[:3, 3]
-    along = -normals @ back[:3, :3].T
-    step = _STEP * blur_mm
-    seen = np.full(len(points_mm), np.inf)
-    open_ = np.arange(len(points_mm))
-    before, most = np.full(len(points_mm), 0.5), np.zeros(len(points_mm))
-    for k in range(1, int((_THICK + 1.0) / _STEP)):
-        now = _sample(share, start[open_] + (k * step) * along[open_])
-        # Noise right behind the surface is no second face.
-        ends = (now < 0.5) & (k * step > 0.5 * blur_mm)
-        which = open_[ends]
-        part = (before[which] - 0.5) / np.maximum(before[which] - now[ends], 1e-6)
-        seen[which] = (k - 1 + np.clip(part, 0.0, 1.0)) * step
-        before[open_] = now
-        if k * step > 1.5 * blur_mm:
-            most[open_] = np.maximum(most[open_], now)
-        open_ = open_[~ends]
-    return seen, most
-
-
-def _sample(share: NDArray[np.float32], index: Array) -> Array:
-    """Return a field [z, y, x] at places (n, 3), index x, y, z, by trilinear interpolation; 0 outside."""
-    size = np.array(share.shape[::-1])
-    inside = np.all((index >= 0.0) & (index < size - 1.000001), axis=1)
-    place = np.where(inside[:, None], index, 0.0)
-    low = place.astype(np.intp)
-    away = place - low
-    flat, rows, columns = share.ravel(), share.shape[1] * share.shape[2], share.shape[2]
-    first = low[:, 2] * rows + low[:, 1] * columns + low[:, 0]
-    total = np.zeros(len(index))
-    for k in range(8):
-        dx, dy, dz = k & 1, k >> 1 & 1, k >> 2 & 1
-        weight = np.ones(len(index))
-        for axis, d in enumerate((dx, dy, dz)):
-            weight *= away[:, axis] if d else 1.0 - away[:, axis]
-        total += weight * flat[first + dz * rows + dy * columns + dx]
-    return np.where(inside, total, 0.0)
+    start = (points_mm @ back[:3, :3].T + back[:3, 3])[:, ::-1]
+    along = (-normals @ back[:3, :3].T)[:, ::-1]
+    depth = np.arange(1, int((_THICK + 1.0) / _STEP)) * (_STEP * blur_mm)
+    places = start + depth[:, None, None] * along
+    shares = interpolated(share, places.reshape(-1, 3)).reshape(places.shape[:2])
+    # Noise right behind the surface is no second face.
+    beyond = (shares < 0.5) & (depth > 0.5 * blur_mm)[:, None]
+    first = np.argmax(beyond, axis=0)
+    before, now = (shares[k, np.arange(len(start))] for k in (np.maximum(first - 1, 0), first))
+    part = np.clip((before - 0.5) / np.maximum(before - now, 1e-6), 0.0, 1.0)
+    seen = np.where(beyond.any(axis=0), (first + part) * (_STEP * blur_mm), np.inf)
+    return seen, np.max(shares[depth > 1.5 * blur_mm], axis=0)

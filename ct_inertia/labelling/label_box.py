@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
+from ct_inertia.grey.level_fit import grow_mask
 from ct_inertia.grey.measure_stapes import Measured
 from ct_inertia.native import compiled, shape_of
 from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
@@ -113,7 +114,7 @@ def _make_region(
 ) -> _Region:
     """Make a region of a coarse mask in a box, grown by one voxel; coarse voxels are the middle of steps."""
     wide = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in box)
-    cells = _grow(mask[wide])
+    cells = grow_mask(mask[wide])
     # What the steps leave over at the end of the scan belongs to the last cell.
     ends = [part.stop >= n for part, n in zip(wide, mask.shape, strict=True)]
     cells = np.pad(cells, [(0, int(end)) for end in ends], mode="edge")
@@ -129,7 +130,7 @@ def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:
     first = cut.first if cut.working is None else cut.working.first
     quiet = not is_noisy(measured.levels.noise / measured.levels.contrast)
     if np.any(block > 1) and quiet:
-        cells = _grow(cells) & measured.own
+        cells = grow_mask(cells) & measured.own
     box = used_box(cells) or (slice(0, 1),) * 3
     if np.any(block > 1) and quiet:
         share = measured.share[box] - np.float32(level)
@@ -226,16 +227,3 @@ def _floor_to_type(limit: float | NDArray[np.float32], dtype: np.dtype[Any]) -> 
     info = np.iinfo(dtype)
     floor = np.floor(np.asarray(limit, dtype=float))
     return np.clip(floor, info.min, min(info.max, 2.0**53)).astype(dtype.newbyteorder("="))
-
-
-def _grow(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Grow a mask by one voxel in all directions, edges and corners included."""
-    grown = mask
-    for axis in range(3):
-        wider = grown.copy()
-        ahead, back = [slice(None)] * 3, [slice(None)] * 3
-        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
-        wider[tuple(ahead)] |= grown[tuple(back)]
-        wider[tuple(back)] |= grown[tuple(ahead)]
-        grown = wider
-    return grown

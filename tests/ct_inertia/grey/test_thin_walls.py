@@ -35,7 +35,7 @@ def test_a_plate_is_shifted_out_to_its_thickness(widths):
     share = disc(thickness).astype(np.float32)
     surface = surface_of(share)
     transform = np.diag([SPACING, SPACING, SPACING, 1.0])
-    shift = thin_wall_shift(surface, share, transform, SIGMA)
+    shift = thin_wall_shift(surface, vertex_normals(surface), share, transform, SIGMA)
     middle = 0.5 * (np.array([80, 80, 24]) - 1) * SPACING
     x, y, _ = (surface.vertices_mm - middle).T
     face = np.hypot(x, y) < 0.3
@@ -46,7 +46,8 @@ def test_a_plate_is_shifted_out_to_its_thickness(widths):
 def test_a_thick_body_is_not_shifted():
     x, y, z = places((60, 60, 60), SPACING)
     share = ball(np.sqrt(x * x + y * y + z * z), 0.45, SIGMA).astype(np.float32)
-    shift = thin_wall_shift(surface_of(share), share, np.diag([SPACING, SPACING, SPACING, 1.0]), SIGMA)
+    surface, transform = surface_of(share), np.diag([SPACING, SPACING, SPACING, 1.0])
+    shift = thin_wall_shift(surface, vertex_normals(surface), share, transform, SIGMA)
     assert np.max(np.abs(shift)) < 0.02 * SIGMA
 
 
