@@ -50,8 +50,6 @@ or
 and, if known, sd_kg_m3 = 30, the standard deviation of a density read off the
 line."""
 
-_ENDINGS = (".nii.gz", ".seg.nrrd", ".ome.tiff", ".ome.tif", ".ome.zarr")
-
 
 def parser() -> Parser:
     """Return the parser of the command."""
@@ -69,13 +67,12 @@ def output_folder(given: ParsedOptions) -> Path:
     """Return ``--out``, or ``<scan name>_mass`` in the current folder."""
     from pathlib import Path
 
+    from ct_inertia.readers.formats import stem_of
+
     if given.out is not None:
         return Path(given.out)
     name = Path(given.scan if given.scan is not None else given.labels).resolve().name
-    for ending in _ENDINGS:
-        if name.lower().endswith(ending):
-            return Path(f"{name[: -len(ending)]}_mass")
-    return Path(f"{Path(name).stem}_mass")
+    return Path(f"{stem_of(name)}_mass")
 
 
 def work(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:

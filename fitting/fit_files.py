@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fitting.calibrated import calibrated
 from fitting.errors import FittingError
 from fitting.export_formats import file_name, json_name
 from fitting.file_chain import check_chain
@@ -84,7 +85,7 @@ def fit_files(
         mass, mass_record = read_mass(mass_path, options.dof)
         motion = read_motion(motion_path)
         chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
-        provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
+        provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters(), calibrated)
     progress("fitting stiffness and damping")
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     progress("drawing the report")
@@ -117,7 +118,7 @@ def plan_files(
     outputs = _outputs(out, [Path(path), mass_file, config], force)
     outputs.check()
     expectation = expect(plan)
-    provenance = record({"plan": path, "mass": mass_file}, {})
+    provenance = record({"plan": path, "mass": mass_file}, {}, calibrated)
     content = plan_json(expectation, provenance)
     html = out.with_suffix(".html")
     with outputs.staged() as folder:

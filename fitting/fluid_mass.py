@@ -22,8 +22,7 @@ from fitting.model.laws import LAWS
 from fitting.model.parameter_vector import join
 from fitting.options import COMPARE, KDOptions
 from stapeskit.option_names import named
-from stapeskit.page.numbers import plus_minus
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MASS, MILLIGRAM
 from stapeskit.warnings import Notice
 
 FLUID, LAW = "fluid", "law_"
@@ -89,7 +88,7 @@ def choose_fluid(
             else "without it K or D is held at the limit of what is positive semidefinite"
         )
         if options.damping == COMPARE and not asked:
-            size = MASS.of(first.terms[FLUID][0])
+            size = MILLIGRAM.of(first.terms[FLUID][0])
             best, compared = _join(compared, _with_fluid(best, plain, measured, options, size))
         diagnosis = _diagnose(best, plain, measured, options, compared)
         return best, diagnosis, _use_fluid(best, options, reason, asked), compared
@@ -131,8 +130,9 @@ def decide_on_fluid(diagnosis: Diagnosis, options: KDOptions) -> tuple[Refit | N
     if laws and not expected:
         return None, f"{' or '.join(laws)} explains the data nearly as well", ()
     if options.cochlea in ("open", "drained"):
+        found = MASS.with_sd(MILLIGRAM.si(refit.size), MILLIGRAM.si(refit.sd))
         text = (
-            f"A mass of fluid of {plus_minus(refit.size, refit.sd)} {MASS.symbol} on the piston deflection "
+            f"A mass of fluid of {found} on the piston deflection "
             f"would lower chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
             f"Check that the window is dry, or use {named('fluid')} y."
         )
@@ -266,7 +266,7 @@ def _refit_of(best: LawFit, other: LawFit, unknowns: float) -> Refit:
 def _refit_with_fluid(best: LawFit, other: LawFit) -> Refit:
     """Return a fit with a mass of fluid, under any law, as a refit of that cause."""
     assert other.ligament is not None  # noqa: S101
-    size, sd = (MASS.of(value) for value in other.ligament.terms[FLUID])
+    size, sd = (MILLIGRAM.of(value) for value in other.ligament.terms[FLUID])
     refit = _refit_of(best, other, 1.0)
     return replace(refit, name=FLUID, size=size, sd=sd)
 

@@ -26,7 +26,7 @@ from fitting.model.parameter_vector import entry_names, split
 from fitting.model.scaled_lines import forward, real_rows
 from fitting.uncertainty.covariance import chi2, degrees
 from stapeskit.arrays import Array
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MILLIGRAM
 
 # Exponents or times at which a law is tried before a joint fit; the fit goes on from the best of them. Chosen
 # by judgement.
@@ -251,7 +251,7 @@ def with_ligament(
     begun = None
     if "fluid" in names:
         parameters, fluid, _ = with_fluid(fit.estimate.parameters, problem.lines())
-        size = MASS.of(fluid * float(problem.scale.root_mass[0]) ** 2)
+        size = MILLIGRAM.of(fluid * float(problem.scale.root_mass[0]) ** 2)
         begun = (parameters, np.array([size if name == "fluid" else 0.0 for name in names]))
 
     def extend(lines: JointLines) -> tuple[Term, ...]:

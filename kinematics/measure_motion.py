@@ -240,6 +240,5 @@ def measure(
         files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
         tied = inputs.source_frame == "vibrometer"
         parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
-        provenance = record(files, parameters, command)
-    provenance["versions"] = {**provenance["versions"], **calibrated.version()}
+        provenance = record(files, parameters, calibrated, command)
     return motion_of(inputs, read, chosen, mass, provenance)

@@ -166,6 +166,7 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write dof.csv, dof.h5 and dof.channels.csv."""
+    from kinematics.calibrated import calibrated
     from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of
     from kinematics.motion_outputs import write_outputs
@@ -174,7 +175,8 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
 
     inputs = motion_inputs(study.ldv)
     parameters = study.ldv.parameters()
-    provenance = record(inputs.by_role, {**parameters, "frames": "of the scan"}, hashes=work.hashes)
+    parameters = {**parameters, "frames": "of the scan"}
+    provenance = record(inputs.by_role, parameters, calibrated, hashes=work.hashes)
     read = measurement_of(study, work)
     result = motion_of(inputs, read, fit_options(study.ldv), work.mass, provenance)
     scenery = result.scenery
@@ -195,6 +197,7 @@ def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write kd.json."""
+    from fitting.calibrated import calibrated
     from fitting.file_chain import check_chain
     from fitting.measure_kd import kd_of
     from stapeskit.provenance import input_record, record
@@ -205,7 +208,7 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
         "motion": work.find("dof.h5"),
         "mass": input_record(mass_file, hashes=work.hashes, document=mass.raw),
     }
-    provenance = record(files, options.parameters(), hashes=work.hashes)
+    provenance = record(files, options.parameters(), calibrated, hashes=work.hashes)
     chain = check_chain(work.motion, "dof.h5", mass, mass_file)
     fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance, chain=chain)
     text = json.dumps(fit.content(), indent=1) + "\n"

@@ -13,10 +13,13 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stapeskit.input_changes import InputStates
 from stapeskit.temporary_folders import files_within
+
+if TYPE_CHECKING:
+    from stapeskit.calibrated import CalibratedNumbers
 
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt: 2 GiB take
 # 0.35 s, by quarters of it 0.41 s, by eight times as much 0.43 s.
@@ -223,6 +226,7 @@ def _version_in_metadata(name: str) -> str | None:
 def record(
     inputs: Mapping[str, Path | Mapping[str, Any] | None],
     parameters: Mapping[str, Any],
+    calibrated: CalibratedNumbers | None,
     command: Sequence[str] | None = None,
     sha256: bool = False,
     hashes: Hashes | None = None,
@@ -235,6 +239,8 @@ def record(
         Files by their role, or for what is in memory the entry itself; None is left out.
     parameters : mapping
         What the user chose and what was chosen for them, JSON-able.
+    calibrated : CalibratedNumbers or None
+        The calibrated numbers of the room that computed the result; None where no such number enters.
     command : sequence of str, optional
         Defaults to the running command line, the program by its name alone.
     sha256 : bool
@@ -243,13 +249,14 @@ def record(
         Content hashes that were begun before; then ``sha256`` is what they were begun with.
     """
     line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
+    packages = versions() if hashes is None else hashes.versions()
     return {
         "inputs": {
             role: dict(source) if isinstance(source, Mapping) else input_record(source, sha256, hashes)
             for role, source in inputs.items()
             if source is not None
         },
-        "versions": versions() if hashes is None else hashes.versions(),
+        "versions": {**packages, **({} if calibrated is None else calibrated.version())},
         "parameters": dict(parameters),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(line),

@@ -67,9 +67,9 @@ def mass_json(
     deviation = matrix.standard_deviation
     places = dof_indices(REDUCED)
     reduced = np.ix_(places, places)
-    provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256, hashes=hashes)
+    inputs, parameters = result.options.inputs, _parameters(result.options)
+    provenance = record(inputs, parameters, calibrated, sha256=sha256, hashes=hashes)
     provenance["kernels"] = which()
-    provenance["versions"] = {**provenance["versions"], **calibrated.version()}
     content = {
         "schema": SCHEMA,
         "density_kg_m3": body.density_kg_m3,

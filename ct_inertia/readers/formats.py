@@ -1,6 +1,7 @@
 """The formats of scans, one entry each; a new format is a module with a function ``read`` and an entry here.
 
-Messages, the help of ``ct2mass``, the table in docs/formats.md and the tests of readers follow from it.
+Messages, the help of ``ct2mass`` and the table in docs/formats.md follow from it. The tests of readers ask
+for a writer (tests/ct_inertia/readers/writers.py) and a case (``contract.py`` there) of every entry.
 """
 
 from __future__ import annotations
@@ -64,13 +65,14 @@ class Format:
         * ``read(path, options: ReadOptions) -> Volume``,
         * ``recognises(path) -> bool`` where ``sniffs`` is not empty: whether the content is of this format,
         * ``companion_files(path) -> list[Path]`` where the scan may lie in several files: those that are read
-          with the one given.
+          with the one given; not asked for folders, which are one input with all that they hold.
     reads : str
         What is read of it, for docs/formats.md.
     suffixes : tuple of str
         Of files, lower case.
     headers : tuple of str
-        Those of them that belong to the header of a separate file of voxels.
+        Those of them that belong to the header of a separate file of voxels: raw voxels beside such a
+        header are read as it says.
     sniffs : tuple of str
         ``file`` and ``folder``: recognised by content, in the order of the table, where no suffix decides.
     placed : bool
@@ -126,6 +128,7 @@ RAW = Format(
     "or as a header in their folder says",
     (".raw", ".vol", ".bin", ".dat", ".img"),
 )
+# In this order a file or a folder is recognised by its content; the last entry takes every folder.
 FORMATS = (
     Format(
         "TIFF",
@@ -201,6 +204,13 @@ FORMATS = (
 )
 
 
+def stem_of(name: str) -> str:
+    """Return the name of a scan without its endings: ``ear`` of ``ear.nii.gz`` and of ``ear.ome.tif``."""
+    endings = [suffix for entry in FORMATS for suffix in entry.suffixes if name.lower().endswith(suffix)]
+    stem = name[: len(name) - len(max(endings, key=len, default=Path(name).suffix))]
+    return Path(stem).stem if stem.lower().endswith((".ome", ".seg")) else stem
+
+
 def format_of(path: Path, raw: RawLayout | None = None) -> Format:
     """Return the format of a file or folder: raw voxels where a layout is given, by suffix, or by content.
 
@@ -210,7 +220,6 @@ def format_of(path: Path, raw: RawLayout | None = None) -> Format:
         No format of the table.
     """
     if path.is_dir():
-        # The last entry takes every folder.
         return next(entry for entry in FORMATS if entry.recognises(path))
     if raw is not None:
         return RAW

@@ -10,7 +10,7 @@ import numpy as np
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.ome import Calibration, ome_calibration
-from ct_inertia.readers.tiff_directories import check_directories, check_ome_files
+from ct_inertia.readers.tiff_directories import check_directories, check_ome_files, ome_file_names
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import first_stack, stack_array, turned_notice, white_is_zero
 from ct_inertia.volume.lazy_arrays import invert_grey_values
@@ -52,6 +52,15 @@ def read(path: Path, options: ReadOptions) -> Volume:
     spacing, settled = settle_spacing(place.spacing_mm, options.spacing_mm, path.name, place.known)
     volume = Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
     return volume.mirrored(options.mirror)
+
+
+def companion_files(path: Path) -> list[Path]:
+    """Return the files that hold the planes of an OME-TIFF, where its metadata name them."""
+    import tifffile
+
+    with listening(path, "TIFF"), tifffile.TiffFile(path) as tif:
+        names = ome_file_names(tif.ome_metadata if tif.is_ome else None)
+    return [path.parent / name for name in names if "\0" not in name]
 
 
 def _calibration(tif: tifffile.TiffFile, page: Any) -> Calibration:

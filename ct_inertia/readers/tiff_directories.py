@@ -73,6 +73,14 @@ def _next_directory(stream: BinaryIO, offset: int, order: str, big: bool) -> int
     return int(following)
 
 
+def ome_file_names(xml: str | None) -> list[str]:
+    """Return the names of the files over which OME metadata spread an image, each once."""
+    from html import unescape
+
+    names = re.findall(r'FileName\s*=\s*["\']([^"\']*)["\']', xml or "")
+    return [unescape(name) for name in dict.fromkeys(names)]
+
+
 def check_ome_files(path: Path, xml: str | None, follow: bool) -> None:
     """Refuse OME metadata that name files outside the folder.
 
@@ -81,5 +89,5 @@ def check_ome_files(path: Path, xml: str | None, follow: bool) -> None:
     CtInertiaError
         A name leads out of the folder of the file, and ``follow`` is False.
     """
-    for name in set(re.findall(r'FileName\s*=\s*["\']([^"\']*)["\']', xml or "")):
+    for name in ome_file_names(xml):
         beside(path, name, follow)

@@ -27,7 +27,7 @@ from fitting.causes.setting import Applied, Apply, Setting
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
 from stapeskit.arrays import Array
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MILLIGRAM
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 _HOLDER_QUALITY = 10.0
@@ -165,7 +165,7 @@ def _fluid(places: tuple[int, ...]) -> Callable[[Setting], Apply]:
         unit = np.zeros((3, 3))
         for place in places:
             arm = 1.0 if place == 0 else 1e-6
-            unit[place, place] = MASS.si(1.0) * arm / setting.lines.root_mass[rows[place]] ** 2
+            unit[place, place] = MILLIGRAM.si(1.0) * arm / setting.lines.root_mass[rows[place]] ** 2
 
         def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
             before = 0.0 if equations.fluid is None else equations.fluid
@@ -264,23 +264,23 @@ CAUSES: dict[str, Cause] = {
     "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gain)),
     "fluid": Cause(
         "a mass of fluid that moves with the piston deflection",
-        MASS.symbol,
-        MASS.si(1.0),
+        MILLIGRAM.symbol,
+        MILLIGRAM.si(1.0),
         _fluid((0,)),
-        starts=(0.0, MASS.of(3e-6)),
+        starts=(0.0, MILLIGRAM.of(3e-6)),
         positive=True,
     ),
     "head_mass": Cause(
         "a mass at the head of the stapes",
-        MASS.symbol,
-        MASS.si(1.0),
+        MILLIGRAM.symbol,
+        MILLIGRAM.si(1.0),
         head_mass,
-        example=MASS.of(1e-7),
-        starts=(0.0, MASS.of(4e-6)),
+        example=MILLIGRAM.of(1e-7),
+        starts=(0.0, MILLIGRAM.of(4e-6)),
         nuisances=(HEAD_PLACE,) * 3,
         moves=head_moves,
         positive=True,
-        usual=MASS.of(calibrated("causes.usual_head_mass_kg")),
+        usual=MILLIGRAM.of(calibrated("causes.usual_head_mass_kg")),
     ),
     "centre_x": _centre_cause("x"),
     "centre_y": _centre_cause("y"),

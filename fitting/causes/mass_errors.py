@@ -12,7 +12,7 @@ from fitting.causes.setting import Applied, Apply, Setting
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_lines import JointLines
 from stapeskit.arrays import Array
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MILLIGRAM
 from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
 
 # Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159), m.
@@ -59,7 +59,7 @@ def head_mass(setting: Setting) -> Apply:
     here, steps = matrix_from_parameters(_point(np.array(HEAD_M))), _head_steps()
 
     def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
-        mass = MASS.si(value)
+        mass = MILLIGRAM.si(value)
         changes, slopes = lines.mass_changes.copy(), lines.mass_slopes.copy()
         own = [number for number, name in enumerate(lines.sources) if name == HEAD_PLACE]
         for number, step in zip(own, steps, strict=False):
@@ -81,7 +81,7 @@ def _head_steps() -> list[Array]:
 
 def head_moves(setting: Setting) -> tuple[Apply, ...]:
     """Move a mass of one unit at the head by one standard deviation along x, y and z."""
-    return tuple(_add(MASS.si(1.0) * step, setting) for step in _head_steps())
+    return tuple(_add(MILLIGRAM.si(1.0) * step, setting) for step in _head_steps())
 
 
 def displaced(axis: int) -> Callable[[float, Setting], Array]:

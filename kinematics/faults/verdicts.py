@@ -13,6 +13,7 @@ from kinematics.faults.diagnosis import Diagnosis
 from kinematics.faults.findings import Finding, channel_list, describe
 from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.arrays import Array
+from stapeskit.option_names import written
 from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice
 
@@ -108,20 +109,13 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
         elif verdict == "flexible":
             text = f"body {body.body}{where} does not move as a rigid body: {estimate}"
             text += f"{_describe_bend(body, diagnosis)}.{step}"
-        elif finding.owner == "laser":
-            text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
         elif finding.kind == "position" and finding.fault is None:
             text = (
                 f"body {body.body}{where}: {estimate} would explain the residuals; state them as sd_mm in "
                 "the points file, or measure the points anew."
             )
-        elif finding.kind == "axes":
-            text = f"body {body.body}{where}: beam axes do not agree with the positions: {estimate}."
         else:
-            names = channel_list(finding.channels, body)
-            swapped = verdict == "label_swap" and "exchanged" in estimate
-            step = "exchange these names" if swapped else "correct it or leave the channel out"
-            text = f"{names}{where}: {verdict}, {estimate}; {step}."
+            text = f"{_culprit(finding, body)}{where}: {verdict}, {estimate}. {written(ADVICE[verdict][1])}"
         notices.append(Notice(finding.code or ADVICE[verdict][0], text))
     return notices
 
@@ -133,6 +127,13 @@ def _describe_bend(body: BodyChannels, diagnosis: Diagnosis) -> str:
     if not np.any(structure.pattern > 0.0):
         return text
     return f"{text}, most at channel {body.channel_name(int(np.argmax(structure.pattern)))}"
+
+
+def _culprit(finding: Finding, body: BodyChannels) -> str:
+    """Name what is at fault: the body, the beams of one laser, or channels."""
+    if finding.owner == "body":
+        return f"body {body.body}"
+    return _laser(finding, body) if finding.owner == "laser" else channel_list(finding.channels, body)
 
 
 def _laser(finding: Finding, body: BodyChannels) -> str:

@@ -68,6 +68,9 @@ class ShownUnit:
         return ShownUnit(f"{self.symbol} {other.symbol}", self.per_si * other.per_si)
 
 
+# Unit of masses that are parameters of a fit, which are of order one in it, and in kd.json: it stays where
+# people are shown another one.
+MILLIGRAM = ShownUnit("mg", 1e6)
 MASS = ShownUnit("mg", 1e6)
 VOLUME = ShownUnit("mm³", 1e9)
 LENGTH = ShownUnit("mm", 1e3)

@@ -126,7 +126,7 @@ def test_content_hash_follows_the_bytes(tmp_path):
 def test_provenance_names_inputs_versions_and_command(tmp_path):
     path = tmp_path / "ldv.csv"
     path.write_text("x")
-    block = record({"ldv": path, "mass": None}, {"dof": "all"}, ["points2dof", "ldv.csv"])
+    block = record({"ldv": path, "mass": None}, {"dof": "all"}, None, ["points2dof", "ldv.csv"])
     assert list(block["inputs"]) == ["ldv"]
     assert block["command"] == "points2dof ldv.csv"
     found = versions()

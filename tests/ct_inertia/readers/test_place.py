@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read_scan import read_labels, read_volume
+from ct_inertia.readers.companions import data_files
 from ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
@@ -233,6 +234,7 @@ def test_an_ome_image_in_several_files(tmp_path):
     volume = read_volume(tmp_path / names[0])
     assert np.array_equal(np.asarray(volume.array), array)
     assert volume.spacing_mm == pytest.approx(SPACING)
+    assert data_files(tmp_path / names[2]) == [tmp_path / name for name in names if name != names[2]]
 
 
 def test_slices_go_by_number_and_gaps_are_told(tmp_path):
