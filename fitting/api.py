@@ -88,7 +88,7 @@ def dof2kd(
     motion_name = files["motion"].name if "motion" in files else "the motion"
     mass_file = files.get("mass")
     chain = check_chain(moved, motion_name, known, mass_file if isinstance(mass_file, Path) else None, force)
-    provenance = record(files, chosen.parameters(), calibrated, ["stapeskit.dof2kd"])
+    provenance = record(files, chosen.parameters(), calibrated.version(), ["stapeskit.dof2kd"])
     read = tuple(path.absolute() for path in files.values() if isinstance(path, Path))
     return kd_of(moved, matrix, chosen, known, provenance, read, chain)
 

@@ -70,7 +70,7 @@ def check_chain(
 
 
 def _other_hash(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:
-    """Return the hash of the given mass where it is another one than that of the motion, else None."""
+    """Return the hash of the given mass where it differs from the mass of the motion, else None."""
     document = used.get("document_hash")
     own = document_hash(record.raw)
     if mass_file is None:

@@ -85,7 +85,9 @@ def fit_files(
         mass, mass_record = read_mass(mass_path, options.dof)
         motion = read_motion(motion_path)
         chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
-        provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters(), calibrated)
+        provenance = record(
+            {"motion": motion_path, "mass": mass_path}, options.parameters(), calibrated.version()
+        )
     progress("fitting stiffness and damping")
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     progress("drawing the report")
@@ -118,7 +120,7 @@ def plan_files(
     outputs = _outputs(out, [Path(path), mass_file, config], force)
     outputs.check()
     expectation = expect(plan)
-    provenance = record({"plan": path, "mass": mass_file}, {}, calibrated)
+    provenance = record({"plan": path, "mass": mass_file}, {}, calibrated.version())
     content = plan_json(expectation, provenance)
     html = out.with_suffix(".html")
     with outputs.staged() as folder:

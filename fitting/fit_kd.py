@@ -252,8 +252,8 @@ def _fit_ligament(
     """Return a fit with the plane of the ligament; None where it does not settle.
 
     Where the free minimum has no positive semidefinite K and D, they are held so, or a mass of fluid makes
-    them so where that is worth its unknown (criterion of Schwarz). Where it explains the data, and the free
-    minimum lies too far above for what is held, they are not held to see it.
+    them so where that is worth its unknown (criterion of Schwarz). Where the fit with fluid explains the
+    data, and the free minimum is already worse than a held fit could make up for, the held fit is left out.
     """
     free = with_ligament(fit, measured, options.causes, within=within)
     if free.ligament is not None or options.causes:
@@ -263,8 +263,8 @@ def _fit_ligament(
         start = start_of_law(fit.problem, fit.law.name, options.lower, options.upper, fit.law.ratio, True)
         fluid = with_ligament(start, measured, (FLUID,), within=within)
         if fluid.ligament is not None and is_explained(fluid.ligament.joint):
-            least = fluid.bic - (free.bic - free.chi2)  # chi2 that is held would need, at the level of fluid
-            if free.outside > max(1.0, fluid.ligament.joint.level) * least:
+            largest = fluid.bic - (free.bic - free.chi2)  # chi2 up to which a held fit would be chosen
+            if free.outside > max(1.0, fluid.ligament.joint.level) * largest:
                 return fluid
         tried.append(fluid)
     with suppress(np.linalg.LinAlgError):

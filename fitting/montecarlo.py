@@ -91,10 +91,16 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
             continue
         estimates.append(estimate)
         mass = problem.vibrating_mass + np.einsum("a,aij->ij", mass_change, by_mass)
-        pairs = modes(mass, *split(estimate, problem.n), problem.law).pairs
-        same = len(pairs) == len(fit.modes.pairs)
-        frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
+        frequencies.append(_frequencies(fit, mass, estimate))
     return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
+
+
+def _frequencies(fit: KDFit, mass: Array, estimate: Array) -> list[float]:
+    """Return the frequencies of the modes of a repetition, Hz; NaN where it has another number of modes."""
+    pairs = modes(mass, *split(estimate, fit.problem.n), fit.problem.law).pairs
+    if len(pairs) != len(fit.modes.pairs):
+        return [np.nan] * len(fit.modes.pairs)
+    return [mode.frequency_hz for mode in pairs]
 
 
 def _joint_monte_carlo(fit: KDFit, repetitions: Repetitions, refits: int, rng: Generator) -> MonteCarlo:
@@ -110,9 +116,7 @@ def _joint_monte_carlo(fit: KDFit, repetitions: Repetitions, refits: int, rng: G
             continue
         estimates.append(estimate)
         mass = problem.vibrating_mass + mass_change[np.ix_(places, places)]
-        pairs = modes(mass, *split(estimate, problem.n), problem.law).pairs
-        same = len(pairs) == len(fit.modes.pairs)
-        frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
+        frequencies.append(_frequencies(fit, mass, estimate))
     return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
 
 

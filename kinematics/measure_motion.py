@@ -20,15 +20,21 @@ if TYPE_CHECKING:
     from stapeskit.records.measured_mass import MassInput, MeasuredMass
 
 
-def files_by_role(
-    files: Sequence[Path], points: Path | None, named: Mapping[str, Path | None]
-) -> dict[str, Path | None]:
-    """Return every file that is read, by its role, mapping files found next to a vibrometer file included."""
+def files_by_role(files: Sequence[Path], named: Mapping[str, Path | None]) -> dict[str, Path | None]:
+    """Return every file that is read, by its role, mapping files found next to a vibrometer file included.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Of the vibrometer.
+    named : mapping of str to Path or None
+        The others by the names of their options: ``LdvOptions.input_files``.
+    """
     from kinematics.readers.measurement_files import inputs_of
 
     sidecars = (path.parent / f"{path.name}.toml" for path in files)
     companions = {path.name: path for path in sidecars if path.is_file()}
-    return {**inputs_of(files, points), **named, **companions}
+    return {**inputs_of(files, None), **named, **companions}
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,7 @@ class MotionInputs:
         """Every file that is read, by its role; see `files_by_role`."""
         series = self.reading.series
         named = {
+            "points": self.points,
             "fiducials": self.fiducials,
             "plate_points": self.plate_points,
             "bone_points": self.bone_points,
@@ -73,7 +80,7 @@ class MotionInputs:
             "channels": None if series is None else series.channels,
             "steps": None if series is None else series.steps,
         }
-        return files_by_role(self.files, self.points, named)
+        return files_by_role(self.files, named)
 
     @property
     def source_frame(self) -> str:
@@ -240,5 +247,5 @@ def measure(
         files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
         tied = inputs.source_frame == "vibrometer"
         parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
-        provenance = record(files, parameters, calibrated, command)
+        provenance = record(files, parameters, calibrated.version(), command)
     return motion_of(inputs, read, chosen, mass, provenance)

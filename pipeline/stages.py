@@ -139,10 +139,7 @@ def _run_scan(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
 def _motion_inputs(study: Study) -> Mapping[str, Path | None]:
     from kinematics.measure_motion import files_by_role
 
-    names = ("fiducials", "plate_points", "bone_points", "mapping", "channels", "steps")
-    return files_by_role(
-        study.ldv.files, study.ldv.points, {name: getattr(study.ldv, name) for name in names}
-    )
+    return files_by_role(study.ldv.files, study.ldv.input_files())
 
 
 def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
@@ -176,7 +173,7 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     inputs = motion_inputs(study.ldv)
     parameters = study.ldv.parameters()
     parameters = {**parameters, "frames": "of the scan"}
-    provenance = record(inputs.by_role, parameters, calibrated, hashes=work.hashes)
+    provenance = record(inputs.by_role, parameters, calibrated.version(), hashes=work.hashes)
     read = measurement_of(study, work)
     result = motion_of(inputs, read, fit_options(study.ldv), work.mass, provenance)
     scenery = result.scenery
@@ -208,7 +205,7 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
         "motion": work.find("dof.h5"),
         "mass": input_record(mass_file, hashes=work.hashes, document=mass.raw),
     }
-    provenance = record(files, options.parameters(), calibrated, hashes=work.hashes)
+    provenance = record(files, options.parameters(), calibrated.version(), hashes=work.hashes)
     chain = check_chain(work.motion, "dof.h5", mass, mass_file)
     fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance, chain=chain)
     text = json.dumps(fit.content(), indent=1) + "\n"

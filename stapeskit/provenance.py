@@ -13,13 +13,10 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stapeskit.input_changes import InputStates
 from stapeskit.temporary_folders import files_within
-
-if TYPE_CHECKING:
-    from stapeskit.calibrated import CalibratedNumbers
 
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt: 2 GiB take
 # 0.35 s, by quarters of it 0.41 s, by eight times as much 0.43 s.
@@ -226,7 +223,7 @@ def _version_in_metadata(name: str) -> str | None:
 def record(
     inputs: Mapping[str, Path | Mapping[str, Any] | None],
     parameters: Mapping[str, Any],
-    calibrated: CalibratedNumbers | None,
+    calibrated: Mapping[str, str],
     command: Sequence[str] | None = None,
     sha256: bool = False,
     hashes: Hashes | None = None,
@@ -239,8 +236,8 @@ def record(
         Files by their role, or for what is in memory the entry itself; None is left out.
     parameters : mapping
         What the user chose and what was chosen for them, JSON-able.
-    calibrated : CalibratedNumbers or None
-        The calibrated numbers of the room that computed the result; None where no such number enters.
+    calibrated : mapping of str to str
+        Which calibrated numbers the result depends on (`CalibratedNumbers.version`); empty: none.
     command : sequence of str, optional
         Defaults to the running command line, the program by its name alone.
     sha256 : bool
@@ -256,7 +253,7 @@ def record(
             for role, source in inputs.items()
             if source is not None
         },
-        "versions": {**packages, **({} if calibrated is None else calibrated.version())},
+        "versions": {**packages, **calibrated},
         "parameters": dict(parameters),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(line),

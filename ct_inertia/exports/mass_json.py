@@ -68,7 +68,7 @@ def mass_json(
     places = dof_indices(REDUCED)
     reduced = np.ix_(places, places)
     inputs, parameters = result.options.inputs, _parameters(result.options)
-    provenance = record(inputs, parameters, calibrated, sha256=sha256, hashes=hashes)
+    provenance = record(inputs, parameters, calibrated.version(), sha256=sha256, hashes=hashes)
     provenance["kernels"] = which()
     content = {
         "schema": SCHEMA,

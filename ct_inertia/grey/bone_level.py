@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.cupping import Cupping, deep_cupping_notice, find_cupping
+from ct_inertia.grey.edge_departure import cells_of
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.normal_distribution import normal_cdf
@@ -100,13 +101,12 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
         if random < _GOOD_BONE_SD * contrast:
             rest = _BLUR_LEFT * float(np.mean(1.0 - share)) * contrast
             deeper = depth.ravel()[index] > np.float32(_DEEPER * sigma_mm + half)
-            places = np.stack(np.unravel_index(index, depth.shape), axis=1).astype(float)
-            change = _change(values, deeper, places, air)
+            zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
+            change = _change(values, deeper, zyx.astype(float), air)
             if change:
                 values = values + change
                 rest += abs(change)
             start = np.array([s.start for s in reversed(box)])
-            zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
             bone = bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
             notices = (*bone.notices, *deep_cupping_notice(change, contrast))
             seen = index.size / max(1, int(np.count_nonzero(inside)))
@@ -153,9 +153,7 @@ def bone_of(
     """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3)."""
     middle = places_mm.mean(axis=0)
     level, contrast = float(values.mean()), float(values.mean()) - air.level
-    cell = np.floor((places_mm - places_mm.min(axis=0)) / (_CELL_VOXELS * around.spacing_mm)).astype(np.int64)
-    width = cell.max(axis=0) + 1
-    number = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
+    number = cells_of(places_mm, _CELL_VOXELS * around.spacing_mm)
     count = np.asarray(np.bincount(number), dtype=np.int64)
     used = count >= _LEAST_CELL
     if np.count_nonzero(used) < _LEAST_CELLS:

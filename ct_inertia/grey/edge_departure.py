@@ -52,7 +52,10 @@ class Profiles:
 
 
 def sharpening(edges: Profiles) -> tuple[float, float]:
-    """Return f over the apparent variance, and the overshoot; 0 and 0 where not significant."""
+    """Return the sharpening over the apparent variance, and the overshoot; 0 and 0 where not significant.
+
+    The sharpening is the f of the operator 1 - f Laplacian, see `edge_shape.edge_shape`.
+    """
     profile = edges.values.mean(axis=0)
     overshoot = float(np.max(-profile[PLACES < -0.5]))
     if _cumulant(edges, 0.0) > -_SIGNIFICANT or overshoot <= 0.0:
@@ -152,8 +155,8 @@ def _fit_edge(profile: Array, strength: float) -> tuple[Array, float]:
     return np.array([shift, width]), float(np.sum((profile - model(shift, width)) ** 2))
 
 
-def cells_of(points_mm: Array, size_mm: float) -> NDArray[np.int64]:
-    """Return the number (n,) of the cubic cell of each point (n, 3)."""
+def cells_of(points_mm: Array, size_mm: float | Array) -> NDArray[np.int64]:
+    """Return the number (n,) of the cell of each point (n, 3); a cell may differ in size along each axis."""
     cell = np.floor((points_mm - points_mm.min(axis=0)) / size_mm).astype(np.int64)
     width = cell.max(axis=0) + 1
     return np.asarray((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2])

@@ -163,7 +163,7 @@ def doubted_surface(
 
 
 def _crop_to_bone(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:
-    """Return what holds more than a tenth of bone with air around, in whole blocks, and its first index."""
+    """Return the first index of the box in whole blocks that holds bone with air around, and its share."""
     inside = share > 0.1
     first, box, missing = [], [], []
     for axis in range(3):

@@ -70,7 +70,7 @@ def away_from_others(
 ) -> NDArray[np.float32] | None:
     """Return the distance of each voxel from other bone, mm, [z, y, x], capped; None where that is far.
 
-    Parameters are those of part_from_neighbours, ``distance_mm`` [z, y, x] from the stapes.
+    Parameters are those of `separate_from_neighbours`, ``distance_mm`` [z, y, x] from the stapes.
     """
     if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
         return None

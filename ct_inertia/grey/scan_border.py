@@ -68,7 +68,10 @@ def cut_layers(
 
 
 def cut_notice(cuts: Iterable[BorderCut], where: str = "scan", held: bool = False) -> Notice:
-    """Report which layers cut the body, and what either cause does to the result; ``held``: see by_border."""
+    """Report which layers cut the body, and what either cause does to the result.
+
+    ``held``: the budget holds the rounded end that may be missing (`border_covariance`).
+    """
     layers = " and at ".join(cut.told for cut in cuts)
     holds = "a rounded end as wide as the cut, no more" if held else "neither"
     text = (

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.edge_departure import cells_of
 from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import neighbour_share
@@ -202,9 +203,7 @@ def _sees_soft_tissue(
         return False
     rest = (cut.grey.ravel()[index] - air.level) / (bone - air.level) - model
     places = np.stack(np.unravel_index(index, cut.grey.shape), axis=1) * spacing_mm[::-1]
-    cell = np.floor((places - places.min(axis=0)) / _CELL_MM).astype(np.int64)
-    width = cell.max(axis=0) + 1
-    number = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
+    number = cells_of(places, _CELL_MM)
     count = np.bincount(number)
     used = count >= _LEAST_CELL
     if not np.any(used):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, Piece
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # Volume and extents of a stapes that nobody would call unusual; see ``Piece.oddness``.
 USUAL = calibrated("doubts.usual")

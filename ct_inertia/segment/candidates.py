@@ -13,8 +13,7 @@ from ct_inertia.volume.distance import closed
 from ct_inertia.volume.grid_operations import boxes_and_sizes, labelled, majority, used_box
 from ct_inertia.volume.mask_statistics import every_nth
 from ct_inertia.volume.mesh_graphs import in_hull
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 TYPICAL_MM3 = calibrated("candidates.typical_mm3")
 TYPICAL_MM = calibrated("candidates.typical_mm")

@@ -15,10 +15,10 @@ from ct_inertia.segment.split_pieces import Markers
 from ct_inertia.volume.coarse_view import CoarseScan, smooth_noise
 from ct_inertia.volume.grid_operations import dilated
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _ABOVE_PLASTIC = calibrated("sight.above_plastic")
 _THIN_WALL = calibrated("sight.thin_wall")
 _PLASTIC_MARGIN = calibrated("sight.plastic_margin")

@@ -17,9 +17,8 @@ from ct_inertia.volume.grid_operations import boxes_and_sizes, eroded, labelled
 from ct_inertia.volume.mask_statistics import look_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working_copy import PARTING_MM, WORKING_MM, Working, block_for, working_box
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # Margin of the box around the stapes, the larger of both: room for its blur and for air beside that.
 _MARGIN_VOXELS = 16

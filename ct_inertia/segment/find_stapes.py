@@ -26,9 +26,9 @@ from ct_inertia.segment.split_pieces import MOST_WALL_MM3, CoarseGrid, SplitPiec
 from ct_inertia.volume.coarse_view import CoarseOverview, CoarseScan, coarse_overview, smooth_noise
 from ct_inertia.volume.grid_operations import dilated
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 
-Array = NDArray[np.float64]
 _ODD = calibrated("search.odd")
 # Most bodies that are split, the largest first: for time only.
 _MOST_WHOLES = 4

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Normals of the planes that are tried: on cones about the axis, 12 degrees apart, with 12 directions each,
 # then on finer ones about the best, which reach beyond half of that.

@@ -13,7 +13,6 @@ from ct_inertia.segment.coarse_segmentation import CoarseSegmentation
 from ct_inertia.volume.coarse_view import smooth_noise
 from ct_inertia.volume.grid_operations import dilated, eroded, gaussian, labelled
 
-Array = NDArray[np.float64]
 _LEAST_MM3 = calibrated("plate_region.least_mm3")
 _RIM_MM = calibrated("plate_region.rim_mm")
 # Voxels of the plate's view, mm: about half of that rim, for a plate of millimetres needs no finer one.

@@ -27,8 +27,8 @@ from ct_inertia.volume.grid_operations import boxes_and_sizes, labelled
 from ct_inertia.volume.mask_statistics import every_nth, look_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working_copy import Working, working_box
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _FINER_MM = calibrated("parting.finer_mm")
@@ -87,7 +87,7 @@ class SplitPiece:
     cropped : bool
         The border of the scan crops the bone that was cut off.
     doubtful : bool
-        That may be the stapes' own.
+        The bone that was cut off may belong to the stapes.
     """
 
     pieces: NDArray[np.int32]

@@ -20,8 +20,7 @@ from ct_inertia.volume.grid_operations import (
     used_box,
     watershed,
 )
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # From a gap without bridges to bridges so wide that they meet half way round.
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.causes.mass_errors import (
@@ -26,10 +24,9 @@ from fitting.causes.mass_errors import (
 from fitting.causes.setting import Applied, Apply, Setting
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page.quantities import MILLIGRAM
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 _HOLDER_QUALITY = 10.0
 # Steps of one width of a resonance at half power.
 _HOLDERS_HZ = np.geomspace(450.0, 5000.0, 26)
@@ -59,7 +56,7 @@ class Cause:
     starts : tuple of float
         Where a refit starts as well, for sizes that are far from first order.
     refitted : bool
-        Whether its term is more than a score: damping laws are fitted as such.
+        False: it is scored only; the damping law that it stands for is fitted itself.
     positive : bool
         Whether a negative size is impossible.
     family : str
@@ -307,7 +304,7 @@ CAUSES: dict[str, Cause] = {
         "a ligament that relaxes (standard linear solid)",
         "",
         1.0,
-        _law(lambda omega: omega**2 + 0j),
+        _law(lambda omega: (omega**2).astype(np.complex128)),
         refitted=False,
     ),
     **{

@@ -9,16 +9,11 @@ unknowns suppose models so close that this is nothing.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.equations import Equations, operator_of, times_turn, turned
 from fitting.ligament.joint_lines import JointLines
-from stapeskit.arrays import Array
-
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
+from stapeskit.arrays import Array, ComplexArray
 
 
 def difference_sd(one: ComplexArray, other: ComplexArray, covariance: ComplexArray) -> float:
@@ -31,7 +26,8 @@ def difference_sd(one: ComplexArray, other: ComplexArray, covariance: ComplexArr
     covariance : ndarray, (lines, m, m), complex
         Of the noise of the motion.
     """
-    roots = [np.linalg.inv(np.linalg.cholesky(_product(b, covariance, b))) for b in (one, other)]
+    lower = [np.linalg.cholesky(_product(b, covariance, b)) for b in (one, other)]
+    roots = [np.asarray(np.linalg.inv(root), dtype=np.complex128) for root in lower]
     across = _product(roots[0], _product(one, covariance, other), roots[1])
     alike = np.sum(np.abs(across) ** 2, axis=(1, 2))
     return float(np.sqrt(8.0 * np.sum(np.maximum(one.shape[1] - alike, 0.0))))

@@ -71,7 +71,7 @@ class Refit:
 
 
 def useful_chi2(ligament: LigamentFit, known: Sequence[Refit]) -> float:
-    """Return the chi2 below which another model can be named, or look like the one that is.
+    """Return the chi2 that another model must reach to be named, or to be listed beside the one that is.
 
     Its fall of chi2, in units of the misfit that it leaves, has to come near that of the best one. Where none
     is known, half of the misfit has to be explained, in the logarithm of chi2 per degree of freedom.

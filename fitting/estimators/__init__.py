@@ -1,7 +1,8 @@
 """Estimators of K and D, one a file.
 
 An estimator is a module of this folder with a ``METHOD`` (fitting.estimators.base.Method), and one line in
-this table; the command, its help and the contract test follow from it.
+this table; the command, its help and the contract test follow from it. Its name must also stand in
+docs/schemas/kd.schema.json. Modules without a ``METHOD`` are what estimators share.
 """
 
 from __future__ import annotations

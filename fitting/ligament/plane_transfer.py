@@ -60,7 +60,7 @@ def slopes_of_transfer(
 
 
 def curvature_of_transfer(coupling_covariance: Array, inplane: InplaneStiffness) -> Array:
-    """Return the mean square (12, 12), SI, of what is of second order in Y in Y K_cc Y^T and Y D_cc Y^T."""
+    """Return the mean square (12, 12), SI, of the part of Y K_cc Y^T and Y D_cc Y^T of second order in Y."""
     spread = coupling_covariance.reshape((_N,) * 4)
     mean = join(*(np.einsum("ab,iajb->ij", part, spread) for part in (inplane.stiffness, inplane.damping)))
     rows, columns = np.array(pairs(_N)).T

@@ -10,7 +10,7 @@ from fitting.causes.catalogue import CAUSES, title_of, unit_of
 from fitting.causes.diagnosis import Diagnosis, largest_effect, relative_effect
 from fitting.kd_fit import KDFit
 from fitting.model.parameter_vector import join
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, finite_or_none
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
@@ -51,7 +51,7 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
                     "p_value": float(p),
                     "estimate": float(size),
                     "sd": float(sd),
-                    "seen_from": _finite(diagnosis.seen_from.get(name)),
+                    "seen_from": finite_or_none(diagnosis.seen_from.get(name)),
                     "unit": unit_of(name),
                 }
                 for name, z, p, size, sd in scored
@@ -127,15 +127,8 @@ def unseen(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, float, Array]]:
     return sorted(rows, key=lambda row: -float(np.nanmax(np.abs(row[2]))))
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and np.isfinite(value) else None
-
-
 def _by_entry(fit: KDFit, change: Array) -> dict[str, float | None]:
-    return {
-        name: float(value) if np.isfinite(value) else None
-        for name, value in zip(fit.parameters, change, strict=True)
-    }
+    return {name: finite_or_none(value) for name, value in zip(fit.parameters, change, strict=True)}
 
 
 def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
@@ -231,7 +224,7 @@ def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
             continue  # of causes that differ by their place the likeliest alone has a score
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
         detectable = diagnosis.seen_from.get(name)
-        least = "never" if _finite(detectable) is None else f"{detectable:.2g} {unit}"
+        least = "never" if finite_or_none(detectable) is None else f"{detectable:.2g} {unit}"
         rows.append((f"{title}: {size:g} {unit}", least, *map(_percent, relative)))
     return page.table(("error", "seen from", *fit.parameters), rows)
 

@@ -14,6 +14,7 @@ from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.model.model import NORMALISATION
 from fitting.model.parameter_vector import split
 from fitting.report.causes import causes_json
+from stapeskit.arrays import finite_or_none
 
 SCHEMA = "stapeskit.kd/1"
 
@@ -49,7 +50,7 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "budget": fit.budget.deviations(),
         "budget_share_of_variance": fit.budget.shares(),
         "stable": fit.modes.stable,
-        "max_real_eigenvalue_1_s": _number(fit.modes.max_real_1_s),
+        "max_real_eigenvalue_1_s": finite_or_none(fit.modes.max_real_1_s),
         "passive": {"stiffness": stiffness_passive, "damping": damping_passive},
         "modes": _modes(fit),
         "overdamped_roots_1_s": list(fit.modes.overdamped_roots_1_s),
@@ -64,14 +65,10 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _to_lists(values: NDArray[np.float64]) -> Any:
     """Return nested lists with null in place of what is not finite."""
     if values.ndim == 0:
-        return _number(float(values))
+        return finite_or_none(float(values))
     return [_to_lists(row) for row in values]
 
 
@@ -147,10 +144,10 @@ def ligament_json(fit: KDFit) -> dict[str, Any] | None:
         },
         "height_of": "the plane of the ligament above the footplate centre, + lateral",
         "tilt_deg": {
-            "about_x": _number(float(np.degrees(about_x))),
-            "about_x_sd": _number(float(np.degrees(about_x_sd))),
-            "about_z": _number(float(np.degrees(about_z))),
-            "about_z_sd": _number(float(np.degrees(about_z_sd))),
+            "about_x": finite_or_none(float(np.degrees(about_x))),
+            "about_x_sd": finite_or_none(float(np.degrees(about_x_sd))),
+            "about_z": finite_or_none(float(np.degrees(about_z))),
+            "about_z_sd": finite_or_none(float(np.degrees(about_z_sd))),
         },
         "coupling_si": _to_lists(ligament.coupling),
         "coupling_sd_si": _to_lists(np.sqrt(np.diag(ligament.coupling_covariance)).reshape(3, 3)),
@@ -172,7 +169,7 @@ def ligament_json(fit: KDFit) -> dict[str, Any] | None:
             "damping_si": _to_lists(ligament.inplane.damping),
             "damping_sd_si": _to_lists(inplane_sd[1]),
         },
-        "p_value": _number(ligament.p_value),
+        "p_value": finite_or_none(ligament.p_value),
         "shared_errors": len(ligament.lines.sources),
         "without_inplane_motion": _describe_plain_fit(fit),
     }
@@ -210,11 +207,11 @@ def _modes(fit: KDFit) -> list[dict[str, Any]]:
         mode_list.append(
             {
                 "frequency_hz": mode.frequency_hz,
-                "frequency_sd_hz": _number(fit.derived.frequency_sd_hz[place]),
+                "frequency_sd_hz": finite_or_none(fit.derived.frequency_sd_hz[place]),
                 "undamped_frequency_hz": mode.undamped_frequency_hz,
-                "undamped_frequency_sd_hz": _number(fit.derived.undamped_frequency_sd_hz[place]),
+                "undamped_frequency_sd_hz": finite_or_none(fit.derived.undamped_frequency_sd_hz[place]),
                 "damping_ratio": mode.damping_ratio,
-                "damping_ratio_sd": _number(fit.derived.damping_ratio_sd[place]),
+                "damping_ratio_sd": finite_or_none(fit.derived.damping_ratio_sd[place]),
                 "shape_re": mode.shape.real.tolist(),
                 "shape_im": mode.shape.imag.tolist(),
                 "shape_magnitude_sd": _to_lists(fit.derived.shape_sd[place]),
@@ -231,11 +228,11 @@ def principal_axes_json(fit: KDFit) -> dict[str, Any] | None:
         return None
     return {
         "origin_x_mm": values[0] * 1e3,
-        "origin_x_sd_mm": _number(sd[0] * 1e3),
+        "origin_x_sd_mm": finite_or_none(sd[0] * 1e3),
         "origin_z_mm": values[1] * 1e3,
-        "origin_z_sd_mm": _number(sd[1] * 1e3),
+        "origin_z_sd_mm": finite_or_none(sd[1] * 1e3),
         "angle_deg": float(np.degrees(values[2])),
-        "angle_sd_deg": _number(float(np.degrees(sd[2]))),
+        "angle_sd_deg": finite_or_none(float(np.degrees(sd[2]))),
         "stiffness_si": values[3:].tolist(),
         "stiffness_sd_si": _to_lists(sd[3:]),
     }
@@ -272,19 +269,19 @@ def _frequency(fit: KDFit) -> dict[str, Any] | None:
         "damping_factor_sd": _to_lists(dependence.damping_sd),
         "relative_to": "K and D of the whole band; the factors' means, weighted by information, are 1",
         "verdict": dependence.verdict,
-        "chi2": _number(dependence.chi2),
+        "chi2": finite_or_none(dependence.chi2),
         "n_dof": dependence.n_dof,
-        "p_value": _number(dependence.p_value),
+        "p_value": finite_or_none(dependence.p_value),
     }
 
 
 def _identifiability(fit: KDFit) -> dict[str, Any]:
     known = fit.identifiability
     return {
-        "condition_number_column_scaled": _number(known.condition),
+        "condition_number_column_scaled": finite_or_none(known.condition),
         "fisher_eigenvalues_relative": _to_lists(known.eigenvalues),
         "worst_combinations": [
-            {"relative_sd": _number(sd), "combination": known.describe(place), "entries": dict(parts)}
+            {"relative_sd": finite_or_none(sd), "combination": known.describe(place), "entries": dict(parts)}
             for place, (sd, parts) in enumerate(known.combinations)
         ],
         "cramer_rao_bound_si": dict(zip(known.names, _to_lists(known.bound_si), strict=True)),

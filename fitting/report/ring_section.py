@@ -9,7 +9,7 @@ import numpy as np
 
 from fitting.model.annular_ligament import RingTest, Value, ring_test
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, finite_or_none
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import ROTATION_STIFFNESS, STIFFNESS
@@ -56,9 +56,9 @@ def ring_json(test: RingTest | None) -> dict[str, Any] | None:
     return {
         "rim_length_mm": 1e3 * test.rim_length_m,
         "shear_modulus_times_thickness_over_width_pa": shear.value,
-        "shear_modulus_times_thickness_over_width_sd_pa": _finite(shear.sd),
+        "shear_modulus_times_thickness_over_width_sd_pa": finite_or_none(shear.sd),
         "loss_factor": loss.value,
-        "loss_factor_sd": _finite(loss.sd),
+        "loss_factor_sd": finite_or_none(loss.sd),
         "expected_stiffness_si": test.expected.stiffness.tolist(),
         "expected_origin_mm": [1e3 * test.expected.origin_x_m, 1e3 * test.expected.origin_z_m],
         "expected_angle_deg": float(np.degrees(test.expected.angle_rad)),
@@ -75,11 +75,7 @@ def _number_keys(name: str, unit: str, number: Value | None, factor: float) -> d
     """Return the keys of a number and its standard deviation; none where it is not known."""
     if number is None:
         return {}
-    return {f"{name}_{unit}": factor * number.value, f"{name}_sd_{unit}": _finite(factor * number.sd)}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return {f"{name}_{unit}": factor * number.value, f"{name}_sd_{unit}": finite_or_none(factor * number.sd)}
 
 
 def ring_parts(test: RingTest) -> tuple[Markup, ...]:

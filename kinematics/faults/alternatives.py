@@ -45,7 +45,7 @@ class Alternative:
     step : str
         What to do, a format of the same words, in which options stand as ``{{option}}``.
     above : float
-        Misfit as given, in the measure of what decides, from which on it is tried.
+        Least misfit for it to be tried, in the measure of what decides (see ``of``).
     estimate : str
         What is said of a correction, where that is not the sentence.
     of_channels : bool
@@ -92,7 +92,7 @@ class Proposal:
 
 
 def proposed(of: str, given: Any, misfit: float = float("inf")) -> Iterator[Proposal]:
-    """Yield what every alternative of what is given puts in its place, in the order of the table."""
+    """Yield the readings as every alternative of a sort takes them, in the order of the table."""
     for name, entry in ALTERNATIVES.items():
         if entry.of == of and misfit >= entry.above:
             for value, words in entry.propose(given):

@@ -93,8 +93,8 @@ def diagnose(
     lasers : LaserScatter, optional
         Errors next to which faults are sought; none by default.
     most : int, optional
-        None or one fault is of interest: where there are plainly more, the body is said to bend, and nothing
-        else is sought.
+        0 or 1: as soon as there are plainly more faults than that the body is said to bend, and nothing else
+        is sought. None: every fault is sought.
 
     Notes
     -----
@@ -292,11 +292,11 @@ class _Diagnose:
         lever = first.data.source.beams.lever_m
         score, information = information_of(first.given, list(first.points.values()), SHIFTS)
         sizes = np.geomspace(_SMALLEST_M, _OF_LEVER * lever, 80)
-        size, gain = likeliest_size(score / first.scale, information / first.scale, sizes)
+        size, gain = likeliest_size(score / first.noise_variance, information / first.noise_variance, sizes)
         if not _MORE * float(np.max(self.prior, initial=0.0)) < size < lever:
             return None
         named = [(finding.drop, finding.fault.size) for finding in findings if finding.fault is not None]
-        if gain < sum(drop / first.scale - _PER_PARAMETER * (1 + size) for drop, size in named):
+        if gain < sum(drop / first.noise_variance - _PER_PARAMETER * (1 + size) for drop, size in named):
             return None
         if not self.searched(first.data, prior=np.full(len(self.prior), size)).clean():
             return None

@@ -91,9 +91,9 @@ class Search:
         self.level, self.sure = noise.level, noise.sure
         if self.of_all:
             self.level, self.sure = common_level(data, nuisance)
-        self.scale = self.level
+        self.noise_variance = self.level
         if known and self.level < 1.0 + _SURELY_LOUDER * np.sqrt(2.0 / self.sure):
-            self.scale = 1.0
+            self.noise_variance = 1.0
         used = np.sum(data.weight > 0.0, axis=0)
         kept = np.sum(np.where(data.weight > 0.0, 1.0 - self.state.leverage, 0.0), axis=0)
         self.kept = kept / np.maximum(used, 1)
@@ -102,8 +102,8 @@ class Search:
         self.points = data.by_point
         if data.whiten is not None and data.rest.shape[2] >= LEAST_SAMPLES and self.freedom > 0.5:
             rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
-            self.scale = max(self.scale, rest)
-        self.structure = structure_of(self.state, self.scale)
+            self.noise_variance = max(self.noise_variance, rest)
+        self.structure = structure_of(self.state, self.noise_variance)
 
     @property
     def offsets_m(self) -> Array:
@@ -119,7 +119,7 @@ class Search:
     @property
     def noise_energy(self) -> float:
         """Residual energy that noise has in the columns with motion."""
-        return self.scale * self.freedom * float(self.state.z.shape[2])
+        return self.noise_variance * self.freedom * float(self.state.z.shape[2])
 
     def excess(self) -> float:
         """Return the residual energy of the columns with motion beyond that of noise, at least none."""
@@ -129,7 +129,7 @@ class Search:
         """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
         from scipy.special import chdtrc, fdtrc
 
-        value = np.maximum(statistic, 0.0) / self.scale
+        value = np.maximum(statistic, 0.0) / self.noise_variance
         size = np.maximum(size, 1)
         if self.known and self.data.whiten is None:
             return np.asarray(chdtrc(size, value))
@@ -168,10 +168,10 @@ class Search:
         energy, h = self.energy, 1.0 - self.kept
         limit, margin = (_NOISY_KNOWN, 1.0) if self.known else (NOISY, _ALIKE)
         for channel in sorted(self.live, key=lambda c: -energy[c])[:_LOUDEST]:
-            if energy[channel] < _QUIET * self.scale or h[channel] > UNSEEN:
+            if energy[channel] < _QUIET * self.noise_variance or h[channel] > UNSEEN:
                 continue
             value, count = channel_noise_energy(self.state, channel)
-            ratio, left = value / self.scale, 1.0 - float(h[channel])
+            ratio, left = value / self.noise_variance, 1.0 - float(h[channel])
             if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
                 continue
             twice, size = 2.0 * count, ratio / margin
@@ -179,7 +179,7 @@ class Search:
             p = min(1.0, float(chance) * len(self.live) / _NOISE_SHARE)
             if p > self.alarm:
                 continue
-            over = value / (scale or self.scale)
+            over = value / (scale or self.noise_variance)
             score = count * (over - 1.0 - np.log(over)) - np.log(len(self.live)) - 0.5 * np.log(count)
             louder = float(np.sqrt((ratio - h[channel]) / left))
             loud.append((float(score), Finding("noise", [channel], p, size=louder)))
@@ -193,12 +193,16 @@ class Search:
     @property
     def bending(self) -> float:
         """Log evidence that the body bends; zero where it does not, or faults at two points could do that."""
-        return self.structure.gain / self.scale if self.bends and not self.structure.concentrated else 0.0
+        return (
+            self.structure.gain / self.noise_variance
+            if self.bends and not self.structure.concentrated
+            else 0.0
+        )
 
     @property
     def empty(self) -> bool:
         """Whether nothing can be tested: no redundancy, or no noise."""
-        return self.freedom < 0.5 or not self.scale > 0.0
+        return self.freedom < 0.5 or not self.noise_variance > 0.0
 
     def more_than(self, most: int) -> bool:
         """Return whether it is plain without fits that there are more faults than none or one.
@@ -233,14 +237,14 @@ class Search:
         if lowest > self.alarm and not self.bends and not loud:
             return None
         fits = self._suspects()
-        scale, strange = self._scale_without([fit.drop for fit in fits]), False
-        scored = self.loud_channels(scale) if scale < self.scale else list(loud)
+        scale, strange = self._variance_without([fit.drop for fit in fits]), False
+        scored = self.loud_channels(scale) if scale < self.noise_variance else list(loud)
         for fit in fits:
             p_value = self._p_value(fit)
             if p_value < self.alarm and not self._credible(fit):
                 strange = True
             elif p_value < self.alarm:
-                scored.append((self._evidence(fit, scale), self._scale(fit, p_value)))
+                scored.append((self._evidence(fit, scale), self._with_covariance(fit, p_value)))
         if self.bending:
             scored.append((self.structure.gain / scale, self.flexible()))
         if not scored and strange:
@@ -253,9 +257,9 @@ class Search:
         near = [other for value, other in scored[1:] if value > least and differ(finding, other)]
         finding = replace(finding, rivals=tuple(near[:2]))
         fit = self.refit.refined(finding)
-        return finding if fit is finding else self._scale(fit, finding.p_value)
+        return finding if fit is finding else self._with_covariance(fit, finding.p_value)
 
-    def _scale_without(self, drops: list[float]) -> float:
+    def _variance_without(self, drops: list[float]) -> float:
         """Return the noise variance by which explanations are compared.
 
         A large fault is in the level of few lines, and of lines with gaps: what the best explanation leaves
@@ -263,9 +267,9 @@ class Search:
         """
         number = self.freedom * self.state.z.shape[2]
         if not drops or number < LEAST_SAMPLES:
-            return self.scale
+            return self.noise_variance
         left = max((self.near.value - max(drops)) / number, 1.0 if self.known else 0.0)
-        return left if 0.0 < left < _INFLATED * self.scale else self.scale
+        return left if 0.0 < left < _INFLATED * self.noise_variance else self.noise_variance
 
     def _evidence(self, fit: Finding, scale: float) -> float:
         return log_evidence(fit, scale, self.data.source.beams.lever_m)
@@ -345,7 +349,7 @@ class Search:
         best = _HALF * self.bending + _NEAR if self.bending else 0.0
         freed = dict[tuple[int, ...], float]()
         for fault in sorted(faults, key=lambda fault: (fall[tuple(fault.channels)], *_widest_first(fault))):
-            own, needed = tuple(fault.channels), (best - _NEAR) * self.scale
+            own, needed = tuple(fault.channels), (best - _NEAR) * self.noise_variance
             if needed > 0.0:
                 if own not in freed:
                     freed[own] = -fall[own] if self.exact else self.refit.most(own)
@@ -355,7 +359,7 @@ class Search:
             fit = self.refit.fit(fault)
             fits.append(fit)
             if self._credible(fit) and self._p_value(fit) < self.alarm:
-                best = max(best, self._evidence(fit, self.scale))
+                best = max(best, self._evidence(fit, self.noise_variance))
         return fits
 
     def _exchanges(self) -> list[Fault]:
@@ -381,8 +385,9 @@ class Search:
         chance = self.chance(np.array([2.0 * fit.drop]), np.array([len(fit.parameters)]))
         return min(1.0, float(chance[0]) * number)
 
-    def _scale(self, fit: Finding, p_value: float) -> Finding:
-        return replace(fit, p_value=p_value, covariance=fit.covariance * self.scale)
+    def _with_covariance(self, fit: Finding, p_value: float) -> Finding:
+        """Return a fit with its probability and its covariance at the noise found."""
+        return replace(fit, p_value=p_value, covariance=fit.covariance * self.noise_variance)
 
 
 def _widest_first(fault: Fault) -> tuple[bool, int]:

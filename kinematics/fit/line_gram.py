@@ -13,13 +13,14 @@ from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
 from stapeskit.arrays import Array, ComplexArray
 
-# Ratio of the smallest to the largest eigenvalue below which a line has no solution; condition numbers of the
-# Gram matrix above which a line is solved by singular values, is refined by one step, and is given up;
-# largest ratio of weights that rounding allows.
+# Ratio of the smallest to the largest eigenvalue below which a line has no solution.
 SINGULAR = 1e-9
+# Condition numbers of the Gram matrix above which a line is solved by singular values, is refined by one
+# step, and is given up.
 DOUBTFUL = 1e7
 REFINE = 1e2
 _HOPELESS = 1e15
+# Largest ratio of weights that rounding allows.
 _EXACT = 1e6
 # Sizes from which on lines are solved together by their normal equations.
 _LINES = 1024

@@ -151,7 +151,7 @@ class Recordings:
     frame_units : str
         What the file says about its coordinate system and units, for messages and provenance.
     file : str
-        Its name, for messages and for choosing by name; filled in by `read_recordings`.
+        Its name, for messages and for choosing by name; filled in by `Format.read`.
     amplitude_stated : bool
         Whether the file says if amplitudes are peak or rms; if not, ``value`` holds its numbers as they are.
     length_stated : bool

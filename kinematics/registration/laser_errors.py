@@ -197,7 +197,7 @@ class Lasers:
 
 
 def laser_parts(fit: LineFit, lasers: Index, count: int) -> ComplexArray:
-    """Return what the readings of each laser add to the motion, (laser, freq, m); together they are it."""
+    """Return what the readings of each laser add to the motion, (laser, freq, m); their sum is the motion."""
     parts = np.zeros((count, *fit.q.shape), dtype=complex)
     own = np.unique(lasers)
     parts[own[:-1]] = channel_parts(fit, lasers == own[:-1, None])

@@ -59,7 +59,7 @@ def write_cohort(
         Names of the files.
     """
     failed = failed or {}
-    content = cohort.as_json(record(files or {}, parameters, None))
+    content = cohort.as_json(record(files or {}, parameters, {}))
     write_cohort_csv(folder / "cohort.csv", cohort.ears, failed)
     write_cohort_page(folder / "cohort.html", cohort.ears, failed, cohort)
     (folder / "cohort.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -19,6 +19,7 @@ from pipeline.cohort.mass_content import mass_content
 from pipeline.cohort.power_law import Law, fit_law
 from pipeline.cohort.prediction import LeftOut, Prediction, Predictor, left_out
 from pipeline.errors import PipelineError
+from stapeskit.arrays import finite_or_none
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
@@ -69,7 +70,7 @@ class CohortLaw:
             "predictor": self.predictor,
             "family": self.family,
             "exponent": law.exponent,
-            "exponent_interval_95": [_number(end) for end in law.interval],
+            "exponent_interval_95": [finite_or_none(end) for end in law.interval],
             "unbounded": law.unbounded,
             "p_value": law.p_value,
             "q_value": self.q_value,
@@ -79,7 +80,7 @@ class CohortLaw:
             "predictor_sd_log": law.tau,
             "reliability": law.reliability,
             "correlation_of_pairs": law.rho,
-            "prediction_error_log": _number(self.left_out.rms),
+            "prediction_error_log": finite_or_none(self.left_out.rms),
             "n": law.n,
         }
 
@@ -372,7 +373,3 @@ def _unresolved_notices(laws: Sequence[CohortLaw]) -> list[Notice]:
         "over these ears is not surely larger than its error."
     )
     return [Notice("predictor_not_resolved", text)]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -4,6 +4,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from pipeline.stage_records import StageReport
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError
 from stapeskit.provenance import content_hash
+from stapeskit.records.motion_files import read_motion
 
 pytestmark = pytest.mark.usefixtures("found_once")
 
@@ -59,6 +61,18 @@ def test_the_outputs_of_the_contract(finished):
     assert {path.name for path in out.iterdir() if path.is_file()} == OUTPUTS
     assert {path.name for path in result.files} == OUTPUTS
     assert json.loads((out / "kd.json").read_text(encoding="utf-8"))["schema"] == "stapeskit.kd/1"
+
+
+def test_every_result_names_the_calibrated_numbers_of_its_room(finished):
+    out = finished[1]
+    blocks = {
+        "ct_inertia": json.loads((out / "mass.json").read_text(encoding="utf-8"))["provenance"],
+        "kinematics": read_motion(out / "dof.h5").provenance,
+        "fitting": json.loads((out / "kd.json").read_text(encoding="utf-8"))["provenance"],
+    }
+    for room, provenance in blocks.items():
+        numbers = import_module(f"{room}.calibrated").calibrated
+        assert numbers.version().items() <= provenance["versions"].items()
 
 
 def test_a_second_run_recomputes_nothing(ear):

@@ -126,14 +126,16 @@ def test_content_hash_follows_the_bytes(tmp_path):
 def test_provenance_names_inputs_versions_and_command(tmp_path):
     path = tmp_path / "ldv.csv"
     path.write_text("x")
-    block = record({"ldv": path, "mass": None}, {"dof": "all"}, None, ["points2dof", "ldv.csv"])
+    numbers = {"room/calibrated.toml": "xxh3-128:0"}
+    block = record({"ldv": path, "mass": None}, {"dof": "all"}, numbers, ["points2dof", "ldv.csv"])
+    assert block["versions"] == {**versions(), **numbers}
     assert list(block["inputs"]) == ["ldv"]
     assert block["command"] == "points2dof ldv.csv"
     found = versions()
     assert "numpy" in found
     for name in found.keys() - {"python"}:
         assert found[name] == metadata.version(name)
-    assert record({}, {})["command"]
+    assert record({}, {}, {})["command"]
 
 
 def test_hashes_made_in_the_background_are_the_same(tmp_path):

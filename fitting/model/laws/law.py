@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
+from stapeskit.arrays import ComplexArray
 
 
 @dataclass(frozen=True)
 class Law:
-    """A damping law s(w; a); unless ``time_power`` says otherwise a is the power of time in the unit of D.
+    """A damping law s(w; a) with at most two unknowns: a, called the exponent, and a ratio of two times.
+
+    Unless ``time_power`` says otherwise a is the power of time in the unit of D.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Law:
     formula : callable
         The dynamic stiffness as text, of the exponent.
     exponent : float
-        Fixed value, or the initial value of an estimated one.
+        Its value where it is fixed; not used where ``search`` is given.
     search : (float, float), optional
         Range in which the exponent is estimated, of scaled frequencies; None: it is fixed.
     slope : callable, optional

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from fitting.calibrated import calibrated
-from fitting.model.laws.law import ComplexArray, Law
-from stapeskit.arrays import Array
+from fitting.model.laws.law import Law
+from stapeskit.arrays import Array, ComplexArray
 
 # Of w T: from next to viscous, where a T below zero is the noise of none, to branches that are springs.
 _RANGE = (-0.05, 3.0)

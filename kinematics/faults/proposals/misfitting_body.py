@@ -140,7 +140,7 @@ class MisfittingBody:
 
 @dataclass(frozen=True)
 class Remedy:
-    """What a cause would be of: its channels, the body in this run without it, and its size.
+    """The change that a cause implies: its channels, the body in this run without it, and its size.
 
     ``alike``: a body that bends would look alike. ``one_sided``: the other channels could not be at fault
     instead. ``judged``: nothing else was left with the cause, and the body is as it was.

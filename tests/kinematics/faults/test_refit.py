@@ -140,10 +140,10 @@ def test_what_is_skipped_would_have_been_no_rival():
     search = Search(data, np.full(27, SD_M), frame, True)
     fitted = {(fit.fault.kind, tuple(fit.channels)): fit for fit in search._suspects()}
     faults = [Fault(test.kind, test.owner, list(own)) for test in search.tested for own in test.sets]
-    best = max(search._evidence(fit, search.scale) for fit in fitted.values())
+    best = max(search._evidence(fit, search.noise_variance) for fit in fitted.values())
     for fault in faults:
         if (fault.kind, tuple(fault.channels)) not in fitted and 4 in fault.channels:
-            assert search._evidence(search.refit.fit(fault), search.scale) < best - 3.0
+            assert search._evidence(search.refit.fit(fault), search.noise_variance) < best - 3.0
 
 
 @pytest.mark.parametrize("seed", range(8))
