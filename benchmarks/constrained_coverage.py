@@ -25,11 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.ring_ears import PISTON, EarSettings, ear
 from fitting.errors import FittingError
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DOF, PAPER_MASS
 from fitting.fit_kd import fit_kd
 from fitting.model.parameter_vector import entry_names, join
 from fitting.options import KDOptions
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
 

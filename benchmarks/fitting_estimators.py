@@ -22,7 +22,6 @@ from fitting.estimators import estimator, ml
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.multistart import improve
 from fitting.estimators.problem import Problem
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of
@@ -31,6 +30,7 @@ from fitting.model.parameter_vector import join
 from fitting.model.scaled_lines import Scale
 from fitting.uncertainty.covariance import attenuation, invert, noise_covariance
 from fitting.uncertainty.identifiability import identifiability
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import DOF_NAMES, dof_indices
 

@@ -21,7 +21,6 @@ from scipy.optimize import Bounds, minimize
 from fitting.estimators import constrained, irls, ml, pinv
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of
@@ -29,6 +28,7 @@ from fitting.model.model import state_matrix
 from fitting.model.observation import observe
 from fitting.model.parameter_vector import join, pairs, split
 from fitting.model.scaled_lines import Lines, Scale, real_rows, regressor
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF
 OPTIONS = EstimatorOptions()

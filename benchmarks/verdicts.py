@@ -238,7 +238,7 @@ def _write_study(folder: Path, stated: Mapping[str, str]) -> None:
 def _study(
     folder: Path, ear: Ear, truth: Mapping[str, Any], mass: Any, seed: int, scan: str, what: str
 ) -> dict[str, Any]:
-    from fitting.measure_kd import kd_of
+    from fitting.recorded_fit import kd_of
     from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
     from pipeline.study import read_study

@@ -59,9 +59,9 @@ def dof2kd(
     """
     from fitting.calibrated import calibrated
     from fitting.file_chain import check_chain
-    from fitting.measure_kd import kd_of
     from fitting.model.mass_file import read_mass
     from fitting.options import KDOptions
+    from fitting.recorded_fit import kd_of
     from stapeskit.provenance import record
     from stapeskit.records.motion_files import read_motion
 

@@ -12,12 +12,12 @@ from fitting.calibrated import calibrated
 from fitting.errors import FittingError
 from fitting.export_formats import file_name, json_name
 from fitting.file_chain import check_chain
-from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
 from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
+from fitting.recorded_fit import kd_of
 from fitting.results import KDResult
 from stapeskit.input_changes import refuse_changes
 from stapeskit.own_files import OutputSet

@@ -196,7 +196,7 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write kd.json."""
     from fitting.calibrated import calibrated
     from fitting.file_chain import check_chain
-    from fitting.measure_kd import kd_of
+    from fitting.recorded_fit import kd_of
     from stapeskit.provenance import input_record, record
 
     options = study.fit

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Guess
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.grey_scale import bend_of_scale, with_bent_scale
-from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.neighbours import away_from_others
 from ct_inertia.grey.partial_volume import with_contribution
 from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plate_share

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air, Surroundings
 from ct_inertia.grey.cupping import Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.grey.edge_departure import cells_of
-from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.normal_distribution import normal_cdf
 from stapeskit.arrays import Array

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.grey.air_level import Air, Surroundings
 from ct_inertia.grey.level_fit import blurred, body_share, grow_mask
-from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.grey.quantisation import Level, Quantisation, level_of, quantisation_of
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import gaussian

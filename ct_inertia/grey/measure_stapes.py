@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace, WindowWall
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air, Guess, Surroundings
 from ct_inertia.grey.bare_bone import Blur, bare_bone
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, fit_bodies
-from ct_inertia.grey.levels import Air, Guess, Surroundings
 from ct_inertia.grey.neighbours import NeighbourSeparation, cut_through_bone, separate_from_neighbours
 from ct_inertia.grey.partial_volume import (
     Share,

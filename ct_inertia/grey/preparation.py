@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.clipped_levels import ClippedLevels, clipped_levels, undo_storing
 from ct_inertia.grey.edge_shape import EdgeShape, edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.level_fit import blurred, body_share, grow_mask
-from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.segment.extract_stapes import Cut

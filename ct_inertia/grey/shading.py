@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.cupping import Cupping
-from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import Share, sensitivity
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments

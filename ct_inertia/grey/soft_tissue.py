@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.edge_departure import cells_of
 from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
-from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import neighbour_share
 from ct_inertia.grey.partial_volume import by_octants, voxel_effects
 from ct_inertia.segment.extract_stapes import Cut

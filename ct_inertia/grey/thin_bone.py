@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air, Surroundings
 from ct_inertia.grey.bone_level import Bone, bone_of
 from ct_inertia.grey.level_fit import BodyFit, blurred
-from ct_inertia.grey.levels import Air, Surroundings
 
 _NEARLY = calibrated("thin_bone.fitted_share")
 _MORE_NEARLY = calibrated("thin_bone.compared_share")

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.level_fit import blurred, fit_bodies, grow_mask
-from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import voxel_effects
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import WindowWall
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, straightened
 from ct_inertia.grey.level_fit import grow_mask
-from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import NeighbourSeparation, neighbour_share
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.contours import contoured

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import surface_with_planes
+from ct_inertia.grey.air_level import Guess
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface
-from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.partial_volume import sensitivity, with_voxel_size
 from ct_inertia.grey.scan_border import CODE, BorderCut, border_notices, cut_notice
 from ct_inertia.grey.soft_coat import Coat, bare_bone_notice

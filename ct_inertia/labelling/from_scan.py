@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Bodies, PlateFrame
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
+from ct_inertia.grey.air_level import Guess
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
-from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.measure_stapes import Measured, measure_stapes
 from ct_inertia.grey.partial_volume import with_contribution, with_voxel_size
 from ct_inertia.grey.ring_artefacts import ring_notices

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.grey.levels import Guess
+from ct_inertia.grey.air_level import Guess
 from ct_inertia.segment.candidates import describe
 from ct_inertia.segment.coarse_segmentation import CoarseSegmentation, between_levels
 from ct_inertia.segment.plate_region import PlateRegion, find_plate

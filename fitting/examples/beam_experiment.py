@@ -16,9 +16,9 @@ import numpy as np
 from numpy.random import Generator
 
 from fitting.examples.beam import STEEL_DENSITY, Beam, element_mass, element_stiffness, transport_to_tip
-from fitting.examples.experiment import Layout
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
+from fitting.model.point_layout import Layout
 from fitting.options import KDOptions
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.examples.experiment import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.model import simulate
 from fitting.model.parameter_vector import join, split
+from fitting.model.point_layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
 from fitting.options import KDOptions
 from fitting.plan.planned_errors import PlannedErrors, shared_errors
 from stapeskit.arrays import Array

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from fitting.errors import FittingError
-from fitting.examples.experiment import Layout
 from fitting.examples.paper import PAPER_DOF
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import check_mass
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
+from fitting.model.point_layout import Layout
 from fitting.plan.plan import Plan
 from fitting.plan.plan_options import KEYS
 from fitting.plan.planned_errors import PlannedErrors

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.examples.experiment import Layout
+from fitting.model.point_layout import Layout
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
 from stapeskit.option_declaration import option

@@ -68,7 +68,7 @@ class Runner:
 
 RUNNERS: dict[str, Runner] = {
     HERE: Runner("processes of this machine"),
-    "cluster": Runner("a dask scheduler", ("tcp", "tls", "ws", "wss", "ucx", "")),
+    "dask_cluster": Runner("a dask scheduler", ("tcp", "tls", "ws", "wss", "ucx", "")),
 }
 """By the name of the module; an address without a scheme goes to the entry with an empty one."""
 

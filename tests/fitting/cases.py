@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.model.damping import VISCOUS, DampingLaw
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, matrix_from_parameters

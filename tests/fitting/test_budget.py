@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fitting.budget import without_rounding
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.options import KDOptions
 from fitting.uncertainty.covariance import NOISE
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.records.mass_record import MassMatrix
 from tests.fitting.cases import six_dof_parameters
 

@@ -15,9 +15,9 @@ from fitting.cli import work
 from fitting.errors import FittingError
 from fitting.fit_files import fit_files
 from fitting.fit_kd import fit_kd
-from fitting.measure_kd import footplate_outline
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
+from fitting.recorded_fit import footplate_outline
 from fitting.report.at_a_glance import summary_rows
 from fitting.report.kd_json import kd_json
 from fitting.report.sections import kd_page, kd_sections, source_words
@@ -261,7 +261,7 @@ def test_byte_order_mark_and_blank_lines_in_m_csv(tmp_path: Path) -> None:
 def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
     """Enormous and undefined numbers become null, never NaN, which is no JSON."""
     mass, stiffness = np.diag(np.diag(M)), np.diag(np.diag(K))
-    from fitting.examples.experiment import driven_base, simulated_motion
+    from sample_volumes.shaken_stapes import driven_base, simulated_motion
     from tests.fitting.cases import FREQ
 
     base = driven_base(FREQ, DOF, others=0.0)

@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import chi2
 
 from fitting.errors import FittingError
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_PRINTED
 from fitting.fit_kd import fit_kd
 from fitting.inplane_load import choose_inplane_load
@@ -18,6 +17,7 @@ from fitting.model.parameter_vector import entry_names, entry_units, join, split
 from fitting.model.principal_axes import principal_axes
 from fitting.options import KDOptions
 from fitting.report.sections import kd_page
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import (

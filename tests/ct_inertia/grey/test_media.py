@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.grey.levels import Air
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.neighbours import away_from_others, neighbour_share, separate_from_neighbours
 from ct_inertia.grey.soft_tissue import soft_tissue_covariance, subtract_soft_tissue, taken_off
 from ct_inertia.surface.moments import Moments

@@ -6,9 +6,9 @@ from scipy.ndimage import gaussian_filter
 
 from ct_inertia.frames.covered_plate import covered_face
 from ct_inertia.frames.plane_faces import PlaneFace
+from ct_inertia.grey.air_level import Air, Surroundings
 from ct_inertia.grey.edge_shape import edge_shape
 from ct_inertia.grey.level_fit import BodyFit
-from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.grey.soft_tissue import subtract_soft_tissue, taken_off
 from ct_inertia.grey.thin_bone import thin_bone
 from ct_inertia.labelling.from_scan import find_bodies

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.grey.levels import Air
+from ct_inertia.grey.air_level import Air
 from ct_inertia.grey.voids import closed_voids, empty_voids, void_notices
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments

@@ -5,7 +5,7 @@ import pytest
 
 from ct_inertia.bodies import LabelledVolume
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.levels import Surroundings, air_shell, measure_air, unclipped
+from ct_inertia.grey.air_level import Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.scan_border import border_notices
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read_scan import read_volume

@@ -53,8 +53,8 @@ def test_constrained_finds_one_optimum_with_stability_active() -> None:
 
 def printed_damping_lines(noise: float, seed: int | None, dof: tuple[str, ...] = DOF) -> Lines:
     """Data of a truth that is unstable and not passive: the paper's M and K with D as printed."""
-    from fitting.examples.experiment import driven_base, simulated_motion
     from fitting.examples.paper import PAPER_DAMPING_PRINTED
+    from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
     freq = np.linspace(400.0, 5000.0, 60)
     rng = None if seed is None else np.random.default_rng(seed)

@@ -63,7 +63,7 @@ def test_any_number_of_degrees_of_freedom(name: str, dof: tuple[str, ...]) -> No
     mass, stiffness, damping = (
         part[np.ix_(*[[DOF_NAMES.index(one) for one in dof]] * 2)] for part in six_dof_matrices()
     )
-    from fitting.examples.experiment import driven_base, simulated_motion
+    from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
     freq = np.linspace(400.0, 5000.0, 120)
     base = np.concatenate([driven_base(freq, dof, one) for one in dof[:3]])

@@ -14,10 +14,10 @@ from fitting.estimators.semidefinite_roots import (
     minimise_near,
     smallest_eigenvalues,
 )
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.model.damping import DampingLaw
 from fitting.model.parameter_vector import basis, join, pairs, split
 from fitting.model.scaled_lines import Lines
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from tests.fitting.cases import DOF, K, M
 from tests.fitting.estimators.test_estimators import lines_of
 

@@ -19,8 +19,8 @@ from fitting.export_formats import EXPORTS, exported, file_name
 from fitting.exports.inp import mass_points, spring_points
 from fitting.exports.joint import joint_parameters
 from fitting.fit_kd import fit_kd
-from fitting.measure_kd import kd_of
 from fitting.options import KDOptions
+from fitting.recorded_fit import kd_of
 from stapeskit.spatial import matrix_from_parameters
 from tests.fitting.cases import K, M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
 

@@ -12,9 +12,9 @@ from benchmarks.ring_ears import PIECES, PISTON, ring
 from fitting.examples.paper import PAPER_STIFFNESS
 from fitting.examples.paper_page import FOOTPLATE_MM
 from fitting.fit_kd import fit_kd
-from fitting.measure_kd import window_gap
 from fitting.model.annular_ligament import Value, ellipse_mm, ring_stiffness, ring_test
 from fitting.options import KDOptions
+from fitting.recorded_fit import window_gap
 from fitting.report.ring_section import ring_json, ring_of, ring_parts
 from tests.fitting.cases import M, paper_motion
 

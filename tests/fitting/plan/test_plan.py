@@ -14,11 +14,11 @@ from fitting.cli import parser, work
 from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
-from fitting.examples.experiment import Layout
 from fitting.fit_kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.model.damping import VISCOUS
 from fitting.model.observation import observe
+from fitting.model.point_layout import Layout
 from fitting.model.scaled_lines import Scale, assemble
 from fitting.options import KDOptions
 from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from fitting.errors import FittingError
-from fitting.examples.experiment import driven_base
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED
 from fitting.fit_kd import fit_kd
 from fitting.model.model import simulate
 from fitting.options import USUAL_BANDS, KDOptions
 from fitting.uncertainty.frequency_dependence import fewer_bands, frequency_dependence
+from sample_volumes.shaken_stapes import driven_base
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 from tests.fitting.cases import DOF, FREQ, K, M, paper_motion, six_dof_parameters
@@ -114,7 +114,7 @@ def test_the_uncertainty_of_the_mass_matrix_belongs_to_the_factors() -> None:
 
 
 def _motion_with(mass: np.ndarray, seed: int):
-    from fitting.examples.experiment import simulated_motion
+    from sample_volumes.shaken_stapes import simulated_motion
 
     base = driven_base(FREQ, DOF)
     return simulated_motion(

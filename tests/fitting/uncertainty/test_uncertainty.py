@@ -9,7 +9,6 @@ import pytest
 
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
-from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.fit_kd import fit_kd
 from fitting.model.damping import VISCOUS
 from fitting.model.model import simulate
@@ -18,6 +17,7 @@ from fitting.model.parameter_vector import join, split, vector
 from fitting.model.scaled_lines import Scale, assemble
 from fitting.options import KDOptions
 from fitting.uncertainty.covariance import invert
+from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from stapeskit.frames import rotation_from_vector
 from stapeskit.records.mass_record import frame_derivative
 from stapeskit.records.motion import RigidMotion, SharedErrors

@@ -18,7 +18,7 @@ def test_every_entry_can_be_called_as_the_interface_says(name):
 
 
 @pytest.mark.parametrize(
-    ("address", "module"), [("", "local"), ("tcp://host:8786", "cluster"), ("host:8786", "cluster")]
+    ("address", "module"), [("", "local"), ("tcp://host:8786", "dask_cluster"), ("host:8786", "dask_cluster")]
 )
 def test_the_address_chooses_the_runner(address, module):
     assert runner_of(address).__module__ == f"pipeline.runners.{module}"

@@ -7,9 +7,9 @@ from scipy.special import ndtr
 
 from ct_inertia.bodies import PlateFace
 from ct_inertia.grey import level_fit
+from ct_inertia.grey.air_level import Air, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.bone_level import measure_bone
 from ct_inertia.grey.level_fit import body_share, fit_bodies, grow_mask
-from ct_inertia.grey.levels import Air, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.plate_face import displaced_share
 from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.labelling.from_scan import find_bodies

@@ -18,8 +18,8 @@ import pytest
 from distributed import KilledWorker
 
 from pipeline.errors import PipelineError
-from pipeline.runners import Where, cluster, local
-from pipeline.runners.cluster import _end_of, _Order, _refusal
+from pipeline.runners import Where, dask_cluster, local
+from pipeline.runners.dask_cluster import _end_of, _Order, _refusal
 from pipeline.runners.study_process import Task
 from pipeline.several_studies import run_studies
 from pipeline.stage_records import code_hash
@@ -78,7 +78,7 @@ class Asked(Report):
         super().__init__()
         where = Where(address=address, shared=folder / "out")
         arguments = (tasks(folder, plans), where, self.tell, self.ended)
-        self.thread = threading.Thread(target=cluster.run, args=arguments)
+        self.thread = threading.Thread(target=dask_cluster.run, args=arguments)
         self.thread.start()
 
     def codes(self):
@@ -139,9 +139,9 @@ def test_an_ear_beyond_the_memory_of_its_worker_has_its_sentence_in_the_cohort(e
 
 
 def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.runners.cluster._CONNECT_S", 0.3)
+    monkeypatch.setattr("pipeline.runners.dask_cluster._CONNECT_S", 0.3)
     with pytest.raises(PipelineError) as refused:
-        cluster.run([], Where(address="tcp://127.0.0.1:9", shared=tmp_path), print, print)
+        dask_cluster.run([], Where(address="tcp://127.0.0.1:9", shared=tmp_path), print, print)
     assert refused.value.faults[0].thing == "{scheduler}"
     assert not list(tmp_path.iterdir())
 
