@@ -1,6 +1,7 @@
 """The table of exports: each is a module of ct_inertia.exports and one line here.
 
-A module has ``UNITS`` and ``write(body, folder)``, which returns the names of its files.
+A module has ``UNITS`` and ``write(body, folder)``, which returns the names of its files: some of those in the
+table, which are checked for other people's files before anything is computed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""The options of ``points2dof``, each declared once."""
+"""The options of ``points2dof``, each declared once: those of time series in `_SeriesTable`, others before.
+
+What uses an option takes it from here under its own name: a choice of the fit is a field of
+`kinematics.fit_options.Options`, what the files do not say themselves one of
+`kinematics.readers.input_options.InputOptions`, a file one of `kinematics.measure_motion.MotionInputs`.
+"""
 
 from __future__ import annotations
 

@@ -68,8 +68,8 @@ class StudyOptions(OptionTable):
     jobs: int = option(at_least(1), "studies that run at a time on this machine", 1)
     scheduler: str | None = option(
         TEXT,
-        f"address of {' or '.join(entry.summary for entry in RUNNERS.values() if entry.schemes)} "
-        "whose workers run the studies; they share the storage with this machine",
+        f"address of {' or '.join(entry.summary for entry in RUNNERS.values() if entry.schemes)}; "
+        "what runs there shares the storage with this machine",
         metavar="ADDRESS",
         example="tcp://10.0.0.1:8786",
     )

@@ -30,13 +30,16 @@ class Stage:
     table : str
         Table of the study file that holds its options.
     rooms : tuple of str
-        Packages and files whose code its outputs depend on.
+        Packages and files whose code its outputs depend on; a function of pipeline that it calls stands in
+        one of `_OWN_CODE`.
     inputs : callable
         From a study to the user's files by role.
     outputs : callable
         From a study and its output folder to the names of the files that it may write.
     parameters : callable
-        From a study and a workspace to what else its outputs depend on, JSON-able.
+        From a study and a workspace to what else its outputs depend on, JSON-able: its options, and of the
+        results of stages before it what it reads, or their hash. What is not here or in ``inputs`` can
+        change without a new run.
     run : callable
         From a study and a workspace, which has the results of the stages before, to the names of the files
         written and what the report shows of them.

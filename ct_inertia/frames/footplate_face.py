@@ -20,7 +20,8 @@ from ct_inertia.surface.surface_field import (
 from stapeskit.arrays import Array
 
 # Definition of the footplate frame: the medial face is what faces medially within this angle, its normals
-# averaged over this length; its plane is the robust fit with this scale. Other values define another frame.
+# averaged over this length; its plane is the robust fit with this scale. Other values define another frame:
+# docs/conventions.md and its picture state them, too. No other cone of the code is this one.
 FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03

@@ -13,7 +13,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
 from ct_inertia.surface.moments import Moments
 from stapeskit.option_names import named
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MASS, MILLIGRAM
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.warnings import Notice
 
@@ -104,7 +104,7 @@ def masses_by_way(
     masses: dict[str, MassProperties] = {}
     if options.mass_mg is not None:
         value, sd = options.mass_mg
-        masses["mass"] = from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
+        masses["mass"] = from_mass(moments, MILLIGRAM.si(value), None if sd is None else MILLIGRAM.si(sd))
     if options.calibration is not None:
         from ct_inertia.mass.calibration import from_calibration
 
@@ -149,7 +149,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
             notices.append(
                 Notice(
                     "masses_disagree",
-                    f"The mass by {WORDS[other.way]} is {MASS.text(apart, '+.3f')} ({percent:+.1f} %) off "
+                    f"The mass by {WORDS[other.way]} is {MASS.text(apart, '+.3g')} ({percent:+.1f} %) off "
                     f"that by {WORDS[lead.way]}, which is used; their standard deviations explain "
                     f"{MASS.text(limit, '.2g')}. Check voxel size, density and balance.",
                 )

@@ -12,6 +12,7 @@ from ct_inertia.options import PLAUSIBLE_DENSITY
 from ct_inertia.surface.moments import Moments
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
+from stapeskit.page.quantities import MILLIGRAM
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
 
@@ -40,7 +41,7 @@ class PointMass:
             raise CtInertiaError.of(
                 "{add_mass}",
                 "a positive mass in mg",
-                f"{1e6 * self.mass_kg:g} mg",
+                MILLIGRAM.text(self.mass_kg),
                 next_step="Give X,Y,Z,MG with MG above 0",
             )
 
@@ -53,7 +54,7 @@ class PointMass:
 
 def point_masses(rows: Iterable[Sequence[float]]) -> tuple[PointMass, ...]:
     """Return the point masses of rows x, y, z (mm), mass and its standard deviation (mg)."""
-    return tuple(PointMass(np.array(row[:3]), row[3] * 1e-6, row[4] * 1e-6) for row in rows)
+    return tuple(PointMass(np.array(row[:3]), *map(MILLIGRAM.si, row[3:5])) for row in rows)
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
             "{mass_mg}",
             f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
             "(500 to 4000 kg/m3)",
-            f"{1e6 * mass_kg:g} mg, that is {density:.4g} kg/m3",
+            f"{MILLIGRAM.text(mass_kg)}, that is {density:.4g} kg/m3",
             next_step="Check the mass (mg) and the voxel size",
         )
     parameters = unit_parameters(moments) * density

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MASS, MILLIGRAM
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ NAMES = {
 
 def shown(quantity: str, value: float) -> float:
     """Return a value of a quantity in the unit of `NAMES`."""
-    return MASS.of(1e-6 * value) if quantity == "mass_mg" else value
+    return MASS.of(MILLIGRAM.si(value)) if quantity == "mass_mg" else value
 
 
 def comparisons(values: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -133,7 +133,7 @@ def measured_values(volume_m3: float, density_kg_m3: float, footplate: Footplate
     """Return the quantities to compare, of the bone without what was glued to it."""
     return {
         "volume_mm3": volume_m3 * 1e9,
-        "mass_mg": volume_m3 * density_kg_m3 * 1e6,
+        "mass_mg": MILLIGRAM.of(volume_m3 * density_kg_m3),
         "density_kg_m3": density_kg_m3,
         "height_mm": footplate.height_mm,
         "footplate_length_mm": footplate.length_mm,

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
 
 
-# Of an entry of the mass matrix, by how many of its two degrees of freedom are rotations.
-
-
 @dataclass(frozen=True)
 class Pictured:
     """What the pictures need in addition to mass.json.

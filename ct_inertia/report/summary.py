@@ -72,7 +72,7 @@ def summary_rows(result: MassMeasurement, content: Mapping[str, Any]) -> list[tu
         rows.append(
             (
                 f"by {way['by']} instead",
-                f"{MASS.of(way['mass_kg']):.4f} {MASS.symbol} ({way['mass_change_percent']:+.2f} %) at "
+                f"{MASS.text(way['mass_kg'], '.5g')} ({way['mass_change_percent']:+.2f} %) at "
                 f"{way['density_kg_m3']:.0f} kg/m³; centre {shift:.1f} µm off; M within {worst:.2f} %",
             )
         )

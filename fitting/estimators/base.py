@@ -100,7 +100,9 @@ class Method:
         Sum of the scores, where there is a faster way to it.
     likelihood : bool
         Whether it maximises the likelihood of errors in variables: its regressor is the fitted motion, so
-        that it has no attenuation bias, its slope is symmetric, and it can start anywhere.
+        that it has no attenuation bias, its slope is symmetric, and it can start anywhere. Where the plane
+        of the ligament is fitted too, the likelihood of all is maximised from its estimate on
+        (fitting/ligament/ligament.py).
     robust : tuple of str
         Choices of ROBUST that it can follow.
     bounded : bool

@@ -58,8 +58,6 @@ class Expansion:
         L^-1.
     gain : ndarray, (lines, 12, n), complex
         C B^H, of the motion with the terms in it.
-    fitted : ndarray, (lines, 12), complex
-        yhat with the terms in it.
     operators : ndarray, (t, lines, n, 12), complex, or None
         Derivatives of the operator on the motion as measured by the terms.
     jacobian : ndarray, (lines * n, p), complex, or None
@@ -72,7 +70,6 @@ class Expansion:
     residual: ComplexArray
     whitening: ComplexArray
     gain: ComplexArray
-    fitted: ComplexArray
     operators: ComplexArray | None = None
     jacobian: ComplexArray | None = None
 
@@ -167,7 +164,7 @@ def expand(
         hessian = 2.0 * (real.T @ real)
         hessian[:p, :p] += prior.root.T @ prior.root
         hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
-    return Expansion(value, gradient, hessian, white, whitening, gain, fitted, operators, jacobian)
+    return Expansion(value, gradient, hessian, white, whitening, gain, operators, jacobian)
 
 
 def _structural_columns(

@@ -1,4 +1,7 @@
-"""Figures of a fit: responses (Figs. 4, 5), residuals, principal axes (Fig. 6)."""
+"""Figures of a fit: responses (Figs. 4, 5), correlations, frequencies, principal axes (Fig. 6), residuals.
+
+Mode shapes are drawn in mode_shapes.py. A section of sections.py shows each figure.
+"""
 
 from __future__ import annotations
 

@@ -56,6 +56,8 @@ SOURCE_WORDS = {
 def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | None = None) -> list[Section]:
     """Return the sections of a fit: warnings excepted, which the page puts first.
 
+    Their places and headings in the report of a study are `_PARTS` in pipeline/report.py.
+
     Parameters
     ----------
     outline_mm : ndarray, (points, 3), optional

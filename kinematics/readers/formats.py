@@ -1,8 +1,9 @@
 """The table of vibrometer formats.
 
 A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; the help of
-``points2dof``, messages and the table in docs/vibrometer_files.md follow. Help stays quick: what recognises a
-format is imported where it is used.
+``points2dof``, messages and the table in docs/vibrometer_files.md follow. The first entry that holds a file
+reads it. The contract test wants a writer of every entry in tests/kinematics/readers/contract.py. Help stays
+quick: what recognises a format is imported where it is used.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Format:
     Attributes
     ----------
     module : str
-        Has ``read(path, *options)``; empty for the tidy table, which `kinematics.tidy` reads.
+        Full name; has ``read(path, *options)``. Empty for the tidy table, which `kinematics.tidy` reads.
     words : str
         What it is, in a message that lists the formats; empty where another entry says it.
     holds : callable
@@ -65,7 +66,8 @@ class Format:
     options : tuple of str
         Attributes of InputOptions that ``read`` takes.
     in_folders : bool
-        Whether a folder of such files is one measurement.
+        Whether a folder of such files is one measurement; of a folder only files with the endings
+        ``EXPORT_ENDINGS`` (psv/text_blocks.py) are looked at.
     series : str
         ``channels``: may hold time series, which need a table of channels. ``described``: which it describes
         itself.

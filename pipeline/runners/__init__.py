@@ -1,7 +1,8 @@
 """Where the studies of a cohort run, one place a file: in processes of this machine, or on a cluster.
 
 A runner is a module of this folder with a function ``run(tasks, where, tell, ended)``, and one entry of
-`RUNNERS`; ``scan2kd --scheduler``, its help and the contract test follow from it.
+`RUNNERS`; ``scan2kd --scheduler``, its help and the contract test follow from it. What it refuses (another
+version, no shared storage) is tried on the workers: `dask_cluster` shows how.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ class Runner:
 
 RUNNERS: dict[str, Runner] = {
     HERE: Runner("processes of this machine"),
-    "dask_cluster": Runner("a dask scheduler", ("tcp", "tls", "ws", "wss", "ucx", "")),
+    "dask_cluster": Runner(
+        "a dask scheduler, whose workers run the studies", ("tcp", "tls", "ws", "wss", "ucx", "")
+    ),
 }
 """By the name of the module; an address without a scheme goes to the entry with an empty one."""
 

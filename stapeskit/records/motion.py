@@ -3,7 +3,9 @@
 `ROW_COLUMNS` is the table of the further columns of dof.csv, one number per row. A new column is one entry;
 writer, reader, checks and docs/schemas.md follow. Where its values are not computed from other fields, it
 also needs a field in `RigidMotion`, None by default, and an attribute of that name in `LineFit`
-(kinematics/fit/rigid_fit.py).
+(kinematics/fit/rigid_fit.py); one that only some motions have is ``optional``. One in units of the motion
+is divided by the reference of ``--reference`` in kinematics/fit/frf_ratio.py. Columns of each degree of
+freedom are in motion_columns.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Damping laws, one a file: the factor s(w) in the dynamic stiffness Z(w) = K + s(w) D.
 
 A law is a module of this folder with a ``LAW`` (fitting.model.laws.law.Law), and one line in this table.
+Where a cause of a misfit is called ``law_NAME`` (fitting/causes/catalogue.py), sentences take its title.
 """
 
 from __future__ import annotations

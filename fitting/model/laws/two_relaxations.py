@@ -26,13 +26,13 @@ def _slope(omega: Array, time: float) -> ComplexArray:
     return np.asarray(0.5 * (omega / (1.0 + 1j * omega * time)) ** 2, dtype=complex)
 
 
-def _continue_angle(value: complex, time: float) -> complex:
+def _branch_at(value: complex, time: float) -> complex:
     return 0.5 * value / (1.0 + value * time)
 
 
 LAW = Law(
     factor=lambda omega, time, ratio: _branch(omega, time) + _branch(omega, ratio * time),
-    continued=lambda value, time, ratio: _continue_angle(value, time) + _continue_angle(value, ratio * time),
+    continued=lambda value, time, ratio: _branch_at(value, time) + _branch_at(value, ratio * time),
     formula=lambda time, ratio: (
         f"K + i w D / 2 (1 / (1 + i w {time:.3g} s) + 1 / (1 + i w {ratio * time:.3g} s))"
     ),

@@ -53,13 +53,13 @@ class TestTheFrameOfAKnownStapes:
         assert frame.face_rms_mm < 0.02
 
     def test_height_of_the_centre_is_that_of_the_exact_face(self):
-        # Flat part (offset ellipse) at height 0, and the rim (circle of 0.1 mm) up to 60 degrees.
+        # Flat part (offset ellipse) at height 0, and the rim (circle of 0.1 mm) up to the angle of the face.
         a, b, r = 1.35, 0.6, 0.1
         flat = np.pi * a * b
         t = np.linspace(0.0, 2.0 * np.pi, 2001)[:-1]
         speed = np.hypot(a * np.sin(t), b * np.cos(t))
         perimeter = speed.mean() * 2.0 * np.pi
-        theta = np.linspace(0.0, np.pi / 3.0, 2001)
+        theta = np.linspace(0.0, np.radians(FACE_ANGLE_DEG), 2001)
         ring = r * (perimeter + 2.0 * np.pi * r * np.sin(theta))
         area = flat + np.trapezoid(ring, theta)
         expected = np.trapezoid(ring * r * (1.0 - np.cos(theta)), theta) / area

@@ -17,7 +17,9 @@ from kinematics.readers.input_options import InputOptions
 from kinematics.readers.measurement_files import read_measurement
 from kinematics.readers.recognise_format import format_of
 from kinematics.readers.recording import Recording, Recordings
+from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.faults import Place, StapeskitError
+from tests.kinematics.readers.contract import CASES, FREQ_HZ, VELOCITY
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
@@ -27,6 +29,26 @@ def test_every_entry_has_a_reader_that_takes_its_options(entry):
     parameters = inspect.signature(import_module(entry.module).read).parameters
     assert len(parameters) == 1 + len(entry.options)
     assert all(hasattr(InputOptions(), name) for name in entry.options)
+
+
+@pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
+def test_every_format_gives_the_recording_that_was_written(entry, tmp_path):
+    path, options = CASES[entry.name](tmp_path)
+    assert format_of(path) is entry
+    if entry.name == TIDY:
+        body = read_ldv(path).bodies[0]
+        seen = body.displacement[0] * (2j * np.pi * FREQ_HZ)
+    elif entry.name == "vendor":
+        with pytest.raises(StapeskitError, match="Export"):
+            entry.read(path, options)
+        return
+    else:
+        found = entry.read(path, options).recordings
+        recordings = sorted(found, key=lambda one: (one.point, *(-one.direction)))
+        lines = [np.searchsorted(one.freq_hz, FREQ_HZ - 1e-6) for one in recordings]
+        assert all(one.order == 1 for one in recordings)
+        seen = np.array([one.value[line] for one, line in zip(recordings, lines, strict=True)])
+    np.testing.assert_allclose(seen, VELOCITY.reshape(9, -1), rtol=1e-3, atol=1e-8)
 
 
 def test_the_help_of_the_command_lists_every_format():
