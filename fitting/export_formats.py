@@ -6,6 +6,7 @@ option, help and the contract test follow from it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +40,12 @@ EXPORTS = {
 def file_name(stem: str, name: str) -> str:
     """Return the file of an export beside ``stem``.json."""
     return f"{stem}{EXPORTS[name].ending}"
+
+
+def file_names(name: str, export: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the names of a result ``name``, X.json: itself, its page X.html, and its exports."""
+    page = Path(name).with_suffix(".html").name
+    return (name, page, *(file_name(Path(name).stem, kind) for kind in export))
 
 
 def json_name(out: Path) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 
 from fitting.calibrated import calibrated
 from fitting.errors import FittingError
-from fitting.export_formats import file_name, json_name
+from fitting.export_formats import file_names, json_name
 from fitting.file_chain import check_chain
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
@@ -131,5 +131,5 @@ def plan_files(
 
 def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:
     """Return the set of outputs (result file, page, exports) with the files that are read."""
-    names = (out.name, out.with_suffix(".html").name, *(file_name(out.stem, name) for name in export))
-    return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)
+    read = tuple(path for path in inputs if path is not None)
+    return OutputSet("dof2kd", out.parent, file_names(out.name, export), read, force)

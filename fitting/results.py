@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.export_formats import exported, file_name
+from fitting.export_formats import exported, file_names, json_name
 from fitting.kd_fit import KDFit
 from fitting.montecarlo import MonteCarlo, monte_carlo_json, monte_carlo_section
 from stapeskit.arrays import Array
@@ -107,29 +107,22 @@ class KDResult(Result, KDFit):
         """Write ``name``, X.json, the page X.html and exports into an empty folder; return their names."""
         from fitting.report.sections import kd_page
 
-        html = Path(name).with_suffix(".html").name
+        names = file_names(name, export)
         text = json.dumps(self.content(), indent=1) + "\n"
         (Path(folder) / name).write_text(text, encoding="utf-8")
-        page = kd_page(self, self.provenance, self.footplate_outline_mm, self.ligament_gap_mm)
-        if self.scatter is not None:
-            page.sections.insert(-1, monte_carlo_section(self, self.scatter))
-        page.write(Path(folder) / html)
-        more = [file_name(Path(name).stem, kind) for kind in export]
-        for kind, file in zip(export, more, strict=True):
+        kd_page(self, self.provenance, self.sections()).write(Path(folder) / names[1])
+        for kind, file in zip(export, names[2:], strict=True):
             (Path(folder) / file).write_bytes(exported(self, kind))
-        return [name, html, *more]
+        return list(names)
 
     def write(
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
-        from fitting.export_formats import json_name
         from stapeskit.own_files import OutputSet
 
         json_name(Path(name))
-        html = Path(name).with_suffix(".html").name
-        more = tuple(file_name(Path(name).stem, kind) for kind in export)
-        outputs = OutputSet("dof2kd", Path(folder), (name, html, *more), self.files, force)
+        outputs = OutputSet("dof2kd", Path(folder), file_names(name, export), self.files, force)
         outputs.check()
         with outputs.staged() as stage:
             names = self.write_into(stage, name, export)

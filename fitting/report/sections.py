@@ -80,13 +80,8 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | No
     return [section for section in sections if section is not None]
 
 
-def kd_page(
-    fit: KDFit,
-    provenance: Mapping[str, Any],
-    outline_mm: Array | None = None,
-    gap_mm: WithSd | None = None,
-) -> Page:
-    """Return kd.html: summary, warnings, the sections of the fit, inputs."""
+def kd_page(fit: KDFit, provenance: Mapping[str, Any], sections: Sequence[Section] | None = None) -> Page:
+    """Return kd.html: summary, warnings, the sections (those of `kd_sections` by default), inputs."""
     report = Page(
         "Stiffness and damping of the annular ligament",
         f"{', '.join(fit.dof)} about the footplate centre in footplate axes; "
@@ -96,7 +91,7 @@ def kd_page(
     report.section(
         "At a glance", page.table(("", ""), summary_rows(fit), words=True), page.notices(fit.notices)
     )
-    report.sections.extend(kd_sections(fit, outline_mm, gap_mm))
+    report.sections.extend(kd_sections(fit) if sections is None else sections)
     report.section("Inputs", page.inputs_table(dict(provenance)))
     return report
 
