@@ -124,37 +124,21 @@ def _write(
     crop: EarlyCrop,
 ) -> tuple[list[str], dict[str, Any], tuple[Notice, ...]]:
     """Write every output; return their names, the content of mass.json, and the warnings of writing."""
-    from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
     from ct_inertia.exports.output_files import LABELS, MEASURED_LABELS
+    from ct_inertia.exports.write_result import write_result
 
-    labels = LABELS if LABELS in outputs.names else MEASURED_LABELS
-    content = mass_json(result, given.sha256, hashes, not given.no_report, labels)
-    shown = None
-    if given.smooth is not None or given.faces is not None:
-        from ct_inertia.surface.display_surface import display_mesh
-
-        mesh = display_mesh(result.stapes, given.smooth, given.faces)
-        content["display_mesh"] = mesh.as_json()
-        shown = mesh.surface
-    names = []
-    if shown is not None:
-        from ct_inertia.surface.surface import write_surface
-
-        write_surface(stage / "stapes_display.ply", shown)
-        names.append("stapes_display.ply")
-    if given.export:
-        from ct_inertia.exports import export, units_of
-
-        content["exports"] = units_of(given.export)
-        names += export(result, stage, given.export, shown)
-    report = [] if given.no_report else ["report.html"]
-    notices = outputs.kept_notices([*names_of(result, content), *names, *report])
-    content["warnings"] += [notice.as_json() for notice in notices]
-    if report:
-        from ct_inertia.report.sections import write_report
-
-        write_report(stage / "report.html", result, content, shown)
-    return [*write_outputs(result, stage, content, crop), *names, *report], content, notices
+    return write_result(
+        result,
+        outputs,
+        stage,
+        labels_file=LABELS if LABELS in outputs.names else MEASURED_LABELS,
+        report=not given.no_report,
+        display=(given.smooth, given.faces),
+        export=given.export,
+        hashes=hashes,
+        sha256=given.sha256,
+        crop=crop,
+    )
 
 
 def _start(arguments: list[str]) -> tuple[ParsedOptions, Outcome]:

@@ -31,7 +31,7 @@ _NEEDED_LATER = (
     "ct_inertia.frames.plate_frame",
     "ct_inertia.frames_and_mass",
     "ct_inertia.frames.window_gap",
-    "ct_inertia.exports.mass_json",
+    "ct_inertia.exports.write_result",
 )
 
 __all__ = ["MassMeasurement", "MassOptions", "ct2mass"]

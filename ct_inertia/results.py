@@ -85,21 +85,15 @@ class MassResult(Result, MassMeasurement):
 
     def write(self, folder: Path | str, *, force: bool = False, report: bool = True) -> tuple[Path, ...]:
         """Write mass.json, surfaces, labels and, unless ``report`` is off, report.html."""
-        from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
-        from ct_inertia.exports.output_files import REPORT, labels_name, output_set
-        from ct_inertia.report.sections import write_report
+        from ct_inertia.exports.output_files import labels_name, output_set
+        from ct_inertia.exports.write_result import write_result
 
         target = Path(folder)
         outputs = output_set(self.options, target, report=report, force=force)
         outputs.check()
         labels = labels_name(target, self.options.labels)
-        content = mass_json(self, second=report, labels_file=labels)
         with outputs.staged() as stage:
-            names = [*names_of(self, content), *([REPORT] if report else [])]
-            content["warnings"] += [notice.as_json() for notice in outputs.kept_notices(names)]
-            if report:
-                write_report(stage / REPORT, self, content)
-            write_outputs(self, stage, content)
+            names, _, _ = write_result(self, outputs, stage, labels_file=labels, report=report)
         return tuple(target / name for name in names)
 
 

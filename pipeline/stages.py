@@ -123,9 +123,10 @@ def _scan_outputs(study: Study, out: Path) -> tuple[str, ...]:
 
 def _run_scan(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write mass.json, surfaces and labels."""
-    from ct_inertia.exports.mass_json import mass_json, write_outputs
+    from ct_inertia.exports.mass_json import mass_json
     from ct_inertia.exports.output_files import SCAN_CROP, labels_name
     from ct_inertia.exports.scan_crop import EarlyCrop
+    from ct_inertia.exports.write_result import write_outputs
     from ct_inertia.report.sections import report_sections
     from ct_inertia.results import mass_of
 

@@ -1,8 +1,7 @@
-"""Write ``mass.json`` and the other outputs of a mass result."""
+"""The content of ``mass.json``."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.exports.output_files import LABELS, SCAN_CROP, SEGMENTS
-from ct_inertia.exports.scan_crop import EarlyCrop, needs_crop
+from ct_inertia.exports.output_files import LABELS
 from ct_inertia.grey.scan_border import CODE as CUT_BY_BORDER
 from ct_inertia.grey.soft_coat import BARE
 from ct_inertia.mass.budget import budget, not_included
 from ct_inertia.mass.mass_properties import point_masses
 from ct_inertia.mass.published_sizes import comparisons, measured_values
 from ct_inertia.native import which
-from ct_inertia.surface.surface import Surface, write_surface
+from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.options import declared, plain
@@ -117,50 +115,6 @@ def mass_json(
     }
     plain: dict[str, Any] = _finite(content)
     return plain
-
-
-def write_outputs(
-    result: MassMeasurement, folder: Path, content: Mapping[str, Any], crop: EarlyCrop | None = None
-) -> list[str]:
-    """Write mass.json, surfaces, labels and the part of the scan under them; return their names.
-
-    Parameters
-    ----------
-    result : MassMeasurement
-    folder : Path
-    content : mapping
-        Of mass.json.
-    crop : EarlyCrop, optional
-        The part of the scan, when it may have been begun already.
-
-    Raises
-    ------
-    StapeskitError
-        An input has changed since it was read.
-    """
-    folder = Path(folder)
-    (folder / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    write_surface(folder / "stapes.ply", result.stapes)
-    if result.plate is not None:
-        write_surface(folder / "plate.ply", result.plate)
-    if result.bodies is not None:
-        labels = content["labels_file"]
-        result.bodies.labels.write(folder / labels)
-        result.bodies.labels.write(folder / SEGMENTS[labels])
-    if needs_crop(result.options) and result.bodies is not None:
-        (crop or EarlyCrop(result.options, folder / SCAN_CROP)).finish(result.bodies)
-    if result.inputs is not None:  # labels and pictures were read from the scan until here
-        result.inputs.check()
-    return names_of(result, content)
-
-
-def names_of(result: MassMeasurement, content: Mapping[str, Any]) -> list[str]:
-    """Return the names of the files that `write_outputs` writes."""
-    names = ["mass.json", "stapes.ply"]
-    names += [] if result.plate is None else ["plate.ply"]
-    if result.bodies is not None:
-        names += [content["labels_file"], SEGMENTS[content["labels_file"]]]
-    return names + ([SCAN_CROP] if result.bodies is not None and needs_crop(result.options) else [])
 
 
 def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:
