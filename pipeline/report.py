@@ -191,7 +191,10 @@ def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], wo
     settings += [(f"motion: {key}", value) for key, value in motion["parameters"].items() if value]
     settings += [(f"fit: {key}", value) for key, value in kd["provenance"]["parameters"].items() if value]
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    used = ", ".join(f"{package} {number}" for package, number in work.hashes.versions().items())
+    versions: dict[str, str] = {}
+    for source in (mass["provenance"], motion, kd["provenance"]):
+        versions |= source["versions"]
+    used = ", ".join(f"{package} {number}" for package, number in versions.items())
     return [
         page.inputs_table({"inputs": entries}),
         page.table(
