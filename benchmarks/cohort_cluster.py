@@ -24,7 +24,7 @@ from pipeline.runners import Where, cluster, local
 from pipeline.runners.study_process import Task
 from pipeline.stages import STAGES, run_stage
 from sample_volumes.make_cohort import Population, make_cohort
-from tests.pipeline.runners.test_cluster import processes
+from tests.pipeline.runners.test_dask_cluster import processes
 
 _CHANGING = ("provenance", "seconds", "hash", "modified", "date")
 
