@@ -1,9 +1,4 @@
-"""The options of ``points2dof``, each declared once: those of time series in `_SeriesTable`, others before.
-
-What uses an option takes it from here under its own name: a choice of the fit is a field of
-`kinematics.fit_options.Options`, what the files do not say themselves one of
-`kinematics.readers.input_options.InputOptions`, a file one of `kinematics.measure_motion.MotionInputs`.
-"""
+"""The options of ``points2dof``; choices of the fit also in fit_options.py, files in measure_motion.py."""
 
 from __future__ import annotations
 
