@@ -20,7 +20,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.runners import Where, cluster, local
+from pipeline.runners import Where, dask_cluster, local
 from pipeline.runners.study_process import Task
 from pipeline.stages import STAGES, run_stage
 from sample_volumes.make_cohort import Population, make_cohort
@@ -96,7 +96,7 @@ def main() -> None:
                     (folder / f"c{kind}{number}").mkdir()
                     with processes(folder / f"c{kind}{number}", workers) as (address, _):
                         seconds = timed(
-                            lambda t, o, *rest, a=address: cluster.run(t, Where(1, a, o), *rest),
+                            lambda t, o, *rest, a=address: dask_cluster.run(t, Where(1, a, o), *rest),
                             tasks,
                             out,
                         )

@@ -196,8 +196,21 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
 
 
 def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> Path:
-    """Add a file, or a header with the files that it names, to the copies; return its new path."""
-    data = [file for file in data_files(source) if file.is_relative_to(source.parent)]
+    """Add a file, or a header with the files that it names, to the copies; return its new path.
+
+    Raises
+    ------
+    PipelineError
+        A header names a file outside its folder: copied by that name, it would lie outside that of the ear.
+    """
+    data = [Path(os.path.normpath(file)) for file in data_files(source)]
+    source = Path(os.path.normpath(source))
+    outside = [file for file in data if not file.is_relative_to(source.parent)]
+    if outside:
+        raise PipelineError.of(
+            "the data file", "in the folder of its header", outside[0], source.name,
+            "Put both files into one folder, and correct the name in the header",
+        )  # fmt: skip
     if data:
         # A header names its data files: all keep their names, in a folder of the ear.
         for part in (source, *data):

@@ -121,6 +121,22 @@ def test_slices_of_another_scan_are_neither_replaced_nor_mixed(studies, tmp_path
     assert (copy / "s1.tif").read_text() == "corrected by hand"
 
 
+@pytest.mark.parametrize("name", ["../data/voxels.raw", "{root}/mine/voxels.raw"])
+def test_voxels_outside_the_folder_of_their_header_are_refused(studies, tmp_path, name):
+    for folder in ("data", "mine"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "voxels.raw").write_text(folder)
+    name = name.format(root=tmp_path)
+    header = studies[0].with_name("scan.mhd")
+    header.write_text(header.read_text().replace("voxels.raw", name))
+    with pytest.raises(PipelineError) as caught:
+        write_dataset(studies, tmp_path / "bids")
+    (fault,) = caught.value.faults
+    assert fault.where == "scan.mhd"
+    assert not (tmp_path / "bids").exists()
+    assert (tmp_path / "mine" / "voxels.raw").read_text() == "mine"
+
+
 def test_a_dataset_is_written_whole_and_through_no_link(studies, tmp_path, monkeypatch):
     outside = tmp_path / "mine.csv"
     link = tmp_path / "bids/sub-TB12/ses-pre1/ldv/sub-TB12_ses-pre1_hemi-L_points.csv"
