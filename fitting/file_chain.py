@@ -8,7 +8,7 @@ from typing import Any
 
 from fitting.errors import FittingError
 from stapeskit.option_names import named
-from stapeskit.provenance import content_hash, document_hash
+from stapeskit.provenance import FRAMES_HASH, content_hash, document_hash, frames_hash
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
 from stapeskit.warnings import Notice
@@ -52,10 +52,13 @@ def check_chain(
     name = "mass" if mass_file is None else mass_file.name
     travelling = [replace(notice, text=f"mass: {notice.text}") for notice in record.notices]
     used = _mass_record(motion)
-    other_hash = None if used is None else _other_hash(used, record, mass_file)
-    if used is None or other_hash is None:
+    if used is None:
+        origin, other_hash = "the mass.json of its study", _other_frames(motion, record)
+    else:
+        origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
+        other_hash = _other_hash(used, record, mass_file)
+    if other_hash is None:
         return travelling
-    origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
     got = f"{name} with the content {other_hash}"
     if not force:
         raise FittingError.of(
@@ -67,6 +70,12 @@ def check_chain(
         )
     text = f"{motion_name} was computed with the frames of {origin}, not with {got} ({named('force')})."
     return [Notice("other_mass_file", text), *travelling]
+
+
+def _other_frames(motion: RigidMotion, record: MassRecord) -> str | None:
+    """Return the hash of the frames of the given mass where a motion of a study names others, else None."""
+    own = frames_hash(record.raw)
+    return None if motion.provenance.get(FRAMES_HASH) in (None, own) else own
 
 
 def _other_hash(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:

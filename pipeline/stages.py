@@ -151,15 +151,15 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
     The motion of the points does not depend on the density, so that another density reuses it.
     """
+    from stapeskit.provenance import frames_hash
+
     mass = work.mass.record.raw
     values = mass["inertial_parameters"]["values_si"]
-    names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
     labels = mass.get("labels_file") or "labels.nrrd"
-    frames = {key: mass["frames"].get(key) for key in names}
     surfaces = ("stapes.ply", "plate.ply", labels)
     return {
         **study.ldv.parameters(),
-        "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
+        "frames of the scan": frames_hash(mass),
         "mass distribution": [f"{value / values[0]:.7g}" for value in values],
         "surfaces": [work.hash_of(name) if work.find(name).exists() else None for name in surfaces],
     }
@@ -172,12 +172,12 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     from kinematics.measure_motion import motion_inputs, motion_of
     from kinematics.motion_outputs import write_outputs
     from kinematics.report.sections import sections
-    from stapeskit.provenance import record
+    from stapeskit.provenance import FRAMES_HASH, frames_hash, record
 
     inputs = motion_inputs(study.ldv)
-    parameters = study.ldv.parameters()
-    parameters = {**parameters, "frames": "of the scan"}
+    parameters = {**study.ldv.parameters(), "frames": "of the scan"}
     provenance = record(inputs.by_role, parameters, calibrated.version(), hashes=work.hashes)
+    provenance[FRAMES_HASH] = frames_hash(work.mass.record.raw)
     read = measurement_of(study, work)
     result = motion_of(inputs, read, fit_options(study.ldv), work.mass, provenance)
     scenery = result.scenery

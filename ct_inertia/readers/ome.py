@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +33,16 @@ class Calibration:
     known: str = ""
 
 
-def ome_calibration(xml: str) -> Calibration | None:
-    """Return voxel size and place of the first image, or None when the XML has none.
+def ome_calibration(xml: str, number: int, count: int, shape: Sequence[int]) -> Calibration | None:
+    """Return voxel size and place of an image, or None when the XML has none.
+
+    Parameters
+    ----------
+    xml : str
+    number, count : int
+        Which image it is, from 0, and how many were found in the file.
+    shape : sequence of int
+        Its size, in any order of the axes.
 
     Notes
     -----
@@ -45,9 +55,15 @@ def ome_calibration(xml: str) -> Calibration | None:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError:
         return None
-    pixels = next((e for e in root.iter() if _name(e.tag) == "Pixels"), None)
-    if pixels is None:
+    images = [element for element in root.iter() if _name(element.tag) == "Pixels"]
+    if not images:
         return None
+    if len(images) > 1 and len(images) != count:
+        # Images without planes are left out by readers: the one meant has the same size.
+        images = [image for image in images if _size(image) == _sorted(shape)]
+        if len(images) != 1:
+            return Calibration(None, known="the OME header has several images, and which one is this is open")
+    pixels = images[number if len(images) > 1 else 0]
     sizes = [_length(pixels.get(f"PhysicalSize{a}"), pixels.get(f"PhysicalSize{a}Unit", _UM)) for a in "XYZ"]
     planes = sorted(
         (p for p in pixels if _name(p.tag) == "Plane"), key=lambda p: int(p.get("TheZ", "0") or 0)
@@ -67,6 +83,15 @@ def ome_calibration(xml: str) -> Calibration | None:
         shown = ", ".join(f"{a} {v:.6g} mm" for a, v in zip("xyz", sizes, strict=True) if v)
         return Calibration(None, origin, f"the OME header says {shown or 'no physical size'}")
     return Calibration(np.array(lengths), origin)
+
+
+def _size(image: Any) -> list[int]:
+    return _sorted(int(image.get(f"Size{axis}", "1") or 1) for axis in "XYZCT")
+
+
+def _sorted(shape: Iterable[int]) -> list[int]:
+    """Return the sizes above 1, ascending."""
+    return sorted(n for n in shape if n > 1)
 
 
 def _name(tag: str) -> str:

@@ -44,8 +44,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     with listening(path, "TIFF"), tifffile.TiffFile(path) as tif:
         check_ome_files(path, tif.ome_metadata if tif.is_ome else None, options.follow)
         series = first_stack(tif)
-        array = stack_array(series, tif, path)
-        place = _calibration(tif, series.keyframe)
+        array = stack_array(series, path)
+        place = _calibration(tif, series)
         notices = _notices(tif, path)
         if white_is_zero(series.keyframe):
             array, notices = invert_grey_values(array), [*notices, turned_notice(path)]
@@ -63,10 +63,12 @@ def companion_files(path: Path) -> list[Path]:
     return [path.parent / name for name in names if "\0" not in name]
 
 
-def _calibration(tif: tifffile.TiffFile, page: Any) -> Calibration:
-    """Return spacing and origin x, y, z in mm, or the part of them that the file has."""
+def _calibration(tif: tifffile.TiffFile, series: Any) -> Calibration:
+    """Return spacing and origin x, y, z in mm of an image, or the part of them that the file has."""
+    page: Any = series.keyframe
     if tif.is_ome and tif.ome_metadata:
-        calibration = ome_calibration(tif.ome_metadata)
+        every = list(tif.series)
+        calibration = ome_calibration(tif.ome_metadata, every.index(series), len(every), series.shape)
         if calibration is not None:
             return calibration
     plane = _resolution(page)

@@ -5,7 +5,6 @@ TIFF 6.0, section 2: a directory is a count, entries of 12 bytes (20 in BigTIFF)
 
 from __future__ import annotations
 
-import re
 import struct
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -75,10 +74,14 @@ def _next_directory(stream: BinaryIO, offset: int, order: str, big: bool) -> int
 
 def ome_file_names(xml: str | None) -> list[str]:
     """Return the names of the files over which OME metadata spread an image, each once."""
-    from html import unescape
+    from xml.etree import ElementTree
 
-    names = re.findall(r'FileName\s*=\s*["\']([^"\']*)["\']', xml or "")
-    return [unescape(name) for name in dict.fromkeys(names)]
+    try:
+        elements = ElementTree.fromstring(xml).iter() if xml else iter(())
+    except ElementTree.ParseError:
+        return []  # what cannot be parsed names no file for tifffile either
+    names = [element.get("FileName") for element in elements if element.tag.endswith("UUID")]
+    return [name for name in dict.fromkeys(names) if name is not None]
 
 
 def check_ome_files(path: Path, xml: str | None, follow: bool) -> None:

@@ -47,7 +47,7 @@ def first_stack(tif: tifffile.TiffFile) -> Any:
     return next(stacks, tif.series[0])
 
 
-def stack_array(series: Any, tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
+def stack_array(series: Any, path: Path) -> NDArray[Any]:
     """Return a stack of a TIFF file [z, y, x] in its own type.
 
     Raises
@@ -58,15 +58,17 @@ def stack_array(series: Any, tif: tifffile.TiffFile, path: Path) -> NDArray[Any]
     page: Any = series.keyframe
     _check_kind(series, page, path)
     shape = tuple(n for n in series.shape if n > 1)
-    dtype = np.dtype(tif.byteorder + series.dtype.char)
+    # An image of several files may begin in another one than that which was opened.
+    home: Any = page.parent
+    dtype = np.dtype(home.byteorder + series.dtype.char)
     packed = page.compression.name != "NONE" or dtype.kind == "b" or page.bitspersample < 8
     # There is an offset where all pages lie in one piece: then they need not be looked at one by one.
     start = None if packed else series.dataoffset
-    files = [path] if start is not None else _files(series, path)
+    files = [Path(home.filehandle.path)] if start is not None else _files(series, path)
     size = sum(file.stat().st_size for file in set(files))
     check_size(shape, dtype, size, path.name, packing=packing_of(page) if packed else "raw")
     if start is not None:
-        return mapped(path, dtype, start, shape, path.name)
+        return mapped(files[0], dtype, start, shape, files[0].name)
     _check_pages(series, files, path)
     if len(series.pages) != shape[0]:
         # Tiles with a depth: boxes.

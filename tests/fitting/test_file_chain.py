@@ -13,7 +13,7 @@ from fitting.api import dof2kd
 from fitting.errors import FittingError
 from fitting.file_chain import check_chain
 from stapeskit.frames import RigidTransform
-from stapeskit.provenance import input_record
+from stapeskit.provenance import FRAMES_HASH, frames_hash, input_record
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.warnings import Notice
 from tests.fitting.cases import paper_motion, six_dof_mass, six_dof_motion
@@ -55,6 +55,21 @@ def test_another_mass_file_is_refused_and_force_goes_on_with_a_warning(files) ->
     assert str(files[1]) in str(fault.where)
     forced = check_chain(motion, "dof.h5", record(), files[1], force=True)
     assert [notice.code for notice in forced] == ["other_mass_file", WARNING.code]
+
+
+def test_a_motion_of_a_study_knows_the_frames_that_it_was_tied_to() -> None:
+    frames = {"scan_from_footplate": np.eye(4).tolist(), "side": "left"}
+    given = replace(record(), raw={"frames": frames, "density_kg_m3": 1900.0})
+    motion = replace(paper_motion(0.01, 0, 20), provenance={FRAMES_HASH: frames_hash(given.raw)})
+    denser = replace(given, raw={**given.raw, "density_kg_m3": 2000.0})
+    for mass in (given, denser):
+        assert [notice.code for notice in check_chain(motion, "dof.h5", mass)] == [WARNING.code]
+    other = replace(given, raw={"frames": {**frames, "scan_from_footplate": (2.0 * np.eye(4)).tolist()}})
+    with pytest.raises(FittingError) as caught:
+        check_chain(motion, "dof.h5", other)
+    (fault,) = caught.value.faults
+    assert fault.thing == "{mass}"
+    assert frames_hash(other.raw) in fault.got
 
 
 def test_motion_without_a_mass_and_plain_matrices_belong_to_no_chain(files) -> None:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from fitting.fit_files import fit_files
+from fitting.options import KDOptions
 from pipeline import scan2kd, stages
 from pipeline.scan2kd import output_set, run_study
 from pipeline.stage_progress import Progress
@@ -73,6 +75,19 @@ def test_every_result_names_the_calibrated_numbers_of_its_room(finished):
     for room, provenance in blocks.items():
         numbers = import_module(f"{room}.calibrated").calibrated
         assert numbers.version().items() <= provenance["versions"].items()
+
+
+def test_the_motion_of_a_study_is_refused_beside_the_mass_of_another(finished, tmp_path):
+    out = finished[1]
+    record = json.loads((out / "mass.json").read_text(encoding="utf-8"))
+    record["frames"]["scan_from_footplate"][0][3] += 0.1
+    (tmp_path / "mass.json").write_text(json.dumps(record), encoding="utf-8")
+    fit_files(
+        out / "dof.csv", out / "mass.json", tmp_path / "kd.json", KDOptions(dof=("y", "alpha", "gamma"))
+    )
+    with pytest.raises(StapeskitError) as caught:
+        fit_files(out / "dof.csv", tmp_path / "mass.json", chosen, tmp_path / "other.json")
+    assert caught.value.faults[0].thing == "{mass}"
 
 
 def test_a_second_run_recomputes_nothing(ear):
