@@ -82,9 +82,8 @@ def test_the_motion_of_a_study_is_refused_beside_the_mass_of_another(finished, t
     record = json.loads((out / "mass.json").read_text(encoding="utf-8"))
     record["frames"]["scan_from_footplate"][0][3] += 0.1
     (tmp_path / "mass.json").write_text(json.dumps(record), encoding="utf-8")
-    fit_files(
-        out / "dof.csv", out / "mass.json", tmp_path / "kd.json", KDOptions(dof=("y", "alpha", "gamma"))
-    )
+    chosen = KDOptions(dof=("y", "alpha", "gamma"))
+    fit_files(out / "dof.csv", out / "mass.json", chosen, tmp_path / "kd.json")
     with pytest.raises(StapeskitError) as caught:
         fit_files(out / "dof.csv", tmp_path / "mass.json", chosen, tmp_path / "other.json")
     assert caught.value.faults[0].thing == "{mass}"
