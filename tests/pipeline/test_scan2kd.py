@@ -80,7 +80,7 @@ def test_every_result_names_the_calibrated_numbers_of_its_room(finished):
 def test_the_motion_of_a_study_is_refused_beside_the_mass_of_another(finished, tmp_path):
     out = finished[1]
     record = json.loads((out / "mass.json").read_text(encoding="utf-8"))
-    record["frames"]["scan_from_footplate"][0][3] += 0.1
+    record["frames"]["pose_covariance"]["scan_from_footplate"]["matrix_si"][0][0] *= 1.5  # of another scan
     (tmp_path / "mass.json").write_text(json.dumps(record), encoding="utf-8")
     chosen = KDOptions(dof=("y", "alpha", "gamma"))
     fit_files(out / "dof.csv", out / "mass.json", chosen, tmp_path / "kd.json")
