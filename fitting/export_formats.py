@@ -6,12 +6,13 @@ option, help and the contract test follow from it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fitting.errors import FittingError
+from stapeskit.own_files import OutputSet
 
 
 class Export(NamedTuple):
@@ -46,6 +47,13 @@ def file_names(name: str, export: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the names of a result ``name``, X.json: itself, its page X.html, and its exports."""
     page = Path(name).with_suffix(".html").name
     return (name, page, *(file_name(Path(name).stem, kind) for kind in export))
+
+
+def output_set(out: Path, read: Iterable[Path], force: bool, export: Sequence[str] = ()) -> OutputSet:
+    """Return the files that a run may write, and the exports that runs with other options may have left."""
+    others = [kind for kind in EXPORTS if kind not in export]
+    leftovers = file_names(out.name, others)[2:]
+    return OutputSet("dof2kd", out.parent, file_names(out.name, export), tuple(read), force, leftovers)
 
 
 def json_name(out: Path) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 
 from fitting.calibrated import calibrated
 from fitting.errors import FittingError
-from fitting.export_formats import file_names, json_name
+from fitting.export_formats import json_name, output_set
 from fitting.file_chain import check_chain
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
@@ -20,7 +20,6 @@ from fitting.plan.plan_page import plan_page
 from fitting.recorded_fit import kd_of
 from fitting.results import KDResult
 from stapeskit.input_changes import refuse_changes
-from stapeskit.own_files import OutputSet
 from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
 from stapeskit.records.motion_files import read_motion
@@ -78,7 +77,7 @@ def fit_files(
     out = json_name(out)
     motion_path, mass_path = Path(motion_path), Path(mass_path)
     beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
-    outputs = _outputs(out, [motion_path, beside, mass_path, config], force, export)
+    outputs = output_set(out, filter(None, (motion_path, beside, mass_path, config)), force, export)
     outputs.check()
     progress("reading motion and mass")
     with refuse_changes((motion_path, beside, mass_path), FittingError):
@@ -117,7 +116,7 @@ def plan_files(
     """
     out = json_name(out)
     plan, mass_file = read_plan(path)
-    outputs = _outputs(out, [Path(path), mass_file, config], force)
+    outputs = output_set(out, filter(None, (Path(path), mass_file, config)), force)
     outputs.check()
     expectation = expect(plan)
     provenance = record({"plan": path, "mass": mass_file}, {}, calibrated.version())
@@ -127,9 +126,3 @@ def plan_files(
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         plan_page(expectation, provenance).write(folder / html.name)
     return expectation, content, (out, html)
-
-
-def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:
-    """Return the set of outputs (result file, page, exports) with the files that are read."""
-    read = tuple(path for path in inputs if path is not None)
-    return OutputSet("dof2kd", out.parent, file_names(out.name, export), read, force)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.export_formats import exported, file_names, json_name
+from fitting.export_formats import exported, file_names, json_name, output_set
 from fitting.kd_fit import KDFit
 from fitting.montecarlo import MonteCarlo, monte_carlo_json, monte_carlo_section
 from stapeskit.arrays import Array
@@ -119,10 +119,8 @@ class KDResult(Result, KDFit):
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
-        from stapeskit.own_files import OutputSet
-
         json_name(Path(name))
-        outputs = OutputSet("dof2kd", Path(folder), file_names(name, export), self.files, force)
+        outputs = output_set(Path(folder) / name, self.files, force, export)
         outputs.check()
         with outputs.staged() as stage:
             names = self.write_into(stage, name, export)

@@ -110,6 +110,16 @@ def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
     assert 'src="http' not in html
 
 
+def test_exports_of_an_earlier_fit_do_not_stay_beside_a_new_one(files: Path) -> None:
+    motion, mass, out = files / "dof.h5", files / "M.csv", files / "kd.json"
+    fit_files(motion, mass, KDOptions(dof=DOF), out, export=("csv", "tex"))
+    (files / "kd.mat").write_text("mine")
+    fit_files(motion, mass, KDOptions(dof=DOF, robust="t4"), out, export=("tex",))
+    assert not (files / "kd.entries.csv").exists()
+    assert (files / "kd.tex").exists()
+    assert (files / "kd.mat").read_text() == "mine"
+
+
 def test_h5_and_csv_give_the_same(files: Path) -> None:
     first = fit_files(files / "dof.csv", files / "M.csv", KDOptions(), files / "a.json").fit
     second = fit_files(files / "dof.h5", files / "M.csv", KDOptions(), files / "b.json").fit
