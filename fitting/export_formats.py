@@ -49,11 +49,13 @@ def file_names(name: str, export: Sequence[str] = ()) -> tuple[str, ...]:
     return (name, page, *(file_name(Path(name).stem, kind) for kind in export))
 
 
-def output_set(out: Path, read: Iterable[Path], force: bool, export: Sequence[str] = ()) -> OutputSet:
+def output_set(
+    folder: Path, name: str, read: Iterable[Path], force: bool, export: Sequence[str] = ()
+) -> OutputSet:
     """Return the files that a run may write, and the exports that runs with other options may have left."""
     others = [kind for kind in EXPORTS if kind not in export]
-    leftovers = file_names(out.name, others)[2:]
-    return OutputSet("dof2kd", out.parent, file_names(out.name, export), tuple(read), force, leftovers)
+    leftovers = file_names(name, others)[2:]
+    return OutputSet("dof2kd", folder, file_names(name, export), tuple(read), force, leftovers)
 
 
 def json_name(out: Path) -> Path:

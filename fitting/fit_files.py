@@ -77,7 +77,9 @@ def fit_files(
     out = json_name(out)
     motion_path, mass_path = Path(motion_path), Path(mass_path)
     beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
-    outputs = output_set(out, filter(None, (motion_path, beside, mass_path, config)), force, export)
+    outputs = output_set(
+        out.parent, out.name, filter(None, (motion_path, beside, mass_path, config)), force, export
+    )
     outputs.check()
     progress("reading motion and mass")
     with refuse_changes((motion_path, beside, mass_path), FittingError):
@@ -116,7 +118,7 @@ def plan_files(
     """
     out = json_name(out)
     plan, mass_file = read_plan(path)
-    outputs = output_set(out, filter(None, (Path(path), mass_file, config)), force)
+    outputs = output_set(out.parent, out.name, filter(None, (Path(path), mass_file, config)), force)
     outputs.check()
     expectation = expect(plan)
     provenance = record({"plan": path, "mass": mass_file}, {}, calibrated.version())

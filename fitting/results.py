@@ -120,7 +120,7 @@ class KDResult(Result, KDFit):
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
         json_name(Path(name))
-        outputs = output_set(Path(folder) / name, self.files, force, export)
+        outputs = output_set(Path(folder), name, self.files, force, export)
         outputs.check()
         with outputs.staged() as stage:
             names = self.write_into(stage, name, export)

@@ -188,6 +188,7 @@ def _report(
     with progress.step("report") as step:
         parts = {stage: work.hash_of(stage_report_name(stage)) for stage in reports}
         parts |= {name: work.hash_of(name) for name in ("mass.json", "dof.h5", "kd.json")}
+        parts |= {"name of the study": name, "name of its file": path.name}
         now = fingerprint(_REPORT_CODE, {"study": path, "truth": study.study.truth}, parts, work.hashes)
         reason = _reason(old, now, work)
         if not reason:

@@ -116,6 +116,15 @@ def test_other_notes_make_only_the_report_anew(ear):
     assert "Cochlea opened" in (out / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_renamed_study_makes_the_report_anew(ear):
+    study, out = ear
+    renamed = study.rename(study.with_name("renamed.toml"))
+    result = run_study(renamed, out)
+    assert reused(result) == {"scan": True, "motion": True, "fit": True, "report": False}
+    assert "renamed.toml" in (out / "report.html").read_text(encoding="utf-8")
+    assert reused(run_study(renamed, out))["report"]
+
+
 def test_another_estimator_makes_only_fit_and_report_anew(ear):
     study, out = ear
     edit(study, 'dof = "y,alpha,gamma"', 'dof = "y,alpha,gamma"\nestimator = "pinv"')
