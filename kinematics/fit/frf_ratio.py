@@ -11,6 +11,7 @@ from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault
+from stapeskit.option_names import named
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
@@ -90,7 +91,11 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
             alone = motion.covariance[run, :, part]
             covariance[run, part] = _join_covariance(alone, ratio[run, :, part], ref[run, part], body, place)
     shared = None if motion.shared is None else _shared_errors(motion.shared, ratio, ref, body, place)
-    notices = (*motion.notices, *_noisy_reference_notices(motion, ref, body, place, reference))
+    notices = (
+        *motion.notices,
+        *_missing_reference_notices(motion, ref, reference),
+        *_noisy_reference_notices(motion, ref, body, place, reference),
+    )
     ratio[~np.isfinite(ratio)] = np.nan
     return replace(
         motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=notices
@@ -143,6 +148,20 @@ def _shared_errors(
     return SharedErrors(shared.names, shared.covariance, derivatives)
 
 
+def _missing_reference_notices(motion: RigidMotion, ref: ComplexArray, reference: str) -> list[Notice]:
+    """Name the lines at which bodies have a motion and the reference has none: no ratio is left of them."""
+    moved = np.any(np.all(np.isfinite(motion.q), axis=3), axis=1)
+    lost = np.asarray(moved & ~np.isfinite(ref))
+    if not np.any(lost):
+        return []
+    text = (
+        f"the reference {reference} has no motion at {int(np.sum(lost))} of {ref.size} lines where other "
+        f"bodies have one, {_places(motion, lost)}: no response is stated there. Measure it there too, or "
+        f"leave {named('reference')} out."
+    )
+    return [Notice("reference_missing", text)]
+
+
 def _noisy_reference_notices(
     motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str
 ) -> list[Notice]:
@@ -152,27 +171,31 @@ def _noisy_reference_notices(
     count = int(np.sum(weak))
     if count == 0:
         return []
-    several = len(motion.runs) > 1
-    where = [
-        f"{_ranges(motion.freq_hz, weak[run])}{f' in run {name}' if several else ''}"
-        for run, name in enumerate(motion.runs)
-        if np.any(weak[run])
-    ]
     text = (
         f"the reference {reference} is less than {_LEAST_SNR:.0f} times its noise at {count} of {ref.size} "
-        f"lines, {'; '.join(where)}; the stated covariance of the ratio is widened there, and good down to "
-        "three times. Leave these lines out of a fit, or take a reference that is not near zero there."
+        f"lines, {_places(motion, weak)}; the stated covariance of the ratio is widened there, and good down "
+        "to three times. Leave these lines out of a fit, or take a reference that is not near zero there."
     )
     return [Notice("reference_noisy", text)]
+
+
+def _places(motion: RigidMotion, chosen: NDArray[np.bool_]) -> str:
+    """Return the frequencies of chosen lines (run, freq), run by run where there are several."""
+    several = len(motion.runs) > 1
+    return "; ".join(
+        f"{_ranges(motion.freq_hz, chosen[run])}{f' in run {name}' if several else ''}"
+        for run, name in enumerate(motion.runs)
+        if np.any(chosen[run])
+    )
 
 
 def _ranges(freq_hz: NDArray[np.float64], weak: NDArray[np.bool_]) -> str:
     """Name the stretches of lines, the widest first when there are many."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], weak.astype(np.int8), [0]])))
     pairs = sorted(zip(edges[::2], edges[1::2] - 1, strict=True), key=lambda pair: pair[0] - pair[1])
-    named = [
+    listed = [
         f"{freq_hz[start]:.5g} Hz" if start == stop else f"{freq_hz[start]:.5g} to {freq_hz[stop]:.5g} Hz"
         for start, stop in sorted(pairs[:_NAMED])
     ]
     more = f" and {len(pairs) - _NAMED} stretches more" if len(pairs) > _NAMED else ""
-    return ", ".join(named) + more
+    return ", ".join(listed) + more

@@ -190,6 +190,18 @@ def test_lines_where_the_reference_passes_through_zero_are_named():
     assert "at 5 of 100 lines, 120 to 121 Hz, 149 to 151 Hz;" in notice.text
 
 
+def test_a_run_without_the_reference_is_named():
+    freq = np.arange(100.0, 110.0)
+    q = np.ones((2, 2, 10, 1), dtype=complex)
+    q[1, 0] = np.nan
+    blank, covariance = np.ones((2, 2, 10)), np.full((2, 2, 10, 1, 1), 1e-6, dtype=complex)
+    motion = RigidMotion(("push", "pull"), ("base", "stapes"), ("y",), freq, q, covariance, blank, blank)
+    (notice,) = per_reference(motion, "base:y").notices
+    assert notice.code == "reference_missing"
+    assert "at 10 of 20 lines" in notice.text
+    assert "100 to 109 Hz in run pull" in notice.text
+
+
 def test_a_noisy_reference_is_told():
     made = scene(1, lines=10, snr=0.5)
     data = Measurement("footplate", ("1",), made.freq_hz, (body("base", made),), 0)
