@@ -176,15 +176,16 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     for table in TABLES:
         folder = _FOLDERS.get(table, "")
-        files = {option.key for option in declared(TABLES[table]) if option.kind.is_file}
-        for key in files & set(tables.get(table, {})):
+        files = {option.key: option.kind for option in declared(TABLES[table]) if option.kind.is_file}
+        for key in files.keys() & tables.get(table, {}).keys():
             value = tables[table][key]
             entries = value if isinstance(value, list) else [value]
             new = []
             for number, entry in enumerate(entries, start=1):
                 source = path.absolute().parent / str(entry)
                 several = f"-{number}" if len(entries) > 1 else ""
-                place = _target(source, target.parent / folder, f"{stem}_{key}{several}", copies)
+                name = f"{stem}_{key}{several}"
+                place = _target(source, target.parent / folder, name, copies, files[key].repeats)
                 new.append(place.relative_to(target.parent).as_posix())
             tables[table][key] = new if isinstance(value, list) else new[0]
     lines = [
@@ -195,8 +196,10 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     return "\n".join(lines)
 
 
-def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> Path:
+def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path], keeps_name: bool) -> Path:
     """Add a file, or a header with the files that it names, to the copies; return its new path.
+
+    Files of one measurement keep their names (``keeps_name``): runs, bodies and channel tables name them.
 
     Raises
     ------
@@ -211,14 +214,14 @@ def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> 
             "the data file", "in the folder of its header", outside[0], source.name,
             "Put both files into one folder, and correct the name in the header",
         )  # fmt: skip
-    if data:
-        # A header names its data files: all keep their names, in a folder of the ear.
-        for part in (source, *data):
-            copies[folder / name / part.relative_to(source.parent)] = part
-        return folder / name / source.name
     endings = source.suffixes[-2:] if source.suffix == ".gz" else source.suffixes[-1:]
     place = folder / (name if source.is_dir() else name + "".join(endings))
+    if data or keeps_name:
+        # A header names its data files, too: all lie in a folder of the ear.
+        place = folder / name / source.name
     copies[place] = source
+    for part in data:
+        copies[folder / name / part.relative_to(source.parent)] = part
     mapping = source.with_name(source.name + ".toml")
     if mapping.is_file():
         copies[place.with_name(place.name + ".toml")] = mapping

@@ -24,6 +24,7 @@ density_kg_m3 = "1900+-60"
 [ldv]
 file = ["a.csv", "b.csv"]
 points = "points.csv"
+run = {{ push = "a.csv", pull = "b.csv" }}
 """
 
 
@@ -52,6 +53,7 @@ def test_a_dataset_holds_what_the_studies_name(studies, tmp_path):
         for before, after in zip(old.ldv.files, new.ldv.files, strict=True):
             assert after.read_text() == before.read_text()
             assert after.is_relative_to(target.parent / "ldv")
+            assert after.name == before.name
         assert new.scan.scan.read_text() == old.scan.scan.read_text()
         assert new.scan.scan.with_name("voxels.raw").exists()
         mapped = new.ldv.files[0]
