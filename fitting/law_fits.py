@@ -94,10 +94,13 @@ def fit_law(
         return DampingLaw(name).with_unknowns(unknowns).scaled(unit)
 
     def objective(unknowns: Array) -> float:
+        fit = fit_at(problem, law_at(unknowns), lower, upper)
         off = float(np.sum(((unknowns - usual) / sd) ** 2))
-        return fit_at(problem, law_at(unknowns), lower, upper).estimate.objective + 0.5 * off
+        # A prior weighs against chi2; an estimator's own objective may have any scale.
+        return (fit.estimate.objective if unweighed else 0.5 * fit.chi2) + 0.5 * off
 
     usual = DampingLaw(name, ratio=ratio).unknowns
+    unweighed = problem.method.likelihood or not np.any(np.isfinite(sd))
     best = usual.copy()
     optimum = minimize_scalar(
         lambda exponent: objective(np.array([exponent, *best[1:]])),

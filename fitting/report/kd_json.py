@@ -80,7 +80,9 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "dynamic_stiffness": fit.law.formula,
         "damping_exponent": fit.law.time_power,
         "damping_law_causal": fit.law.law.causal,
-        "relaxation_time_s": fit.law.exponent if fit.law.estimated and fit.law.law.time_power else None,
+        "relaxation_time_s": fit.law.exponent
+        if fit.law.estimated and fit.law.law.time_power is not None
+        else None,
         "relaxation_time_ratio": _time_ratio(fit),
         "damping_exponent_sd": None if (law := _law_fit(fit)) is None else law.exponent_sd,
         "damping_unit_of_D11": fit.law.unit("N/m" if fit.dof[0] in "xyz" else "N m"),
