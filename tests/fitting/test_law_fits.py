@@ -8,20 +8,21 @@ import pytest
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.fit_kd import fit_kd
 from fitting.model.damping import DampingLaw
+from fitting.model.laws import law_of
 from fitting.options import KDOptions
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
 
-@pytest.mark.parametrize("ratio", [3.0, 40.0])
-def test_the_prior_of_a_second_time_does_not_outweigh_the_data(ratio):
-    freq, law = np.linspace(200.0, 8000.0, 200), DampingLaw("two_relaxations", 1e-4, ratio)
-    motion = simulated_motion(
-        PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF, freq, driven_base(freq, PAPER_DOF),
-        0.003, np.random.default_rng(1), law,
-    )  # fmt: skip
-    chi2 = {}
-    for estimator in ("ml", "irls", "pinv"):
+@pytest.mark.parametrize("estimator", ["ml", "irls", "pinv"])
+def test_the_prior_of_a_second_time_does_not_outweigh_the_data(estimator):
+    freq, found = np.linspace(200.0, 8000.0, 200), []
+    for ratio in (3.0, 40.0):
+        law = DampingLaw("two_relaxations", 1e-4, ratio)
+        motion = simulated_motion(
+            PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF, freq,
+            driven_base(freq, PAPER_DOF), 0.003, np.random.default_rng(1), law,
+        )  # fmt: skip
         chosen = KDOptions(dof=PAPER_DOF, estimator=estimator, damping=law.name, fluid="none", bands=0)
-        chi2[estimator] = fit_kd(motion, PAPER_MASS, chosen).chi2
-    assert chi2["irls"] == pytest.approx(chi2["ml"], rel=0.01)
-    assert chi2["pinv"] < 1.1 * chi2["ml"]
+        found.append(fit_kd(motion, PAPER_MASS, chosen).law.ratio)
+    usual = np.array(law_of("two_relaxations").ratios)
+    assert np.min(np.abs(np.log(np.array(found)[:, None] / usual))) > 0.01
