@@ -112,14 +112,15 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
 
 def cause_notices(fit: KDFit) -> list[Notice]:
     """Return warnings about a cause that the data support, and about a mass of fluid."""
-    from fitting.causes.catalogue import title_of, unit_of
+    from fitting.causes.catalogue import shown_unit, title_of, unit_of
     from fitting.causes.diagnosis import largest_effect
 
     notices = [] if fit.fluid is None else list(fit.fluid.notices)
     cause = None if fit.diagnosis is None else fit.diagnosis.named
     if cause is None or fit.diagnosis is None:
         return notices
-    size = f"{cause.size:.3g} ± {cause.sd:.1g} {unit_of(cause.name)}".rstrip()
+    unit = shown_unit(unit_of(cause.name))
+    size = f"{unit.of(cause.size):.3g} ± {unit.text(cause.sd, '.1g')}".rstrip()
     size = f" of {size}" if cause.sd > 0.0 else ""
     place, change = largest_effect(cause.effect, fit.stiffness, fit.damping)
     others = [title_of(name) for name in fit.diagnosis.look_alikes]

@@ -25,7 +25,7 @@ from fitting.causes.setting import Applied, Apply, Setting
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.page.quantities import MILLIGRAM
+from stapeskit.page.quantities import MASS, MILLIGRAM, ShownUnit
 
 _HOLDER_QUALITY = 10.0
 # Steps of one width of a resonance at half power.
@@ -101,6 +101,13 @@ def title_of(name: str) -> str:
 def unit_of(name: str) -> str:
     """Return the unit of the size of a cause."""
     return CAUSES[name].unit if name in CAUSES else ""
+
+
+def shown_unit(unit: str) -> ShownUnit:
+    """Return the unit in which people see sizes of causes that have a unit of kd.json; `of` converts."""
+    if unit == MILLIGRAM.symbol:
+        return ShownUnit(MASS.symbol, MASS.of(MILLIGRAM.si(1.0)))
+    return ShownUnit(unit, 1.0)
 
 
 def term_of(name: str, setting: Setting) -> Term:

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.causes.catalogue import CAUSES, title_of, unit_of
+from fitting.causes.catalogue import CAUSES, shown_unit, title_of, unit_of
 from fitting.causes.diagnosis import Diagnosis, largest_effect, relative_effect
 from fitting.kd_fit import KDFit
 from fitting.model.parameter_vector import join
 from stapeskit.arrays import Array, finite_or_none
 from stapeskit.page import page
-from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
     section.add(page.text(words))
     if diagnosis.corrected:
         rows = [
-            (title_of(name), f"{plus_minus(size, sd)} {unit_of(name)}")
+            (title_of(name), shown_unit(unit_of(name)).with_sd(size, sd))
             for name, (size, sd) in diagnosis.corrected.items()
         ]
         section.add(page.subheading("Estimated with K and D"), page.table(("", "size"), rows))
@@ -181,7 +180,7 @@ def _unseen_words(fit: KDFit, diagnosis: Diagnosis) -> str:
     for name, size, change in unseen(fit, diagnosis)[:_SHOWN]:
         place = int(np.nanargmax(np.abs(change)))
         parts.append(
-            f"{title_of(name)}, {size:.2g} {unit_of(name)}".rstrip()
+            f"{title_of(name)}, {shown_unit(unit_of(name)).text(size, '.2g')}".rstrip()
             + f" ({fit.parameters[place]} {_percent(100.0 * change[place])} %)"
         )
     return (
@@ -195,11 +194,12 @@ def _refit_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
     for refit in diagnosis.refits:
         place, change = largest_effect(refit.effect, fit.stiffness, fit.damping)
-        size = plus_minus(refit.size, refit.sd) if refit.sd > 0.0 else f"{refit.size:.3g}"
+        unit = shown_unit(unit_of(refit.name))
+        size = unit.with_sd(refit.size, refit.sd) if refit.sd > 0.0 else unit.text(refit.size, ".3g")
         rows.append(
             (
                 title_of(refit.name),
-                f"{size} {unit_of(refit.name)}",
+                size,
                 f"{refit.fall:.1f}",
                 f"{refit.p_value:.2g}",
                 f"{fit.parameters[place]} {100.0 * change:+.2g} %",
@@ -210,22 +210,23 @@ def _refit_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
 
 def _score_table(diagnosis: Diagnosis) -> Markup:
     scores = diagnosis.scores
-    rows = [
-        (title_of(name), f"{z:+.1f}", f"{size:.2g} ± {sd:.1g} {unit_of(name)}")
-        for name, z, size, sd in zip(diagnosis.tested, scores.z, scores.estimate, scores.sd, strict=True)
-    ]
+    rows = []
+    for name, z, size, sd in zip(diagnosis.tested, scores.z, scores.estimate, scores.sd, strict=True):
+        unit = shown_unit(unit_of(name))
+        rows.append((title_of(name), f"{z:+.1f}", f"{unit.of(size):.2g} ± {unit.text(sd, '.1g')}"))
     return page.table(("cause", "z", "size to first order"), rows)
 
 
 def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
-    for name, title, size, unit, change in sensitivities(fit, diagnosis):
+    for name, title, size, given, change in sensitivities(fit, diagnosis):
+        unit = shown_unit(given)
         if name in CAUSES and CAUSES[name].family and name not in diagnosis.tested:
             continue  # of causes that differ by their place the likeliest alone has a score
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
-        detectable = diagnosis.seen_from.get(name)
-        least = "never" if finite_or_none(detectable) is None else f"{detectable:.2g} {unit}"
-        rows.append((f"{title}: {size:g} {unit}", least, *map(_percent, relative)))
+        detectable = finite_or_none(diagnosis.seen_from.get(name))
+        least = "never" if detectable is None else unit.text(detectable, ".2g")
+        rows.append((f"{title}: {unit.text(size)}", least, *map(_percent, relative)))
     return page.table(("error", "seen from", *fit.parameters), rows)
 
 
