@@ -159,7 +159,7 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     surfaces = ("stapes.ply", "plate.ply", labels)
     return {
         **study.ldv.parameters(),
-        "frames of the scan": frames_hash(mass),
+        "frames of the scan": [frames_hash(mass), mass["frames"].get("anterior_from")],
         "mass distribution": [f"{value / values[0]:.7g}" for value in values],
         "surfaces": [work.hash_of(name) if work.find(name).exists() else None for name in surfaces],
     }

@@ -24,7 +24,7 @@ _CHUNK = 1 << 21
 _RELIED_ON = ("schema", "frames", "inertial_parameters", "mass_matrix")
 # Key of the provenance of a motion that a study computed: the hash of the frames that it was tied to.
 FRAMES_HASH = "frames_hash"
-_FRAMES = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from", "pose_covariance")
+_FRAMES = ("scan_from_footplate", "scan_from_plate", "z_is", "pose_covariance")
 _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pymeshlab")
 
 
@@ -185,7 +185,7 @@ def document_hash(document: Mapping[str, Any]) -> str:
 def frames_hash(document: Mapping[str, Any]) -> str:
     """Return ``algorithm:hex`` of the frames of a mass.json, which is all that a motion takes from it.
 
-    Unlike `document_hash` it is the same for another density.
+    Unlike `document_hash` it is the same for another density, and for frames that were asked for elsewhere.
     """
     frames = document.get("frames", {})
     return _hash_of_json({key: frames.get(key) for key in _FRAMES})

@@ -61,7 +61,8 @@ def test_a_motion_of_a_study_knows_the_frames_that_it_was_tied_to() -> None:
     frames = {"scan_from_footplate": np.eye(4).tolist(), "side": "left"}
     given = replace(record(), raw={"frames": frames, "density_kg_m3": 1900.0})
     motion = replace(paper_motion(0.01, 0, 20), provenance={FRAMES_HASH: frames_hash(given.raw)})
-    denser = replace(given, raw={**given.raw, "density_kg_m3": 2000.0})
+    told = {"frames": {**frames, "anterior_from": "scan.anterior"}, "density_kg_m3": 2000.0}
+    denser = replace(given, raw=told)
     for mass in (given, denser):
         assert [notice.code for notice in check_chain(motion, "dof.h5", mass)] == [WARNING.code]
     other = replace(given, raw={"frames": {**frames, "scan_from_footplate": (2.0 * np.eye(4)).tolist()}})
