@@ -53,6 +53,9 @@ def _matches_nothing(_head: Head) -> bool:
 class Format:
     """A format of vibrometer files.
 
+    A file is read alone: beside it only ``FILE.toml`` is hashed, watched and copied
+    (`kinematics.measure_motion.files_by_role`).
+
     Attributes
     ----------
     module : str
@@ -70,7 +73,7 @@ class Format:
         ``EXPORT_ENDINGS`` (psv/text_blocks.py) are looked at.
     series : str
         ``channels``: may hold time series, which need a table of channels. ``described``: which it describes
-        itself.
+        itself. With a table of channels a file is read by series/series_files.py, which must know it too.
     reads : str
         What is read of it, for the help and docs/vibrometer_files.md; empty where another entry says it.
     """

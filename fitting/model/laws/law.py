@@ -33,10 +33,11 @@ class Law:
     time_power : float, optional
         Power of time in the unit of D where a is a time instead.
     valid : (float, float)
-        What a may be.
+        What a may be; an estimated one of zero or below is noise, and never chosen (`DampingLaw.physical`).
     causal : bool
         Whether real and imaginary part obey the relations of Kramers and Kronig, so that nothing moves before
-        it is pushed.
+        it is pushed. The words about a law that does not are those of a constant loss factor
+        (fitting/report/sections.py, model/causality.py).
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
     includes : tuple of str
