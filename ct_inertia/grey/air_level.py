@@ -12,7 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import gaussian
 from ct_inertia.volume.mask_statistics import Sums, deviation, every_nth, lowest, sums
-from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density, normal_quantile
 from stapeskit.arrays import Array
 
 # Voxels of air from which a mean is taken: its noise is 5 % of a voxel's; and in an eighth of the box, 7 %.
@@ -218,7 +218,7 @@ def _fit_censored(mean: float, pile: float, lowest: float) -> tuple[float, float
     With a = (level - lowest) / noise: pile = Phi(-a), mean - lowest = noise (a Phi(a) + phi(a)).
     """
     a = -float(normal_quantile(pile))
-    bell = float(np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi))
+    bell = float(normal_density(a))
     noise = (mean - lowest) / (a * float(normal_cdf(a)) + bell)
     return lowest + a * noise, noise
 
@@ -254,11 +254,11 @@ def unclipped(
     result = grey.copy()
     if expected is not None:
         a = (expected[where].astype(float) - air.lowest) / noise
-        added = np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi) - a * normal_cdf(-a)
+        added = normal_density(a) - a * normal_cdf(-a)
         result[where] -= (noise * added).astype(np.float32)
         return result
     a = np.linspace(-6.0, 6.0, 2401)
-    mean = a * normal_cdf(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    mean = a * normal_cdf(a) + normal_density(a)
     local = (gaussian(grey, 0.8)[where].astype(float) - air.lowest) / noise
     true = np.interp(local, mean, a)
     result[where] -= (noise * np.where(local < mean[-1], local - true, 0.0)).astype(np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.volume.normal_distribution import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density
 from stapeskit.arrays import Array
 
 # Places across an edge, in widths, where the shape is compared; further in, the far side of a wall begins.
@@ -75,7 +75,7 @@ def long_tails(edges: Profiles | None, level_sd: float) -> bool:
 def _cumulant(edges: Profiles, level_sd: float) -> float:
     """Return the fourth cumulant of the mean edge in its standard deviations."""
     u = _normalise(edges.values.mean(axis=0))
-    factor, sd = _last_factor(-(u**3 - 3.0 * u) * _bell(u), u, edges, (_SHAPE_MODEL_SD, level_sd))
+    factor, sd = _last_factor(-(u**3 - 3.0 * u) * normal_density(u), u, edges, (_SHAPE_MODEL_SD, level_sd))
     return factor / sd
 
 
@@ -105,7 +105,7 @@ def skewness(
         if found is None:
             return 0.0
         u = _normalise(found.values.mean(axis=0))
-        factor, sd = _last_factor((u**2 - 1.0) * _bell(u), u, found, (_SKEWNESS_SD, level_sd))
+        factor, sd = _last_factor((u**2 - 1.0) * normal_density(u), u, found, (_SKEWNESS_SD, level_sd))
         factor -= _USUAL_SKEWNESS
         if abs(factor) < _SIGNIFICANT_SKEWNESS * sd:
             return 0.0
@@ -120,7 +120,7 @@ def _last_factor(
     Shift and width of the step are free; a level of bone off by ``level_sd`` adds as much of the step.
     """
     model_sd, level_sd = model_and_level_sd
-    row = np.linalg.pinv(np.column_stack([-_bell(u), -u * _bell(u), shape]))[-1]
+    row = np.linalg.pinv(np.column_stack([-normal_density(u), -u * normal_density(u), shape]))[-1]
     profile = edges.values.mean(axis=0)
     scores = sums(((edges.values - profile) @ row)[:, None], edges.cells) / len(edges.values)
     shared = edges.shared_sd**2 * float(np.sum(row**2))
@@ -135,17 +135,13 @@ def _normalise(profile: Array) -> Array:
     return np.asarray((PLACES - shift) / width)
 
 
-def _bell(t: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi))
-
-
 def _fit_edge(profile: Array, strength: float) -> tuple[Array, float]:
     """Fit shift and width of an edge of given sharpening to a profile; return them and the misfit."""
     shift, width = 0.0, np.sqrt(1.0 + 2.0 * strength)
 
     def model(shift: float, width: float) -> Array:
         u = (PLACES - shift) / width
-        return normal_cdf(u) + strength / width**2 * u * _bell(u)
+        return normal_cdf(u) + strength / width**2 * u * normal_density(u)
 
     for _ in range(8):
         now = model(shift, width)

@@ -15,7 +15,7 @@ from ct_inertia.segment.touching_bones import flood_from_markers
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import eroded, labelled
-from ct_inertia.volume.normal_distribution import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.option_names import named
@@ -147,7 +147,7 @@ def _exchange_gap(sigma_mm: float) -> float:
     Of a plane body the layer s (phi(z) - z Phi(-z)) lies further out than z widths s of the blur.
     """
     z = np.linspace(0.0, 0.5 * _CLOSE_SIGMAS, 251)
-    layer = sigma_mm * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) - z * normal_cdf(-z))
+    layer = sigma_mm * (normal_density(z) - z * normal_cdf(-z))
     return 2.0 * sigma_mm * float(z[layer > _THIN_LAYER_MM].max(initial=0.0))
 
 

@@ -13,7 +13,7 @@ from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grid_operations import dilated, gaussian
-from ct_inertia.volume.normal_distribution import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 
@@ -297,7 +297,7 @@ def _refine(
     known = np.array([np.inf, np.inf, np.inf, _KNOWN_BLUR * sigma, _KNOWN_AIR * contrast, _KNOWN * contrast])
     for _ in range(_ROUNDS):
         z = (points @ normal - offset) / sigma
-        cover, bell = normal_cdf(-z), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+        cover, bell = normal_cdf(-z), normal_density(z)
         rest = grey - (air + (plastic - air) * cover)
         scale = max(1.4826 * float(np.median(np.abs(rest))), 1e-9 * abs(plastic - air))
         weight = np.clip(1.0 - (rest / (4.685 * scale)) ** 2, 0.0, None) ** 2
@@ -320,7 +320,7 @@ def _refine(
     z = (points @ normal - offset) / sigma
     middle = np.abs(z) < 0.7
     rest = grey - (air + (plastic - air) * normal_cdf(-z))
-    slope = (plastic - air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / sigma
+    slope = (plastic - air) * normal_density(z) / sigma
     rms = float(np.sqrt(np.median((rest[middle] / slope[middle]) ** 2))) if np.any(middle) else 0.0
     # A singular fit knows no plane: what was taken for a plate is none.
     size = np.sqrt(np.diag(normal_matrix))

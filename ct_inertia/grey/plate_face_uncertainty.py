@@ -10,7 +10,7 @@ from ct_inertia.grey.partial_volume import sensitivity, voxel_effects
 from ct_inertia.grey.plate_face import FaceFit
 from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.normal_distribution import normal_cdf
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 
@@ -49,7 +49,7 @@ def face_covariance(
     z = (points @ face.normal - face.offset_mm) / face.sigma_mm
     touched = z < _WIDTHS
     points, z = points[touched], z[touched]
-    slope = (face.plastic - face.air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / face.sigma_mm
+    slope = (face.plastic - face.air) * normal_density(z) / face.sigma_mm
     flat = (points - fit.centre) @ fit.basis
     cover = normal_cdf(-z)
     design = np.column_stack([slope, -slope * flat[:, 0], -slope * flat[:, 1], slope * z, -cover, cover])
@@ -80,7 +80,7 @@ def face_doubt(
     index = np.argwhere(where)
     points = volume.scan_points(index[:, ::-1] + cut.first)
     z = (points @ face.normal - face.offset_mm) / face.sigma_mm
-    slope = (face.plastic - face.air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / face.sigma_mm
+    slope = (face.plastic - face.air) * normal_density(z) / face.sigma_mm
     flat = (points - fit.centre) @ fit.basis
     design = np.column_stack([slope, -slope * flat[:, 0], -slope * flat[:, 1]]) / contrast
     values, vectors = np.linalg.eigh(fit.covariance[:3, :3])

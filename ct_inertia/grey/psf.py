@@ -11,7 +11,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.native import compiled, shape_of
 from ct_inertia.volume.grid_operations import interpolated
 from ct_inertia.volume.mask_statistics import places_between
-from ct_inertia.volume.normal_distribution import normal_quantile
+from ct_inertia.volume.normal_distribution import normal_density, normal_quantile
 from stapeskit.arrays import Array
 
 # Reach of the Gaussian gradient in its standard deviations: 0.03 % of its weight is cut off.
@@ -157,7 +157,7 @@ def candidate_edges(
     if len(w) < _LEAST:
         return None
     z = normal_quantile(w)
-    total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
+    total = normal_density(z) / size
     inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
     return Candidates(index * spacing, inward, total, z, spacing, width)
 

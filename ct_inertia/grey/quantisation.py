@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density, normal_quantile
 from stapeskit.arrays import Array
 
 # Values looked at for the step; more different ones than this have none that matters.
@@ -143,7 +143,7 @@ def level_of(
         if pile > 0.3 and beyond.size > 20:
             # Truncated normal: with a = (end - level) / noise, the mean beyond is noise (hazard(a) - a).
             a = float(normal_quantile(pile))
-            hazard = float(np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)) / (1.0 - pile)
+            hazard = float(normal_density(a)) / (1.0 - pile)
             size = max(float(beyond.mean()), 0.5 * store.step) / max(hazard - a, 1e-3)
             level = end - sign * a * size
             span = [level - 3.0 * size, level + 3.0 * size, np.log(0.4 * size), np.log(2.5 * size)]
@@ -196,4 +196,4 @@ def _histogram(values: Array, store: Quantisation, noise: float, tiny: float) ->
 
 
 def _ramp(a: Array) -> Array:
-    return a * normal_cdf(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    return a * normal_cdf(a) + normal_density(a)

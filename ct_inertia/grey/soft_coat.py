@@ -13,7 +13,7 @@ from ct_inertia.segment.extract_stapes import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grid_operations import gaussian
-from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
+from ct_inertia.volume.normal_distribution import normal_cdf, normal_density, normal_quantile
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
 from stapeskit.option_names import named
@@ -122,7 +122,7 @@ def coat_image(
     values = np.minimum(model[there].astype(float), 1.0 - _NOTHING)
     outer = normal_quantile(values) + thick
     shell = normal_cdf(outer) - values
-    rise = np.exp(-0.5 * outer**2) / (np.sqrt(2.0 * np.pi) * sigma_mm)
+    rise = normal_density(outer) / sigma_mm
 
     def whole(amount: Array) -> NDArray[np.float32]:
         part, every = np.zeros(share.shape, dtype=np.float32), np.zeros(cut.grey.shape, dtype=np.float32)

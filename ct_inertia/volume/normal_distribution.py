@@ -20,6 +20,11 @@ def normal_cdf(z: Any) -> Array:
     return _apply(kernels.normal_cdf, z)
 
 
+def normal_density(z: Any) -> Array:
+    """Return the density of the standard normal distribution at z; any shape."""
+    return np.asarray(np.exp(-0.5 * np.square(z)) / np.sqrt(2.0 * np.pi))
+
+
 def normal_quantile(share: Any) -> Array:
     """Return where the standard normal distribution has a share (0 to 1) below; any shape."""
     kernels = compiled()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.readers.recording import Recording
 from kinematics.tidy.few_averages import steady_noise
+from kinematics.tidy.noise_from_coherence import sd_from_coherence
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -28,11 +29,6 @@ def body_noise(
         Displacement, m.
     order : int
         Time derivatives of the quantity whose noise is level when only numbers of averages are known.
-
-    Notes
-    -----
-    From coherence g2 and n averages: |v| sqrt((1 - g2) / (2 n g2)) (Bendat and Piersol 2010, Random Data,
-    section 9.2, for the real part of a frequency response).
     """
     noises = [_noise(recording, order) for _, recording in entries]
     absolute = any(kind == "absolute" for kind, _ in noises)
@@ -59,15 +55,8 @@ def _noise(recording: Recording, order: int) -> tuple[str, Array | None]:
     if recording.sd is not None:
         return ("relative" if recording.relative else "absolute"), recording.sd / rate
     if recording.coherence is not None:
-        count = recording.n_avg or 1.0
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            sd = (
-                np.abs(recording.value)
-                * np.sqrt((1.0 - recording.coherence) / (2.0 * count * recording.coherence))
-                / rate
-            )
-        sd[~np.isfinite(sd)] = np.nan
-        return ("relative" if recording.n_avg is None else "absolute"), sd
+        sd = sd_from_coherence(recording.value, recording.coherence, recording.n_avg or 1.0)
+        return ("relative" if recording.n_avg is None else "absolute"), sd / rate
     if recording.n_avg is not None:
         return "relative", np.full(len(rate), 1.0 / np.sqrt(recording.n_avg)) / (
             2.0 * np.pi * recording.freq_hz

@@ -13,9 +13,9 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.registration.laser_moments import (
     COHERENT_SD,
-    KINDS,
     Index,
     LaserMoments,
+    LaserParameters,
     channel_patterns,
     laser_moments,
     sweep_information,
@@ -176,24 +176,21 @@ def laser_estimate(
     """
     left_out = dict.fromkeys(fits, ()) if left_out is None else left_out
     count = 1 + max(int(np.max(body)) for body in lasers)
-    kinds = [kind for kind in KINDS if kind in prior_sd]
-    size = len(kinds) * count
-    prior = list(np.repeat([prior_sd[kind] for kind in kinds], count))
-    places: dict[tuple[int, str], int] = {}
+    parameters = LaserParameters(prior_sd, count)
+    size = parameters.size
     sweeps: list[list[LaserMoments]] = []
     for (run, number), fit in fits.items():
         if (run, number) not in left_out:
             continue
         body = bodies[number]
         own = [
-            laser_moments(fit, body, number, lasers[number], freq_hz, kinds, count, used, weights, lines,
-                          places, prior, size)
-            for used, weights, lines in channel_patterns(fit, body, left_out[run, number])
-        ]  # fmt: skip
+            laser_moments(fit, body, number, lasers[number], freq_hz, pattern, parameters)
+            for pattern in channel_patterns(fit, body, left_out[run, number])
+        ]
         moments = [block for block in own if block is not None]
         if sum(block.lines for block in moments) >= _LEAST_LINES:
             sweeps.append(moments)
-    spread = np.array(prior)
+    spread = parameters.sd
     values, covariance = np.zeros(len(spread)), np.diag(spread**2)
     start = np.zeros(len(spread))
     start[:size] = 0.0 if applied is None else applied
@@ -205,9 +202,10 @@ def laser_estimate(
         total = sum(part.score / level for part, level in zip(parts, levels, strict=True))
         values = covariance @ (total - start / spread**2)
         levels = np.array([part.level(values) for part in parts])
-    relative = np.kron(np.eye(len(kinds)), np.eye(count) - 1.0 / count)
+    relative = np.kron(np.eye(len(parameters.kinds)), np.eye(count) - 1.0 / count)
     across = {
-        key: np.asarray(relative @ covariance[:size, place : place + 3]) for key, place in places.items()
+        key: np.asarray(relative @ covariance[:size, place : place + 3])
+        for key, place in parameters.positions.items()
     }
     remaining = relative @ values[:size]
     return LaserEstimate(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.fit.beams import BeamSet
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
@@ -82,6 +83,58 @@ class LaserMoments:
     lines: int
 
 
+@dataclass(frozen=True)
+class ChannelPattern:
+    """Channels that have values at the same lines.
+
+    Attributes
+    ----------
+    used : ndarray of bool, (channel,)
+    weights : ndarray, (n, line)
+        Of the n channels that are used.
+    lines : ndarray of int, (line,)
+    """
+
+    used: NDArray[np.bool_]
+    weights: Array
+    lines: Index
+
+
+class LaserParameters:
+    """What is estimated, in order: errors of lasers by kind, then positions of the points met so far.
+
+    Parameters
+    ----------
+    prior_sd : mapping of str to float
+        By kind (KINDS): standard deviation of each laser, 1, rad and s.
+    count : int
+        Number of lasers.
+    """
+
+    def __init__(self, prior_sd: Mapping[str, float], count: int) -> None:
+        self.kinds = tuple(kind for kind in KINDS if kind in prior_sd)
+        self.count = count
+        self.size = len(self.kinds) * count
+        self.positions: dict[tuple[int, str], int] = {}
+        self._sd = [prior_sd[kind] for kind in self.kinds for _ in range(count)]
+
+    @property
+    def sd(self) -> Array:
+        """Prior standard deviations (p,); positions in metres."""
+        return np.array(self._sd)
+
+    def place_of_laser(self, kind: str, laser: int) -> int:
+        """Return the place of an error of a laser."""
+        return self.kinds.index(kind) * self.count + laser
+
+    def place_of_position(self, body: int, point: str, sd_mm: float) -> int:
+        """Return the place of the first coordinate of a point, which is added when it is new."""
+        if (body, point) not in self.positions:
+            self.positions[body, point] = len(self._sd)
+            self._sd += [sd_mm * 1e-3] * 3
+        return self.positions[body, point]
+
+
 def sweep_information(blocks: Sequence[LaserMoments], size: int) -> SweepInformation:
     """Return what the blocks of one body in one run say together."""
     both = [_information(block, size) for block in blocks]
@@ -94,16 +147,8 @@ def sweep_information(blocks: Sequence[LaserMoments], size: int) -> SweepInforma
     )
 
 
-def channel_patterns(
-    fit: LineFit, body: BodyChannels, left_out: Sequence[int]
-) -> list[tuple[NDArray[np.bool_], Array, Index]]:
-    """Return sets of channels and the lines at which just these have values, the most frequent first.
-
-    Returns
-    -------
-    list of (ndarray of bool, (channel,), ndarray, (n, line), ndarray of int, (line,))
-        The channels, their weights, and the lines.
-    """
+def channel_patterns(fit: LineFit, body: BodyChannels, left_out: Sequence[int]) -> list[ChannelPattern]:
+    """Return sets of channels and the lines at which just these have values, the most frequent first."""
     if not float(np.sum(fit.solution.explained)) > 0.0:
         return []
     names = list(dict.fromkeys(body.points))
@@ -122,16 +167,31 @@ def channel_patterns(
     for number in order[: min(enough, _MOST_PATTERNS)]:
         used, own = wanted.copy(), of_line == number
         used[wanted] = sets[number]
-        patterns.append((used, weights[np.ix_(sets[number], own)], lines[own]))
+        patterns.append(ChannelPattern(used, weights[np.ix_(sets[number], own)], lines[own]))
     return patterns
 
 
 def laser_moments(
-    fit: LineFit, body: BodyChannels, number: int, lasers: Index, freq_hz: Array, kinds: Sequence[str],
-    count: int, used: NDArray[np.bool_], weights: Array, lines: Index, places: dict[tuple[int, str], int],
-    prior: list[float], size: int,
-) -> LaserMoments | None:  # fmt: skip
-    """Return the moments of some channels of one body in one run at some lines; None for too few channels."""
+    fit: LineFit,
+    body: BodyChannels,
+    number: int,
+    lasers: Index,
+    freq_hz: Array,
+    pattern: ChannelPattern,
+    parameters: LaserParameters,
+) -> LaserMoments | None:
+    """Return the moments of some channels of one body in one run at some lines; None for too few channels.
+
+    Parameters
+    ----------
+    number : int
+        Of the body.
+    lasers : ndarray of int, (channel,)
+    freq_hz : ndarray, (freq,)
+    parameters : LaserParameters
+        Positions of new points are added.
+    """
+    used, weights, lines = pattern.used, pattern.weights, pattern.lines
     beams = fit.beams if len(fit.beams.dof) == 6 else extended_beams(body, fit.beams.dof)
     basis = beams.basis[used]
     if len(basis) <= basis.shape[1]:
@@ -154,8 +214,8 @@ def laser_moments(
     moment = np.real(features @ features.conj().T) - noise
     values, vectors = np.linalg.eigh(moment / np.outer(scale, scale))
     half = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    slopes = _slopes(body, number, used, lasers, beams.to_dof, dof_indices(beams.dof), by_channel, basis,
-                     kinds, count, places, prior, size)  # fmt: skip
+    slopes = _laser_slopes(by_channel[:, None] * basis, lasers[used], parameters)
+    slopes += _position_slopes(body, number, np.flatnonzero(used), beams, by_channel, parameters)
     return LaserMoments(
         span,
         slopes,
@@ -167,32 +227,41 @@ def laser_moments(
     )
 
 
-def _slopes(
-    body: BodyChannels, number: int, used: NDArray[np.bool_], lasers: Index, to_dof: Array, dof: list[int],
-    by_channel: Array, basis: Array, kinds: Sequence[str], count: int,
-    places: dict[tuple[int, str], int], prior: list[float], size: int,
-) -> list[tuple[int, int, Array]]:  # fmt: skip
-    """Return what each parameter does to the weighted readings; new positions are listed."""
+def _laser_slopes(rows: Array, lasers: Index, parameters: LaserParameters) -> list[tuple[int, int, Array]]:
+    """Return what each error of a laser does to the weighted readings, whose rows of the motion are given."""
+    return [
+        (
+            parameters.place_of_laser(kind, laser),
+            KINDS.index(kind),
+            np.where((lasers == laser)[:, None], rows, 0.0),
+        )
+        for kind in parameters.kinds
+        for laser in np.unique(lasers).tolist()
+    ]
+
+
+def _position_slopes(
+    body: BodyChannels,
+    number: int,
+    channels: Index,
+    beams: BeamSet,
+    by_channel: Array,
+    parameters: LaserParameters,
+) -> list[tuple[int, int, Array]]:
+    """Return what each coordinate of a point does to the weighted readings of the channels."""
     slopes: list[tuple[int, int, Array]] = []
-    mine = lasers[used]
-    for place, kind in enumerate(kinds):
-        for laser in np.unique(mine).tolist():
-            rows = np.where((mine == laser)[:, None], by_channel[:, None] * basis, 0.0)
-            slopes.append((place * count + laser, KINDS.index(kind), rows))
-    channels = np.flatnonzero(used)
+    dof = dof_indices(beams.dof)
     for point in dict.fromkeys(body.points[channel] for channel in channels):
         own = np.array([body.points[channel] == point for channel in channels])
-        sd = float(body.position_sd_mm[channels[own][0]])
-        if not (np.isfinite(sd) and sd > 0.0):
+        sd_mm = float(body.position_sd_mm[channels[own][0]])
+        if not (np.isfinite(sd_mm) and sd_mm > 0.0):
             continue
-        if (number, point) not in places:
-            places[number, point] = size + 3 * len(places)
-            prior.extend([sd * 1e-3] * 3)
+        place = parameters.place_of_position(number, point, sd_mm)
         for axis in range(3):
-            rows = np.zeros_like(basis)
+            rows = np.zeros((len(channels), beams.basis.shape[1]))
             moved = shifted_point_rows(body.directions[channels[own]], np.eye(3)[axis])
-            rows[own] = by_channel[own, None] * (moved[:, dof] @ to_dof)
-            slopes.append((places[number, point] + axis, 0, rows))
+            rows[own] = by_channel[own, None] * (moved[:, dof] @ beams.to_dof)
+            slopes.append((place + axis, 0, rows))
     return slopes
 
 

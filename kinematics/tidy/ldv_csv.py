@@ -14,6 +14,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.tidy.few_averages import steady_noise
 from kinematics.tidy.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tidy.ldv_rows import Rows, rows_of
+from kinematics.tidy.noise_from_coherence import sd_from_coherence
 from kinematics.tidy.points_csv import read_points
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, list_some, raise_all
@@ -206,13 +207,7 @@ def _complex(table: Table, columns: Columns) -> NDArray[np.complex128]:
 def _noise(
     table: Table, columns: Columns, at: Index, value: NDArray[np.complex128], rate: Array
 ) -> tuple[Array | None, bool, Array | None]:
-    """Return the sd of each value as displacement (m), whether it is relative only, and its averages.
-
-    Notes
-    -----
-    From coherence g2 and n averages: |v| sqrt((1 - g2) / (2 n g2)) (Bendat and Piersol 2010, Random Data,
-    section 9.2, for the real part of a frequency response).
-    """
+    """Return the sd of each value as displacement (m), whether it is relative only, and its averages."""
 
     def spread(column: Array) -> Array:
         full = np.full(value.size, np.nan)
@@ -224,11 +219,7 @@ def _noise(
         return spread(table.numbers[columns.sd] * columns.sd_scale) / rate, False, counts
     if "coherence" in columns.extra:
         coherence = spread(table.numbers["coherence"])
-        n_avg = np.ones(value.shape) if counts is None else counts
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sd = np.abs(value) * np.sqrt((1.0 - coherence) / (2.0 * n_avg * coherence))
-        sd[~np.isfinite(sd)] = np.nan
-        return sd, counts is None, counts
+        return sd_from_coherence(value, coherence, 1.0 if counts is None else counts), counts is None, counts
     if counts is not None:
         return 1.0 / np.sqrt(counts) / rate, True, None
     return None, True, None
