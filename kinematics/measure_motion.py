@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def files_by_role(files: Sequence[Path], named: Mapping[str, Path | None]) -> dict[str, Path | None]:
-    """Return every file that is read, by its role, mapping files found next to a vibrometer file included.
+    """Return every file that is read, by its role, those that belong to a vibrometer file included.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ def files_by_role(files: Sequence[Path], named: Mapping[str, Path | None]) -> di
         The others by the names of their options: ``LdvOptions.input_files``.
     """
     from kinematics.readers.measurement_files import inputs_of
+    from kinematics.readers.recognise_format import companion_files
 
-    sidecars = (path.parent / f"{path.name}.toml" for path in files)
-    companions = {path.name: path for path in sidecars if path.is_file()}
+    companions = {other.name: other for path in files for other in companion_files(path)}
     return {**inputs_of(files, None), **named, **companions}
 
 

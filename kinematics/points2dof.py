@@ -41,7 +41,7 @@ from kinematics.registration.placement import Placement, place
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import with_gain_errors
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import STORED, RigidMotion
+from stapeskit.records.motion import STORED, RigidMotion, RowColumn
 from stapeskit.warnings import Notice, unique
 
 
@@ -284,8 +284,12 @@ def _motion(
             values[run, body] = getattr(fits[run, body], name)
         return values
 
+    def is_known(column: RowColumn) -> bool:
+        return not column.optional or all(getattr(fit, column.name) is not None for fit in fits.values())
+
     rows: dict[str, Any] = {
-        column.name: stacked(column.name, np.int64 if column.whole else float) for column in STORED
+        column.name: stacked(column.name, np.int64 if column.whole else float) if is_known(column) else None
+        for column in STORED
     }
     return RigidMotion(
         placed.runs,

@@ -16,11 +16,12 @@ import os
 import re
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ct_inertia.readers.companions import data_files
+from kinematics.readers.recognise_format import companion_files
 from pipeline.cohort.ear_description import about_of
 from pipeline.errors import PipelineError
 from pipeline.participants import PARTICIPANTS, with_participants
@@ -32,6 +33,8 @@ from stapeskit.outputs import stage_outputs
 
 # Files of other tables, such as the true values of a simulated ear, stay next to the study file.
 _FOLDERS = {"scan": "uct", "ldv": "ldv"}
+# From a file to those that are read with it.
+_COMPANIONS: dict[str, Callable[[Path], Sequence[Path]]] = {"scan": data_files, "ldv": companion_files}
 _STUDY = "_study.toml"
 _VERSION = "1.10.0"
 
@@ -176,6 +179,7 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     for table in TABLES:
         folder = _FOLDERS.get(table, "")
+        companions = _COMPANIONS.get(table, lambda _file: ())
         files = {option.key: option.kind for option in declared(TABLES[table]) if option.kind.is_file}
         for key in files.keys() & tables.get(table, {}).keys():
             value = tables[table][key]
@@ -185,7 +189,8 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
                 source = path.absolute().parent / str(entry)
                 several = f"-{number}" if len(entries) > 1 else ""
                 name = f"{stem}_{key}{several}"
-                place = _target(source, target.parent / folder, name, copies, files[key].repeats)
+                kept = files[key].repeats
+                place = _target(source, target.parent / folder, name, copies, companions, kept)
                 new.append(place.relative_to(target.parent).as_posix())
             tables[table][key] = new if isinstance(value, list) else new[0]
     lines = [
@@ -196,8 +201,15 @@ def _copy(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     return "\n".join(lines)
 
 
-def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path], keeps_name: bool) -> Path:
-    """Add a file, or a header with the files that it names, to the copies; return its new path.
+def _target(
+    source: Path,
+    folder: Path,
+    name: str,
+    copies: dict[Path, Path],
+    companions: Callable[[Path], Sequence[Path]],
+    keeps_name: bool,
+) -> Path:
+    """Add a file, with its companions, to the copies; return its new path.
 
     Files of one measurement keep their names (``keeps_name``): runs, bodies and channel tables name them.
 
@@ -206,7 +218,7 @@ def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path], kee
     PipelineError
         A header names a file outside its folder: copied by that name, it would lie outside that of the ear.
     """
-    data = [Path(os.path.normpath(file)) for file in data_files(source)]
+    data = [Path(os.path.normpath(file)) for file in companions(source)]
     source = Path(os.path.normpath(source))
     outside = [file for file in data if not file.is_relative_to(source.parent)]
     if outside:
@@ -217,14 +229,11 @@ def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path], kee
     endings = source.suffixes[-2:] if source.suffix == ".gz" else source.suffixes[-1:]
     place = folder / (name if source.is_dir() else name + "".join(endings))
     if data or keeps_name:
-        # A header names its data files, too: all lie in a folder of the ear.
+        # Companions are found by their names: all lie in a folder of the ear.
         place = folder / name / source.name
     copies[place] = source
     for part in data:
         copies[folder / name / part.relative_to(source.parent)] = part
-    mapping = source.with_name(source.name + ".toml")
-    if mapping.is_file():
-        copies[place.with_name(place.name + ".toml")] = mapping
     return place
 
 

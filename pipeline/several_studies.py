@@ -15,7 +15,7 @@ from pipeline.cohort.compare_ears import Ear, read_ear
 from pipeline.cohort.ear_description import about_of
 from pipeline.cohort_log import CohortLog
 from pipeline.runners import Where, runner_of
-from pipeline.runners.study_process import End, Task
+from pipeline.runners.study_process import AGAIN, End, Task
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet
@@ -190,4 +190,4 @@ def _run_all(
             raise
         text = f"interrupted; the finished studies are in {out}: {', '.join(finished)}."
         raise KeyboardInterrupt(text) from stop
-    return {name: ends[name] for name in studies}
+    return {name: ends.get(name) or End(2, fault=f"its runner gave it up. {AGAIN}.") for name in studies}

@@ -28,6 +28,7 @@ from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.scanner import DTYPES, stored_levels
 from sample_volumes.vibrometer import Recording, Vibrometry, record
 from stapeskit.frames import RigidTransform
+from stapeskit.page.quantities import MASS
 
 HERE = Path(__file__).parent
 DENSITY_SD = 0.01
@@ -327,7 +328,7 @@ def main(arguments: list[str] | None = None) -> None:
         parts = (*parts, "exports")
     name = "sample ear" if options.out == HERE else f"simulated ear {options.seed}"
     behind = make_study(options.out, ear, how, name, parts)
-    print(f"{options.out}: {', '.join(parts)}; true mass {behind['mass_kg'] * 1e6:.4f} mg")
+    print(f"{options.out}: {', '.join(parts)}; true mass {MASS.text(behind['mass_kg'], '.4f')}")
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,6 +18,12 @@ LONGEST = 4000
 
 FEW = 5
 """Faults of a kind that are written one by one."""
+
+PARSER_ERRORS = (
+    *(ValueError, ArithmeticError, LookupError, TypeError, AttributeError),
+    *(RecursionError, EOFError, struct.error),
+)
+"""What parsers raise on damaged content that no check has met: impossible numbers, nested too deeply, cut."""
 
 _FIELD = 500  # characters of one text of a fault where the whole is too long: five fit into LONGEST - _REST
 _REST = 1000  # characters kept for the line that counts the rest

@@ -18,7 +18,7 @@ from ct_inertia.surface.surface import read_surface
 from fitting.fit_kd import fit_kd
 from fitting.report.responses import responses
 from stapeskit.frames import RigidTransform
-from stapeskit.page.numbers import plus_minus
+from stapeskit.page.quantities import MASS, diagonal_unit
 from stapeskit.records.mass_record import read_mass_record
 from stapeskit.records.motion_files import read_motion
 from stapeskit.spatial import DOF_NAMES
@@ -66,14 +66,17 @@ def _stapes(folder: Path, mass) -> bytes:
 
 def _results(mass, kd) -> list[str]:
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    rows = [f"mass  {plus_minus(mass['mass_kg'] * 1e6, sd * 1e6)} mg"]
-    for place, (dof, unit, scale) in enumerate(
-        (("y", "N/m", 1.0), ("alpha", "N mm/rad", 1e3), ("gamma", "N mm/rad", 1e3))
-    ):
-        value, spread = (kd[f"stiffness{end}"][place][place] * scale for end in ("_si", "_sd_si"))
-        rows.append(f"K({dof})  {plus_minus(value, spread)} {unit}")
+    rows = [f"mass  {MASS.with_sd(mass['mass_kg'], sd)}"]
+    for place, dof in enumerate(("y", "alpha", "gamma")):
+        value, spread = (kd[f"stiffness{end}"][place][place] for end in ("_si", "_sd_si"))
+        rows.append(f"K({dof})  {diagonal_unit('K', dof).with_sd(value, spread)}")
     modes = ", ".join(f"{mode['frequency_hz']:.0f}" for mode in kd["modes"])
-    return [*rows, f"modes  {modes} Hz", "", "simulated sample: K(y) is 1722 N/m, mass 3.200 mg"]
+    return [
+        *rows,
+        f"modes  {modes} Hz",
+        "",
+        f"simulated sample: K(y) is 1722 N/m, mass {MASS.text(3.2e-6, '.3f')}",
+    ]
 
 
 def _smooth_response(shown, fit, mass):

@@ -1,8 +1,8 @@
 """The footplate frame: centre of the medial face, piston direction, long axis, with their covariance.
 
 The definition. On the surface, let n be the outward normals diffused over 0.05 mm, and for a direction y
-let the medial face F(y) be the connected part of the footplate where n lies within 60 degrees of -y
-(`footplate_face.FACE_ANGLE_DEG`). Then
+let the medial face F(y) be the connected part of the footplate where n lies within
+`footplate_face.FACE_ANGLE_DEG` of -y. Then
 
 * y is the normal of the robust plane of F(y), pointing into the body (lateral, towards the head): a fixed
   point, found by iteration;

@@ -10,8 +10,8 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.surface.surface_field import Mesh
 from stapeskit.arrays import Array
 
-# Directions over the sphere: 12 degrees apart, half the cone of a face, then 6 degrees apart within
-# 10 degrees of the best, which covers the cell of a coarse direction.
+# Directions over the sphere: 12 degrees apart, about half of the search cone (which is not that of the medial
+# face), then 6 degrees apart within 10 degrees of the best, which covers the cell of a coarse direction.
 _DIRECTIONS = 300
 _FINE_DIRECTIONS = 1200
 _NEAR_DEG = 10.0
@@ -41,7 +41,7 @@ class FaceCandidate:
 
 
 def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
-    """Return extremal faces by falling area, each more than 40 degrees off those before it.
+    """Return extremal faces by falling area, each well off those before it (``footplate_search.other_deg``).
 
     Parameters
     ----------
@@ -52,9 +52,10 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
 
     Notes
     -----
-    For directions spread evenly over the sphere: the projected area of what faces that direction within
-    22 degrees and lies within 8 % of the body's diameter of the extreme plane. Side views of the arch,
-    the head and the lateral side of the footplate score less: narrow, small, or not at an extremity.
+    For directions spread evenly over the sphere: the projected area of what faces that direction within the
+    search cone (``cone_deg``) and lies within a slab of the extreme plane (``slab``, in diameters of the
+    body). Side views of the arch, the head and the lateral side of the footplate score less: narrow, small,
+    or not at an extremity.
     """
     centres, vectors = _pool(mesh, _CELL * extent_mm)
     areas = np.linalg.norm(vectors, axis=1)

@@ -6,7 +6,6 @@ for a writer (tests/ct_inertia/readers/writers.py) and a case (``contract.py`` t
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,17 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.refusals import not_readable, unreadable
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import PARSER_ERRORS, StapeskitError
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
     from ct_inertia.volume.volume import Volume
-
-# What parsers raise on damaged content that no check has met: impossible numbers, nested too deeply, cut.
-_DAMAGE = (
-    *(ValueError, ArithmeticError, LookupError, TypeError, AttributeError),
-    *(RecursionError, EOFError, struct.error),
-)
 
 
 @dataclass(frozen=True)
@@ -71,8 +64,8 @@ class Format:
     suffixes : tuple of str
         Of files, lower case.
     headers : tuple of str
-        Those of them that belong to the header of a separate file of voxels: raw voxels beside such a
-        header are read as it says.
+        Those of them that belong to the header of a separate file of voxels: raw voxels (with an ending of
+        the entry RAW) beside such a header are read as it says.
     sniffs : tuple of str
         ``file`` and ``folder``: recognised by content, in the order of the table, where no suffix decides.
     placed : bool
@@ -102,7 +95,7 @@ class Format:
             raise unreadable(Path(fault.filename or path), fault) from fault
         except StapeskitError:
             raise
-        except _DAMAGE as fault:
+        except PARSER_ERRORS as fault:
             raise not_readable(path, self.title, fault) from fault
         return volume
 
@@ -111,10 +104,16 @@ class Format:
         return ("folder" if path.is_dir() else "file") in self.sniffs and self._code().recognises(path)
 
     def companion_files(self, path: Path) -> list[Path]:
-        """Return the files that are read with the one given, which may be among them."""
+        """Return the files that are read with the one given, which may be among them.
+
+        None of a damaged header: what is wrong with it is said when it is read.
+        """
         if not hasattr(self._code(), "companion_files"):
             return []
-        files: list[Path] = self._code().companion_files(path)
+        try:
+            files: list[Path] = self._code().companion_files(path)
+        except (StapeskitError, OSError, *PARSER_ERRORS):
+            return []
         return files
 
     def _code(self) -> Any:

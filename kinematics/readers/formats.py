@@ -8,7 +8,7 @@ quick: what recognises a format is imported where it is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -53,9 +53,6 @@ def _matches_nothing(_head: Head) -> bool:
 class Format:
     """A format of vibrometer files.
 
-    A file is read alone: beside it only ``FILE.toml`` is hashed, watched and copied
-    (`kinematics.measure_motion.files_by_role`).
-
     Attributes
     ----------
     module : str
@@ -76,6 +73,9 @@ class Format:
         itself. With a table of channels a file is read by series/series_files.py, which must know it too.
     reads : str
         What is read of it, for the help and docs/vibrometer_files.md; empty where another entry says it.
+    companions : callable, optional
+        From a path to the other files that ``read`` opens, where a measurement may lie in several: they are
+        hashed, watched and copied with it, as a mapping ``FILE.toml`` is. See `companion_files`.
     """
 
     name: str
@@ -87,6 +87,7 @@ class Format:
     in_folders: bool = False
     series: str = ""
     reads: str = ""
+    companions: Callable[[Path], Sequence[Path]] | None = None
 
     def read(self, path: Path, options: InputOptions) -> Recordings:
         """Read a file or folder, as time series where a table of channels is given."""

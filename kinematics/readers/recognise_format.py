@@ -5,6 +5,7 @@ What a file holds decides first, its name second; earlier entries win.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from kinematics.readers import proprietary_formats
 from kinematics.readers.formats import FORMATS, TIDY, ZIP, Format, Head
 from kinematics.readers.mapping_file import mapping_of
 from kinematics.readers.psv.text_blocks import EXPORT_ENDINGS, export_files
+from stapeskit.faults import PARSER_ERRORS, StapeskitError
 
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 
@@ -50,6 +52,24 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     raise KinematicsError.of(
         "the vibrometer file", known, path.name, next_step="See points2dof --help for the layouts"
     )
+
+
+def companion_files(path: Path) -> list[Path]:
+    """Return the files that are read with a vibrometer file or folder: its mapping, and those of its format.
+
+    Returns
+    -------
+    list of Path
+        Those that exist. What is wrong with the file itself is said when it is read.
+    """
+    path = Path(path)
+    mapping = mapping_of(path, None)
+    files = [] if mapping is None else [mapping]
+    if any(entry.companions for entry in FORMATS) and path.is_file():
+        with suppress(StapeskitError, OSError, *PARSER_ERRORS):
+            named = format_of(path).companions
+            files += [] if named is None else [Path(file) for file in named(path)]
+    return [file for file in files if file.is_file()]
 
 
 def _head_of(path: Path) -> Head:

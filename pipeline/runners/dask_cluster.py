@@ -7,6 +7,7 @@ one machine, because workers with other code or other versions of packages refus
 
 from __future__ import annotations
 
+import re
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ from pipeline.runners.study_process import AGAIN, End, Task, run_task
 # Patience with a scheduler that does not answer, and pause between two looks.
 _CONNECT_S = 10.0
 _POLL_S = 0.05
+_ADDRESS = re.compile(r"(\w+://)?[^/\s]+:\d+(/.*)?")
 _ROOMS = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")
 _EXTRA = "stapeskit[cluster]"
 
@@ -75,10 +77,14 @@ def _connect(address: str) -> Any:
     except ImportError as fault:
         step = f"pip install '{_EXTRA}'"
         raise PipelineError.of("dask.distributed", "installed for {scheduler}", fault, "", step) from fault
+    step = "Start one with: dask scheduler; and workers with: dask worker ADDRESS --nthreads 1"
+    if not _ADDRESS.fullmatch(
+        address
+    ):  # a client would seek in vain, and complain of it when it is thrown away
+        raise PipelineError.of("{scheduler}", "the address HOST:PORT of a dask scheduler", address, "", step)
     try:
         return Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as fault:
-        step = "Start one with: dask scheduler; and workers with: dask worker ADDRESS --nthreads 1"
         reason = str(fault).splitlines()[0]
         raise PipelineError.of(
             "{scheduler}", "the address of a dask scheduler that answers", reason, "", step

@@ -199,7 +199,15 @@ class RowColumn:
     missing : float
         Value of an empty cell.
     optional : bool
-        Whether the field may be None, as in files that were written before the column was added.
+        Whether the field may be None, as in files that were written before the column was added, and in
+        bodies whose fit has no such number.
+    least, most : float
+        Range of what a cell may hold: beyond it, a reader refuses the table.
+
+    Notes
+    -----
+    Noise whose size comes from the residuals is found after the fit: numbers that depend on it also stand in
+    ``LineFit.rescaled`` (kinematics/fit/rigid_fit.py).
     """
 
     name: str
@@ -208,6 +216,8 @@ class RowColumn:
     whole: bool = False
     missing: float = float("nan")
     optional: bool = False
+    least: float = 0.0
+    most: float = LARGEST_COUNT
 
     @property
     def stored(self) -> bool:
@@ -227,11 +237,11 @@ class RowColumn:
     @property
     def expected(self) -> str:
         """What a cell must hold, for messages."""
-        return "a count" if self.whole else f"from 0 to {LARGEST_COUNT:g}"
+        return "a count" if self.whole else f"from {self.least:g} to {self.most:g}"
 
     def is_wrong(self, values: Array) -> NDArray[np.bool_]:
         """Return which cells (rows,) hold an impossible number; empty ones do not."""
-        wrong = (values < 0.0) | (values > LARGEST_COUNT)
+        wrong = (values < self.least) | (values > self.most)
         return wrong | (np.isfinite(values) & (values != np.round(values))) if self.whole else wrong
 
     def fill_missing(self, values: Array) -> NDArray[Any]:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from fitting.errors import FittingError
+from fitting.estimators import ESTIMATORS, estimator
 from fitting.fit_kd import fit_kd
+from fitting.model.laws import LAWS
 from fitting.model.range_checks import check_result
 from fitting.options import KDOptions
 from stapeskit.faults import StapeskitError
@@ -16,16 +18,26 @@ from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
 
 
+def test_sentences_name_the_estimators_that_can_do_it() -> None:
+    bounded = [name for name in ESTIMATORS if estimator(name).bounded]
+    likelihood = [name for name in ESTIMATORS if estimator(name).likelihood]
+    with pytest.raises(StapeskitError) as refused:
+        KDOptions(lower={"K11": 1.0})
+    assert f"takes bounds ({', '.join(bounded)})" in refused.value.faults[0].expected
+    with pytest.raises(StapeskitError) as refused:
+        KDOptions(estimator="pinv", correct="fluid")
+    assert f"is {' or '.join(likelihood)}," in refused.value.faults[0].expected
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"estimator": "tls"}, "--estimator must be one of ml, irls, pinv, constrained; got tls"),
+        ({"estimator": "tls"}, f"--estimator must be one of {', '.join(ESTIMATORS)}; got tls"),
         ({"robust": "huber"}, "--robust must be one of none, t4; got huber"),
         ({"robust": "t4", "estimator": "pinv"}, "--robust must be none with this --estimator; got t4"),
         (
             {"damping": "dry"},
-            "--damping must be one of viscous, hysteretic, fractional, relaxation, two_relaxations, compare; "
-            "got dry",
+            f"--damping must be one of {', '.join(LAWS)}, compare; got dry",
         ),
         ({"inplane": "yes"}, "--inplane must be one of auto, load, ignore; got yes"),
         ({"constraint": "no"}, "--constraint must be one of eigenvalues, psd; got no"),

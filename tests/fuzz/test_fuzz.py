@@ -6,12 +6,15 @@ import random
 
 import pytest
 
+from kinematics.readers.formats import FORMATS
+from kinematics.readers.recognise_format import format_of
 from stapeskit import guard
 from stapeskit.faults import Fault, StapeskitError
 from tests.fuzz import targets
 from tests.fuzz.case import Case
 from tests.fuzz.corpus import saved
 from tests.fuzz.mutations import mutate_bytes, mutate_table, mutate_tree
+from tests.fuzz.vibrometer import _DAMAGES
 from tests.fuzz.vibrometer_files import sound
 from tests.fuzz.worker import Place, run
 
@@ -67,6 +70,17 @@ def test_vibrometer_files_are_sound_before_they_are_damaged(tmp_path):
     for kind, made in sound().items():
         found = run(Case(kind, made.files, ("read_ldv", *made.words)), tmp_path / kind)
         assert found["kind"] == "done", kind
+
+
+def test_every_vibrometer_format_is_damaged(tmp_path):
+    known = {entry.name for entry in FORMATS if entry.name != "vendor"}  # which is refused unread
+    for kind, made in sound().items():
+        for name, content in made.files.items():
+            (tmp_path / kind / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / kind / name).write_bytes(content)
+        known.discard(format_of(tmp_path / kind / made.words[0]).name)
+    assert known == set()
+    assert set(_DAMAGES) == set(sound())
 
 
 def test_what_was_found_stays_cured(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Damaged vibrometer files: UFF, MATLAB 5 and 7.3, HDF5, PSV text, tidy tables, points, fiducials, series."""
+"""Damaged vibrometer files, and the tables that are read with them."""
 
 from __future__ import annotations
 
@@ -341,6 +341,8 @@ _DAMAGES: dict[str, tuple[Damage, ...]] = {
     "v4.mat": (_mat4, _mat4, *(_bytes,) * 2),
     "v73.mat": (_hdf5, _hdf5, _hdf5, _bytes),
     "own.h5": (_hdf5, _hdf5, _hdf5, _bytes),
+    "wide.csv": (_table, _table, _beside, *_TEXT),
+    "mapped.csv": (_table, _beside, _beside, *_TEXT),
     "series.csv": (_table, _table, _beside, _beside, _numbers, _lines),
     "series.npz": (_npz, _npz, _bytes, _beside),
     "series.wav": (_wav, _wav, _bytes, _beside),

@@ -28,6 +28,10 @@ _TIME = np.arange(_SAMPLES) / _RATE
 _DRIVE = _RNG.standard_normal(_SAMPLES)
 _CHANNELS = b"channel,role,body,point,dir,unit\nvib,response,stapes,1,z,mm/s\nref,reference,,,,V\n"
 _PLACED = ("--points", "points.csv")
+_MAPPING = (
+    b'frequency = "f [Hz]"\n[[signal]]\nmagnitude = "P{point} Vz Mag [mm/s]"\n'
+    b'phase = "P{point} Vz Phase [deg]"\nunit = "mm/s"\ndirection = "z"\nbody = "stapes"\n'
+)
 _SERIES = ("--channels", "channels.csv", *_PLACED)
 
 
@@ -83,6 +87,12 @@ def sound() -> dict[str, Sound]:
         ),
         "v73.mat": _single("ldv.mat", _written(lambda path: write_v73(path, _variables()))),
         "own.h5": Sound({"ldv.h5": _written(_own_h5)}, ("ldv.h5",), "ldv.h5"),
+        "wide.csv": _placed("ldv.csv", _wide()),
+        "mapped.csv": Sound(
+            {"ldv.csv": _wide(), "ldv.csv.toml": _MAPPING, "points.csv": _points()},
+            ("ldv.csv", *_PLACED),
+            "ldv.csv",
+        ),
         "series.csv": _series("ldv.csv", _series_csv()),
         "series.npz": _series("ldv.npz", _npz()),
         "series.wav": _series(
@@ -202,6 +212,13 @@ def _series_h5(path: Path) -> None:
         file.attrs["fs"] = _RATE
         file["vib"] = 2.0 * _DRIVE[:, None]
         file.create_dataset("ref", data=_DRIVE, chunks=(100,), compression="gzip", shuffle=True)
+
+
+def _wide() -> bytes:
+    names = [f"P{point} Vz {part}" for point in (1, 2) for part in ("Mag [mm/s]", "Phase [deg]")]
+    values = [part for one in _VALUE[:2] for part in (np.abs(one), np.degrees(np.angle(one)))]
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(FREQ, *values, strict=True)]
+    return "\n".join([",".join(["f [Hz]", *names]), *rows, ""]).encode()
 
 
 def _series_csv() -> bytes:

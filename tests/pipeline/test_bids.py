@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from kinematics.readers import recognise_format
+from kinematics.readers.formats import Format
 from pipeline import cli
 from pipeline.bids import derivatives, read_dataset, write_dataset
 from pipeline.errors import PipelineError
@@ -61,6 +63,21 @@ def test_a_dataset_holds_what_the_studies_name(studies, tmp_path):
     assert json.loads((dataset / "dataset_description.json").read_text())["DatasetType"] == "raw"
     assert (dataset / "participants.tsv").read_text().splitlines()[1] == "sub-TB12\t61.0\tn/a\tn/a"
     assert write_dataset(studies, dataset) == written
+
+
+def test_companions_of_a_vibrometer_file_keep_their_names(studies, tmp_path, monkeypatch):
+    entry = Format(
+        "new",
+        "invented",
+        "",
+        lambda head: b" b.csv" in head.content,
+        companions=lambda path: [path.with_name("points.csv")],
+    )
+    monkeypatch.setattr(recognise_format, "FORMATS", (entry, *recognise_format.FORMATS))
+    for target in write_dataset(studies, tmp_path / "bids"):
+        other = read_study(target).ldv.files[1]
+        assert other.with_name("points.csv").exists()
+        assert not read_study(target).ldv.files[0].with_name("points.csv").exists()
 
 
 def test_nothing_is_replaced_and_no_two_ears_have_one_place(studies, tmp_path):

@@ -27,7 +27,7 @@ def test_results_obey_their_schema(name, finished):
 
 
 def test_the_schema_names_every_estimator():
-    assert schema("kd")["properties"]["estimator"]["enum"] == list(ESTIMATORS)
+    assert set(schema("kd")["properties"]["estimator"]["enum"]) == set(ESTIMATORS)
 
 
 def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 from benchmarks import foreign_shapes as shapes
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
 
@@ -42,7 +43,7 @@ def test_the_outline_encloses_the_projected_area_of_the_face(seed):
     areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     below = frame.scan_from_footplate.inverse().points(corners.mean(axis=1))[:, 1] < 0.9
     facing = -(areas @ y_axis) / np.linalg.norm(areas, axis=1)
-    seen = -(areas @ y_axis)[(facing > 0.5) & below].sum()
+    seen = -(areas @ y_axis)[(facing > np.cos(np.radians(FACE_ANGLE_DEG))) & below].sum()
     assert enclosed == pytest.approx(seen, rel=0.06)
     gaps = np.linalg.norm(np.diff(frame.outline_mm, axis=0, append=frame.outline_mm[:1]), axis=1)
     assert gaps.max() < 0.2

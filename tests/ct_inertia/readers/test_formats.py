@@ -125,6 +125,14 @@ def test_a_new_format_needs_a_line_alone(tmp_path, monkeypatch):
     assert data_files(path) == []
 
 
+def test_a_damaged_header_names_no_companions(tmp_path, monkeypatch):
+    def fails(_path):
+        raise ValueError
+
+    monkeypatch.setattr("ct_inertia.readers.metaimage.companion_files", fails)
+    assert data_files(f.itk(tmp_path / "a.mhd", picture(np.int16))) == []
+
+
 def test_companions_are_read_with_a_scan(tmp_path):
     array = picture(np.int16)
     header = f.itk(tmp_path / "a.mhd", array)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from dataclasses import replace
 from importlib import import_module
 from types import ModuleType
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser
+from kinematics.measure_motion import files_by_role
 from kinematics.readers import recognise_format
 from kinematics.readers.formats import FORMATS, TIDY, Format
 from kinematics.readers.input_options import InputOptions
@@ -79,6 +81,27 @@ def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
     path.write_bytes(b"NEW")
     assert format_of(path).name == "new"
     assert read_measurement([path]).bodies[0].displacement[0, 0, 0] == 2.0 + 1.0j
+
+
+def test_the_companions_of_a_format_are_inputs(tmp_path, monkeypatch):
+    def named(path):
+        return [path.with_suffix(".values"), path.with_suffix(".missing")]
+
+    def fails(_path):
+        raise KeyError
+
+    for name in ("a.new", "a.values", "a.new.toml", "b.csv"):
+        (tmp_path / name).write_text("NEW")
+    entry = Format("new", "invented", "", lambda head: head.content.startswith(b"NEW"), companions=named)
+    monkeypatch.setattr(recognise_format, "FORMATS", (entry, *FORMATS))
+    roles = files_by_role((tmp_path / "a.new",), {})
+    assert list(roles) == ["ldv", "a.new.toml", "a.values"]
+    monkeypatch.setattr(recognise_format, "FORMATS", (replace(entry, companions=fails), *FORMATS))
+    assert list(files_by_role((tmp_path / "a.new", tmp_path / "none.new"), {})) == [
+        "ldv",
+        "ldv 2",
+        "a.new.toml",
+    ]
 
 
 @pytest.mark.parametrize(

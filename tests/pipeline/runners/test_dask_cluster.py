@@ -146,6 +146,13 @@ def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("address", ["host", "tcp://host", "host:port"])
+def test_an_address_without_a_port_is_refused_at_once(address, tmp_path):
+    with pytest.raises(PipelineError) as refused:
+        dask_cluster.run([], Where(address=address, shared=tmp_path), print, print)
+    assert refused.value.faults[0].got == address
+
+
 def test_a_study_that_takes_its_workers_down_is_named():
     fault = KilledWorker("a", SimpleNamespace(address="tcp://10.0.0.2:1"), 3)
     end = _end_of(SimpleNamespace(status="error", exception=lambda: fault), disconnected=False)

@@ -5,6 +5,7 @@ from importlib import import_module
 
 import pytest
 
+from pipeline import several_studies
 from pipeline.errors import PipelineError
 from pipeline.runners import HERE, RUNNERS, Run, runner_of
 
@@ -29,3 +30,11 @@ def test_an_unknown_scheme_is_refused():
         runner_of("ftp://host")
     assert refused.value.faults[0].thing == "{scheduler}"
     assert refused.value.faults[0].got == "ftp://host"
+
+
+def test_a_study_that_a_runner_says_nothing_of_has_failed(tmp_path, monkeypatch):
+    monkeypatch.setattr(several_studies, "runner_of", lambda _address: lambda *_given: None)
+    (tmp_path / "a.toml").write_text("", encoding="utf-8")
+    result = several_studies.run_studies([tmp_path / "a.toml"], tmp_path / "out")
+    assert result.codes == {"a": 2}
+    assert "runner" in result.faults["a"]

@@ -97,6 +97,7 @@ def test_columns_are_those_promised(tmp_path, motion):
 def test_every_column_of_the_table_is_written_and_read_back(tmp_path, motion, column):
     if column.stored and getattr(motion, column.name) is None:
         motion = replace(motion, **{column.name: np.full(motion.q.shape[:3], 7 if column.whole else 0.7)})
+    assert not np.any(column.is_wrong(np.array([column.least, min(column.most, 1e300)])))
     csv, h5 = write_motion(tmp_path, "dof", motion)
     values = column.of(motion)
     assert values.shape == motion.q.shape[:3]
