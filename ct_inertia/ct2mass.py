@@ -90,7 +90,13 @@ def _measure(options: MassOptions, progress: Tell, found: Callable[[Bodies], Non
             "The input is a surface: it is taken as exact, and the budget holds density or mass and the "
             "frame only.",
         )
-        return mass_of_bodies(options, known, None, surface, surface, None, (*surface.notices, exact))
+        turned = Notice(
+            "handedness_unconfirmed",
+            f"Nothing in {Path(str(options.scan)).name} confirms that the slices of its scan were in "
+            "right-handed order: if not, the ear is a mirror image. Check a known asymmetry in the report.",
+        )
+        notices = (*surface.notices, exact, turned)
+        return mass_of_bodies(options, known, None, surface, surface, None, notices)
     bodies = _bodies(options, progress)
     progress("finding the frames")
     if found is not None:

@@ -60,6 +60,20 @@ def _plausible_spacing(spacing_mm: tuple[float, ...]) -> bool:
     return _SPACING_MM[0] <= min(spacing_mm) and max(spacing_mm) <= _SPACING_MM[1]
 
 
+def _is_known(name: str) -> Rule:
+    def is_lost(options: Values) -> bool:
+        value: WithSd | None = getattr(options, name)
+        return value is not None and value[1] is not None and value[1] >= value[0]
+
+    return Rule(
+        is_lost,
+        f"the standard deviation of {{{name}}}",
+        "smaller than its value",
+        next_step="A value that is known no better is none: weigh the stapes, or leave it out",
+        shows=name,
+    )
+
+
 def _is_of_bone(density_kg_m3: float) -> bool:
     return PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]
 
@@ -129,6 +143,8 @@ class MassOptions(OptionTable):
             next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
             shows="density",
         ),
+        _is_known("density"),
+        _is_known("mass_mg"),
         Rule(
             lambda v: v.spacing_mm is not None and not _plausible_spacing(v.spacing_mm),
             "{spacing}",

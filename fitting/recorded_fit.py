@@ -58,12 +58,23 @@ def kd_of(
     return extend_result(
         KDResult,
         fit,
-        provenance=dict(provenance or {}),
+        provenance={**(provenance or {}), **measured_files(motion)},
         footplate_outline_mm=footplate_outline(record),
         ligament_gap_mm=window_gap(record),
         scatter=monte_carlo(fit, options.monte_carlo) if options.monte_carlo else None,
         files=files,
     )
+
+
+def measured_files(motion: RigidMotion) -> dict[str, Any]:
+    """Return the content hashes of the vibrometer files behind a motion, ``measured`` in the provenance."""
+    inputs = motion.provenance.get("inputs") or {}
+    hashes = {
+        role: entry["hash"]
+        for role, entry in inputs.items()
+        if role.split()[0] == "ldv" and isinstance(entry, Mapping) and "hash" in entry
+    }
+    return {"measured": hashes} if hashes else {}
 
 
 def footplate_outline(record: MassRecord | None) -> Array | None:

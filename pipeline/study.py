@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +139,7 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     if len(sides) > 1:
         got = f"{study.study.side} in [study] and {study.scan.side} in [scan]"
         raise PipelineError.of("the side of the ear", "stated once or alike", got, name)
-    return study
+    return replace(study, scan=replace(study.scan, side=study.study.side or study.scan.side))
 
 
 def words(table: str) -> Callable[[str], str]:

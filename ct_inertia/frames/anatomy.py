@@ -78,7 +78,7 @@ class AnatomyHints:
             raise CtInertiaError.of(
                 f"landmark {min(sideways)}",
                 "given together with the side of the ear",
-                "no {side}",
+                "no side",
                 next_step="Add {side} left or {side} right, or an anterior landmark",
             )
 

@@ -18,6 +18,13 @@ from stapeskit.warnings import Notice
 STAPES_NUMBER, PLATE_NUMBER = 1, 2
 # Names that programs give by themselves say nothing.
 _AUTOMATIC = re.compile(r"(segment|label|region|object|mask|class|material|inside)?[\s_-]*\d*", re.IGNORECASE)
+# Parts of the stapes, and what hangs on it and is no bone.
+_PART = re.compile(
+    r"stapes|stapedi|foot[\s_-]*plate|fu(ss|ß)platte|(anterior|posterior)[\s_-]*crus|"
+    r"crus[\s_-]*(anterius|posterius)|crura|superstructure",
+    re.IGNORECASE,
+)
+_SOFT = re.compile(r"stapedius|stapedial|tendon|muscle|nerve|artery|ligament|incus", re.IGNORECASE)
 # Islands up to this share of the stapes are slips of the brush; beyond, a body may have been drawn in parts.
 _MOST_ISLANDS = 0.05
 
@@ -35,13 +42,14 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
     Raises
     ------
     CtInertiaError
-        Several segments have such a name; the stapes' usual number has a name that says something else; both
-        bodies have the same number.
+        Several segments have such a name, or another one that of a part of the stapes; the stapes' usual
+        number has a name that says something else; both bodies have the same number.
     """
     names = labels.segment_names
     where = "" if labels.source is None else Path(labels.source).name
     if stapes is None:
         stapes = _number_by_name(names, r"stapes|stapedi", where)
+        _refuse_parts(names, stapes, where)
         if stapes is None and not _says_nothing(names.get(STAPES_NUMBER, "")):
             listed = ", ".join(f"{number} {name}" for number, name in sorted(names.items()))
             raise CtInertiaError.of(
@@ -61,6 +69,19 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
             "{plate_label}", "another number than the stapes'", plate, where, "Give both numbers"
         )
     return stapes, plate
+
+
+def _refuse_parts(names: Mapping[int, str], stapes: int | None, where: str) -> None:
+    """Refuse a stapes that was drawn in several segments: one of them alone has no footplate, or no arch."""
+    parts = [n for n, name in names.items() if n == stapes or (_PART.search(name) and not _SOFT.search(name))]
+    if stapes is not None and len(parts) > 1:
+        raise CtInertiaError.of(
+            "the label volume",
+            "one with the whole stapes in one segment",
+            ", ".join(f"{number} {names[number]}" for number in sorted(parts)),
+            where,
+            "Unite the parts in one segment, or give the number of the whole stapes with {stapes_label}",
+        )
 
 
 def _says_nothing(name: str) -> bool:

@@ -48,7 +48,7 @@ def settle_spacing(
     Parameters
     ----------
     from_file : ndarray, (3,), or None
-        Spacing along x, y, z in mm.
+        Spacing along x, y, z in mm; NaN where the file does not say it.
     from_user : sequence of 1 or 3 floats, or None
         The user's, in mm.
     name : str
@@ -71,12 +71,15 @@ def settle_spacing(
                 next_step="Give it in mm, for example {spacing} 0.018",
             )
         spacing = np.broadcast_to(values, 3).copy()
-        if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
-            file_mm, given_mm = _format_numbers(from_file), _format_numbers(spacing)
-            text = f"{name} says voxels of {file_mm} mm; the given {given_mm} mm were used."
+        told = np.full(3, np.nan) if from_file is None else np.asarray(from_file, dtype=float)
+        known_axes = np.isfinite(told)
+        if np.any(np.abs(spacing / told - 1.0)[known_axes] > 1e-3):
+            file_mm, given_mm = _format_numbers(told[known_axes]), _format_numbers(spacing)
+            along = "" if np.all(known_axes) else " along " + " and ".join(np.array(list("xyz"))[known_axes])
+            text = f"{name} says voxels of {file_mm} mm{along}; the given {given_mm} mm were used."
             return spacing, (Notice("spacing_overridden", text),)
         return spacing, ()
-    if from_file is None:
+    if from_file is None or not np.all(np.isfinite(from_file)):
         raise CtInertiaError.of(
             "the voxel spacing",
             "in the file or given",

@@ -20,6 +20,7 @@ from ct_inertia.readers.streams import DECODERS
 from ct_inertia.volume.lazy_arrays import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
 from stapeskit.arrays import Array
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 # Kinds of limits in readers.checks by the packing.
@@ -95,8 +96,15 @@ def grid_volume(
     """
     spacing, settled = settle_spacing(grid.spacing_mm, options.spacing_mm, path.name, grid.known)
     origin, direction, mirror = grid.origin_mm, grid.direction, options.mirror
+    notices = [*grid.notices, *settled]
     if mirror is not None and np.linalg.det(direction) < 0.0:
         origin, direction = unmirrored_frame(origin, direction, np.array(grid.size), spacing, mirror)
+        text = (
+            f"The directions of {path.name} are left-handed, and {named('mirror')} {mirror} reversed its "
+            f"slices. That is right only where the order of slices is wrong; where the directions are right, "
+            f"the ear is a mirror image now. Check a known asymmetry in the report."
+        )
+        notices.append(Notice("handedness_unconfirmed", text))
         mirror = None
     voxels = grid_array(grid, path) if array is None else array
     return Volume(
@@ -106,7 +114,7 @@ def grid_volume(
         direction,
         grid.anatomical,
         path,
-        notices=(*grid.notices, *settled),
+        notices=tuple(notices),
     ).mirrored(mirror)
 
 

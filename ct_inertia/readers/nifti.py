@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,7 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
     spacing_mm = None
     if np.all(np.isfinite(spacing)) and np.all(spacing > 0.0):
         spacing_mm, direction = spacing * unit, affine[:, :3] / spacing
+        notices += _contradictions(header, affine, unit, size, path.name)
     else:
         direction = np.eye(3)
     slope, intercept = header.slope, header.intercept
@@ -177,6 +179,27 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
         skip=start if packed else 0,
         notices=tuple(notices),
     )
+
+
+def _contradictions(header: _Header, affine: Array, unit: float, size: list[int], name: str) -> list[Notice]:
+    """Return a notice where the sform, which counts, and the rest of the header place voxels differently."""
+    if header.sform <= 0:
+        return []
+    other, told = _affine(replace(header, sform=0)), "qform"
+    steps, stated = (np.linalg.norm(one[:, :3], axis=0) for one in (affine, other))
+    if header.qform <= 0:  # sizes alone are told twice
+        other, told = np.column_stack([affine[:, :3] / steps * stated, affine[:, 3]]), "pixdim"
+    corners = np.array(list(product(*((0, n - 1) for n in size))), dtype=float)
+    apart = np.linalg.norm(np.column_stack([corners, np.ones(8)]) @ (affine - other).T, axis=1).max() * unit
+    if not (apart > 0.5 * unit * steps.min() or np.max(np.abs(stated / steps - 1.0)) > 1e-3):
+        return []
+    first, second = (", ".join(f"{v:.5g}" for v in unit * one) for one in (steps, stated))
+    text = (
+        f"{name} states the place of its voxels twice: by the sform ({first} mm a voxel), which was used, "
+        f"and by the {told} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the "
+        f"other show other coordinates and sizes. Save it anew from the program that shows it rightly."
+    )
+    return [Notice("two_places_told", text)]
 
 
 def _affine(header: _Header) -> Array:

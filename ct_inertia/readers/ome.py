@@ -21,7 +21,7 @@ class Calibration:
     Attributes
     ----------
     spacing_mm : ndarray, (3,), or None
-        x, y, z; None when it is not complete.
+        x, y, z; NaN where the file does not say it, None where it says nothing.
     origin_mm : ndarray, (3,)
         Scan coordinates of the first voxel's centre.
     known : str
@@ -81,7 +81,8 @@ def ome_calibration(xml: str, number: int, count: int, shape: Sequence[int]) -> 
     lengths = [value for value in sizes if value is not None and value > 0.0]
     if len(lengths) < 3:
         shown = ", ".join(f"{a} {v:.6g} mm" for a, v in zip("xyz", sizes, strict=True) if v)
-        return Calibration(None, origin, f"the OME header says {shown or 'no physical size'}")
+        part = np.array([value if value is not None and value > 0.0 else np.nan for value in sizes])
+        return Calibration(part, origin, f"the OME header says {shown or 'no physical size'}")
     return Calibration(np.array(lengths), origin)
 
 

@@ -17,6 +17,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, check_size, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.memory_mapping import read_at
+from ct_inertia.readers.ome import Calibration
 from ct_inertia.readers.refusals import not_readable
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
@@ -25,6 +26,7 @@ from ct_inertia.readers.tiff_pages import (
     check_offsets,
     check_palette,
     check_pieces,
+    plane_calibration,
     turned_notice,
     white_is_zero,
 )
@@ -60,12 +62,11 @@ def read(folder: Path, options: ReadOptions) -> Volume:
         No slices, several series, slices of different size or type, a damaged slice, or no spacing given.
     """
     files, notices = slice_files(folder)
-    spacing_of_log = log_spacing(folder)
-    spacing, settled = settle_spacing(
-        spacing_of_log, options.spacing_mm, folder.name, "slice images do not have it"
-    )
+    from_log, (turned, tagged) = log_spacing(folder), _tags_of(files[0])
+    stated = tagged.spacing_mm if from_log is None else from_log
+    spacing, settled = settle_spacing(stated, options.spacing_mm, folder.name, tagged.known)
     array = stacked_slices(files)
-    if _white_is_zero(files[0]):
+    if turned:
         array, notices = invert_grey_values(array), [*notices, turned_notice(files[0])]
     volume = Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
     return volume.mirrored(options.mirror)
@@ -76,13 +77,14 @@ def recognises(folder: Path) -> bool:
     return folder.is_dir()
 
 
-def _white_is_zero(path: Path) -> bool:
+def _tags_of(path: Path) -> tuple[bool, Calibration]:
+    """Return whether 0 is white in a slice, and the spacing that its tags state."""
     if path.suffix.lower() not in _TIFF:
-        return False
+        return False, Calibration(None, known="slice images do not have it")
     import tifffile
 
     with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
-        return white_is_zero(tif.pages[0])
+        return white_is_zero(tif.pages[0]), plane_calibration(tif.pages[0])
 
 
 def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:

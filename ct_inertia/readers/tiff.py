@@ -12,7 +12,14 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_directories import check_directories, check_ome_files, ome_file_names
 from ct_inertia.readers.tiff_log import listening
-from ct_inertia.readers.tiff_pages import first_stack, stack_array, turned_notice, white_is_zero
+from ct_inertia.readers.tiff_pages import (
+    first_stack,
+    plane_calibration,
+    resolution,
+    stack_array,
+    turned_notice,
+    white_is_zero,
+)
 from ct_inertia.volume.lazy_arrays import invert_grey_values
 from ct_inertia.volume.volume import Volume
 from stapeskit.arrays import Array
@@ -71,32 +78,9 @@ def _calibration(tif: tifffile.TiffFile, series: Any) -> Calibration:
         calibration = ome_calibration(tif.ome_metadata, every.index(series), len(every), series.shape)
         if calibration is not None:
             return calibration
-    plane = _resolution(page)
     if tif.is_imagej and tif.imagej_metadata is not None:
-        return _imagej(tif.imagej_metadata, plane)
-    unit = {2: 25.4, 3: 10.0}.get(int(getattr(page.tags.get("ResolutionUnit"), "value", 0) or 0))
-    if plane is None or unit is None:
-        return Calibration(None, known="the TIFF has no resolution with a unit")
-    x, y = plane * unit
-    if abs(x - 25.4 / 72.0) < 1e-6 or abs(x - 25.4 / 96.0) < 1e-6:
-        return Calibration(None, known="the TIFF has the screen resolution only")
-    return Calibration(
-        None, known=f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
-    )
-
-
-def _resolution(page: Any) -> Array | None:
-    """Return units per pixel along x and y."""
-    pair = []
-    for name in ("XResolution", "YResolution"):
-        tag = page.tags.get(name)
-        if tag is None:
-            return None
-        top, bottom = tag.value
-        if not top > 0 or not bottom > 0:
-            return None
-        pair.append(bottom / top)
-    return np.array(pair)
+        return _imagej(tif.imagej_metadata, resolution(page))
+    return plane_calibration(page)
 
 
 def _imagej(meta: dict[str, Any], plane: Array | None) -> Calibration:
@@ -106,9 +90,14 @@ def _imagej(meta: dict[str, Any], plane: Array | None) -> Calibration:
     if unit is None:
         return Calibration(None, known=f"the ImageJ unit is {meta.get('unit') or 'not set'}")
     if plane is None or not depth:
-        text = "" if plane is None else f" ({plane[0] * unit:.6g} x {plane[1] * unit:.6g} mm in a slice)"
-        return Calibration(None, known=f"the ImageJ header has a unit but no complete spacing{text}")
-    spacing = np.array([plane[0], plane[1], abs(float(depth))]) * unit
+        part, text = None, ""
+        if plane is not None:
+            part = np.array([*(plane * unit), np.nan])
+            text = f" ({part[0]:.6g} x {part[1]:.6g} mm in a slice)"
+        return Calibration(part, known=f"the ImageJ header has a unit but no complete spacing{text}")
+    # Fiji writes a unit of its own for y and z where they differ from that of x.
+    units = np.array([unit, *(mm_per_unit(str(meta.get(f"{a}unit", ""))) or unit for a in "yz")])
+    spacing = np.array([plane[0], plane[1], abs(float(depth))]) * units
     zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
     return Calibration(spacing, -zero * spacing if np.all(np.isfinite(zero)) else np.zeros(3))
 

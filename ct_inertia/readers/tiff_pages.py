@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_memory, check_size
 from ct_inertia.readers.memory_mapping import mapped, read_at
+from ct_inertia.readers.ome import Calibration
 from ct_inertia.readers.refusals import header_fault, not_readable, not_three_dimensional, several_values
 from ct_inertia.readers.tiff_directories import packing_of
 from ct_inertia.volume.lazy_arrays import BlockArray
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -75,6 +77,35 @@ def stack_array(series: Any, path: Path) -> NDArray[Any]:
         check_size(shape, dtype, size, path.name, packing=packing_of(page), in_memory=True)
         return np.asarray(series.asarray()).reshape(shape)
     return _planes(series, page, files, shape, dtype)
+
+
+def plane_calibration(page: Any) -> Calibration:
+    """Return the spacing along x and y in mm that the tags of a page state, where they have a unit."""
+    plane = resolution(page)
+    unit = {2: 25.4, 3: 10.0}.get(int(getattr(page.tags.get("ResolutionUnit"), "value", 0) or 0))
+    if plane is None or unit is None:
+        return Calibration(None, known="the TIFF has no resolution with a unit")
+    x, y = plane * unit
+    if abs(x - 25.4 / 72.0) < 1e-6 or abs(x - 25.4 / 96.0) < 1e-6:
+        return Calibration(None, known="the TIFF has the screen resolution only")
+    return Calibration(
+        np.array([x, y, np.nan]),
+        known=f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices",
+    )
+
+
+def resolution(page: Any) -> Array | None:
+    """Return units per pixel along x and y (2,), where the tags of a page state both."""
+    pair = []
+    for name in ("XResolution", "YResolution"):
+        tag = page.tags.get(name)
+        if tag is None:
+            return None
+        top, bottom = tag.value
+        if not top > 0 or not bottom > 0:
+            return None
+        pair.append(bottom / top)
+    return np.array(pair)
 
 
 def white_is_zero(page: Any) -> bool:

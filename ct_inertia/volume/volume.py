@@ -246,8 +246,8 @@ def _right_handed(direction: Array, where: str) -> Array:
             "right-handed (determinant +1)",
             f"the left-handed {np.round(direction, 6).tolist()}",
             where,
-            "Export the volume with right-handed axes, or, when its slice order is what is wrong, "
-            "reverse it with {mirror} x, y or z",
+            "Save it with right-handed axes, which keeps every place (nibabel.as_closest_canonical, "
+            "fslswapdim); only where its slice order itself is wrong, reverse it with {mirror} x, y or z",
         )
     # Headers hold six digits or so; the nearest rotation makes the matrix orthonormal to rounding.
     u, _, vt = np.linalg.svd(direction)

@@ -95,7 +95,11 @@ def _assemble(rows: Rows, columns: Columns, table: Table, frame: str) -> Measure
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
     value = value.reshape(shape) / rate
     sd, relative, counts = _noise(table, columns, at, value, np.abs(rate))
-    notices = [*_missing_row_notices(rows, table, at, shape), *_in_text_order(rows, table)]
+    notices = [
+        *_missing_row_notices(rows, table, at, shape),
+        *_empty_value_notices(rows, table, columns),
+        *_in_text_order(rows, table),
+    ]
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
         notices.append(Notice("sd_missing", f"{count} values have no {columns.sd} and were not used."))
@@ -164,6 +168,24 @@ def _missing_row_notices(rows: Rows, table: Table, at: Index, shape: tuple[int, 
     )
     end = " The last row is in the middle of a sweep: was the file cut off?" if cut else ""
     return [Notice("rows_missing", text + end)]
+
+
+def _empty_value_notices(rows: Rows, table: Table, columns: Columns) -> list[Notice]:
+    """Report rows without a value, and rows with one of its two numbers."""
+    first, second = (np.isnan(table.numbers[name]) for name in (columns.first, columns.second))
+    body, point = table.texts["body"].names, table.texts["point"].names
+    notices = []
+    for code, where, text in (
+        ("values_missing", first & second, "have no value"),
+        ("values_incomplete", first ^ second, f"have one of {columns.first} and {columns.second} only"),
+    ):
+        count = int(np.count_nonzero(where))
+        if count:
+            channels = np.unique(rows.channel[where])
+            names = list_some((f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels), 6)
+            words = f"{count} rows of {table.file} ({names}) {text}; they count as missing."
+            notices.append(Notice(code, words))
+    return notices
 
 
 def _in_text_order(rows: Rows, table: Table) -> list[Notice]:

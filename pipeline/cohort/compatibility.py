@@ -58,6 +58,7 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
     ]
     alike: list[tuple[str, list[Hashable]]] = [
         ("the same measured motion", [_measurement(ear) for ear in ears]),
+        ("the same body of the same scan", [_scan(ear) for ear in ears]),
         ("exactly the same K", [str(ear.kd["stiffness_si"]) for ear in ears]),
         ("the same identifier [study] ear", [str(ear.about.get("ear", "")) for ear in ears]),
         ("the same subject and side", [_subject_side(ear) for ear in ears]),
@@ -78,8 +79,21 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
 
 
 def _measurement(ear: Ear) -> str:
-    inputs = (ear.kd.get("provenance") or {}).get("inputs") or {}
-    return str((inputs.get("motion") or {}).get("hash") or "")
+    """Return what identifies the vibrometer files of an ear; its motion, where they are not recorded."""
+    provenance = ear.kd.get("provenance") or {}
+    measured = provenance.get("measured")
+    if measured:
+        return " ".join(sorted(measured.values()))
+    return str(((provenance.get("inputs") or {}).get("motion") or {}).get("hash") or "")
+
+
+def _scan(ear: Ear) -> str:
+    """Return what identifies the body in a scan, which may hold several ears, each with its seed or box."""
+    provenance = ear.mass.get("provenance") or {}
+    scan = str(((provenance.get("inputs") or {}).get("scan") or {}).get("hash") or "")
+    stated = provenance.get("parameters") or {}
+    places = [f"{key} {stated[key]}" for key in ("seed_mm", "box_mm", "stapes_label") if stated.get(key)]
+    return " ".join([scan, *places]) if scan else ""
 
 
 def _subject_side(ear: Ear) -> tuple[str, str] | None:

@@ -220,7 +220,9 @@ class TestAMesh:
         sd = np.array(outcome.result["mass_matrix"]["standard_deviation_si"])
         assert sd[0, 0] == pytest.approx(0.02 * outcome.result["mass_kg"])
         assert outcome.result["frames"]["scan_from_plate"] is None
-        assert {"surface_taken_as_exact"} == {w["code"] for w in outcome.result["warnings"]}
+        assert {"surface_taken_as_exact", "handedness_unconfirmed"} == {
+            w["code"] for w in outcome.result["warnings"]
+        }
         assert outcome.result["found"]["holes"] == 1
 
     def test_a_box_has_the_closed_form(self, tmp_path):

@@ -33,6 +33,8 @@ class TestFaults:
                 "--density 1900 --anterior 0,0,0",
                 "--anterior must be three numbers x, y, z that are not all zero",
             ),
+            ("--density 1900+-1900", "the standard deviation of --density must be smaller than its value"),
+            ("--mass-mg 3.2+-4", "the standard deviation of --mass-mg must be smaller than its value"),
             ("--density 1900 --side up", "--side must be one of left, right; got up"),
             ("--density 1900 --spacing 0.02", "--spacing must be left out when the input is a surface mesh"),
             ("--density 1900 --threshold 5", "--threshold must be left out"),

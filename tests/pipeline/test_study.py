@@ -235,3 +235,5 @@ def test_contradicting_sides_are_a_fault(tmp_path):
         parsed(sides, tmp_path)
     assert caught.value.faults[0].thing == "the side of the ear"
     assert parsed(sides.replace("right", "left"), tmp_path).study.side == "left"
+    once = parsed(sides.replace('side = "right"\n', ""), tmp_path)
+    assert once.scan.side == "left"

@@ -41,6 +41,23 @@ def test_names_win_over_numbers(names, stapes, plate):
     assert body_numbers(labelled(names), 7, 8) == (7, 8)
 
 
+@pytest.mark.parametrize(
+    "part",
+    ["footplate", "Stapes footplate", "foot plate", "Fußplatte", "crura", "anterior crus", "stapes head"],
+)
+def test_a_stapes_in_parts_is_refused(part):
+    for names in ({1: "stapes", 2: part}, {3: part, 5: "Stapes"}):
+        with pytest.raises(CtInertiaError) as refused:
+            body_numbers(labelled(names), None, None)
+        assert part in refused.value.faults[0].got
+        assert body_numbers(labelled(names), 1, None)[0] == 1
+
+
+@pytest.mark.parametrize("other", ["stapedius tendon", "stapes tendon", "incus crura", "annular ligament"])
+def test_what_hangs_on_the_stapes_is_no_part_of_it(other):
+    assert body_numbers(labelled({1: "stapes", 4: other}), None, None)[0] == 1
+
+
 @pytest.mark.parametrize("names", [{1: "incus"}, {1: "stapes left", 2: "stapes right"}])
 def test_names_that_say_something_else_are_refused(names):
     with pytest.raises(CtInertiaError) as refused:

@@ -96,6 +96,18 @@ def test_rows_that_are_not_there_are_told(tmp_path, rows, said):
     assert ["cut off" in text for text in notices] == ([len(rows) == 14] if said else [])
 
 
+@pytest.mark.parametrize(
+    ("cells", "code"),
+    [("1,2", None), (",", "values_missing"), ("NaN,", "values_missing"), (",2", "values_incomplete")],
+)
+def test_empty_values_are_counted(tmp_path, cells, code):
+    rows = grid()
+    rows[3] = rows[3][: -len("1,2")] + cells
+    notices = {one.code: one.text for one in read_ldv(table(tmp_path, HEAD, rows)).notices}
+    assert set(notices) & {"values_missing", "values_incomplete"} == ({code} if code else set())
+    assert code is None or notices[code].startswith("1 rows of ldv.csv (s 1)")
+
+
 def test_runs_and_bodies_with_numbers_for_names(tmp_path):
     rows = ["1,1,0,0,0,y,100,1,0,a", "1,1,0,0,0,y,100,2,0,b", "2,1,5,0,0,y,100,3,0,a"]
     read = read_ldv(table(tmp_path, HEAD + ",run", rows))

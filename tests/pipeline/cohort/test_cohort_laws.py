@@ -169,6 +169,31 @@ def test_what_does_not_mix_is_refused(ears, change, thing):
     assert not told.laws
 
 
+def with_scan(one, scan, **parameters):
+    return replace(
+        one, mass={**one.mass, "provenance": {"inputs": {"scan": {"hash": scan}}, "parameters": parameters}}
+    )
+
+
+def with_readings(one, *hashes):
+    measured = {f"ldv {number}": content for number, content in enumerate(hashes, 1)}
+    return replace(one, kd={**one.kd, "provenance": {**one.kd["provenance"], "measured": measured}})
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "twice"),
+    [
+        (lambda one: with_scan(one, "a"), lambda one: with_scan(one, "a", density_kg_m3=[1900.0]), True),
+        (lambda one: with_scan(one, "a"), lambda one: with_scan(one, "b"), False),
+        (lambda one: with_scan(one, "a", seed_mm=[1]), lambda one: with_scan(one, "a", seed_mm=[9]), False),
+        (lambda one: with_readings(one, "a", "b"), lambda one: with_readings(one, "b", "a"), True),
+        (lambda one: with_readings(one, "a", "b"), lambda one: with_readings(one, "a", "c"), False),
+    ],
+)  # fmt: skip
+def test_one_scan_or_one_measurement_is_one_ear(ears, first, second, twice):
+    assert bool(faults_of_cohort([first(ears[0]), second(ears[1]), *ears[2:5]])) is twice
+
+
 def test_a_mixture_that_is_asked_for_is_allowed(ears):
     mixed = [*ears[:5], replace(ears[5], kd={**ears[5].kd, "estimator": "pinv"})]
     assert faults_of_cohort(mixed)
