@@ -174,17 +174,18 @@ def _empty_value_notices(rows: Rows, table: Table, columns: Columns) -> list[Not
     """Report rows without a value, and rows with one of its two numbers."""
     first, second = (np.isnan(table.numbers[name]) for name in (columns.first, columns.second))
     body, point = table.texts["body"].names, table.texts["point"].names
+
+    def rows_with(where: NDArray[np.bool_], what: str) -> str:
+        channels = np.unique(rows.channel[where])
+        names = list_some((f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels), 6)
+        return f"{int(np.sum(where))} rows of {table.file} ({names}) have {what}; they count as missing."
+
     notices = []
-    for code, where, text in (
-        ("values_missing", first & second, "have no value"),
-        ("values_incomplete", first ^ second, f"have one of {columns.first} and {columns.second} only"),
-    ):
-        count = int(np.count_nonzero(where))
-        if count:
-            channels = np.unique(rows.channel[where])
-            names = list_some((f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels), 6)
-            words = f"{count} rows of {table.file} ({names}) {text}; they count as missing."
-            notices.append(Notice(code, words))
+    if np.any(empty := first & second):
+        notices.append(Notice("values_missing", rows_with(empty, "no value")))
+    if np.any(half := first ^ second):
+        only = f"one of {columns.first} and {columns.second} only"
+        notices.append(Notice("values_incomplete", rows_with(half, only)))
     return notices
 
 
