@@ -135,6 +135,11 @@ def cause_notices(fit: KDFit) -> list[Notice]:
     text += f" {named('correct')} {cause.name} estimates and removes it." if cause.name in CORRECT else ""
     if cause.p_value < _MISFIT:
         text += " It does not explain the whole misfit."
+    if any(notice.code == "motion_without_h5" for notice in fit.notices):
+        text += (
+            " The motion was read without the correlations of its noise, on which this depends: fit with its "
+            ".h5 file before you believe it."
+        )
     law = cause.name.removeprefix("law_")
     text += f" Use {named('damping')} {law}, or compare." if law != cause.name else ""
     return [*notices, Notice("cause_found", text)]

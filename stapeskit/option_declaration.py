@@ -16,6 +16,7 @@ from stapeskit.system_faults import MISSING, why_unreadable
 DECLARED = "option"
 """Key of a declaration in the metadata of a field."""
 _DECIMAL_COMMA = re.compile(r"\d+,\d+")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ class Option:
         step = self.kind.advise(got) if self.kind.advise else ""
         if not step and isinstance(got, str) and _DECIMAL_COMMA.fullmatch(got):
             step = f"Write a decimal point: {got.replace(',', '.')}"
+            if _THOUSANDS.fullmatch(got):
+                step = f"Write {got.replace(',', '')}, or a decimal point: {got.replace(',', '.')}"
         wrong = (word for word in shorten_value(got).split(",") if word.strip() not in self.kind.choices)
         step = step or suggestion(next(wrong, ""), self.kind.choices) or self._example_step(bool(thing))
         return Fault(thing or f"{{{self.name}}}", self.kind.expected, shorten_value(got), where, step)

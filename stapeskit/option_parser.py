@@ -146,6 +146,10 @@ class Parser(argparse.ArgumentParser):
             values[entry.field] = True
             return
         texts = [value] if isinstance(value, str) else value
+        if not entry.kind.repeats and len(set(texts)) > 1:
+            step = "Leave all but one of them out"
+            faults.append(Fault(f"{{{entry.name}}}", "given once", " and ".join(texts), self.prog, step))
+            return
         texts = texts if entry.kind.repeats else texts[-1:]
         before = len(faults)
         for text in texts:
@@ -219,7 +223,8 @@ class Parser(argparse.ArgumentParser):
         for key, value in table.items():
             entry = names.get(key.replace("-", "_"))
             if entry is None:
-                hint = suggestion(key.replace("-", "_"), known).replace("_", "-")
+                word = key.replace("-", "_")
+                hint = suggestion(word, [f"no_{word}"] if f"no_{word}" in known else known).replace("_", "-")
                 faults.append(Fault("a key of {config}", "an option of the command", key, path.name, hint))
             elif entry.field not in texts:
                 values[entry.field] = entry.read(value, faults, key, path.name)

@@ -163,6 +163,12 @@ def _number(stems: Sequence[str]) -> list[tuple[int | None, str]]:
 def _gaps(numbers: list[int], name: str) -> list[Notice]:
     step = Counter(np.diff(numbers).tolist()).most_common(1)[0][0]
     missing = sorted(set(range(numbers[0], numbers[-1] + 1, step)) - set(numbers))
+    if not missing and step > 1:
+        text = (
+            f"The slices in {name} are numbered in steps of {step}: where the others were left out, the "
+            f"distance of slices is {step} times that of the scan."
+        )
+        return [Notice("slices_in_steps", text)]
     if not missing:
         return []
     text = (

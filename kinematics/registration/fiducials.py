@@ -16,6 +16,8 @@ from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
 FRAMES = ("plate", "scan", "footplate")
+# The least footplate is 2 mm long: points closer together are in another unit.
+_LEAST_APART_MM = 0.1
 _SEEN = ("x_mm", "y_mm", "z_mm")
 _KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
 _SD_AXES = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
@@ -71,7 +73,7 @@ def read_fiducials(path: Path) -> Fiducials:
     KinematicsError
         A column is missing, a cell is no finite number, a name is repeated, a frame is unknown, or
         an sd is not positive, stated for some fiducials or some axes only, or stated both for all axes and
-        for each; all faults are listed.
+        for each; all faults are listed. Or all fiducials lie next to each other: another unit.
     """
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
@@ -84,6 +86,10 @@ def read_fiducials(path: Path) -> Fiducials:
     spread = _spread(table, faults)
     raise_all(KinematicsError, [_by_name(fault, table, names) for fault in faults])
     measured, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    apart = max(float(np.max(np.ptp(points, axis=0))) for points in (measured, known))
+    if len(names) > 1 and 0.0 < apart < _LEAST_APART_MM:
+        expected, step = "apart by millimetres", "Multiply coordinates in metres by 1000"
+        raise KinematicsError.of("the fiducials", expected, f"{apart:.3g} mm", table.file, step)
     sd = spread.get("sd_mm")
     if _SD_AXES[0] in spread:
         sd = np.column_stack([spread[name] for name in _SD_AXES])

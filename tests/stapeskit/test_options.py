@@ -71,7 +71,25 @@ def test_an_unfit_value_is_refused(one, wrong):
 def test_a_decimal_comma_is_explained():
     one = next(entry.values[0] for entry in EVERY if entry.values[0].name == "density")
     assert one.fault("1394,4").next_step == "Write a decimal point: 1394.4"
+    assert one.fault("1,394").next_step == "Write 1394, or a decimal point: 1.394"
     assert one.fault("heavy").next_step == "Write for example 1900.0+-60.0"
+
+
+def test_two_values_of_one_option_are_refused(tmp_path):
+    (tmp_path / "scan.tif").touch()
+    words = [str(tmp_path / "scan.tif"), "--density", "1900+-60"]
+    assert PARSERS["ct2mass"]().parse([*words, "--density", "1900+-60"]).density == (1900.0, 60.0)
+    with pytest.raises(StapeskitError) as refused:
+        PARSERS["ct2mass"]().parse([*words, "--density", "1800+-60"])
+    (fault,) = (one for one in refused.value.faults if one.thing == "--density")
+    assert fault.got == "1900+-60 and 1800+-60"
+
+
+def test_a_flag_without_its_no_is_recognised(tmp_path):
+    (tmp_path / "a.toml").write_text("report = false\n", encoding="utf-8")
+    with pytest.raises(StapeskitError) as refused:
+        PARSERS["ct2mass"]().parse(["--density", "1900", "--config", str(tmp_path / "a.toml")])
+    assert "Did you mean no-report?" in [fault.next_step for fault in refused.value.faults]
 
 
 def test_a_mistyped_word_is_recognised():

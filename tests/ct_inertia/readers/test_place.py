@@ -253,6 +253,14 @@ def test_slices_go_by_number_and_gaps_are_told(tmp_path):
     assert "files_ignored" in notices
 
 
+def test_slices_in_steps_are_told(tmp_path):
+    f.slices(tmp_path / "f", picture())
+    for number in (9, 11, 13):
+        (tmp_path / "f" / f"rec_{number}.tif").unlink()
+    (notice,) = (n for n in read_volume(tmp_path / "f", SPACING).notices if n.code == "slices_in_steps")
+    assert "steps of 2" in notice.text
+
+
 @pytest.mark.parametrize(
     ("log", "expected"),
     [
