@@ -11,6 +11,7 @@ from ct_inertia.exports.mass_json import mass_json
 from ct_inertia.exports.output_files import DISPLAY, REPORT, SCAN_CROP, SEGMENTS
 from ct_inertia.exports.scan_crop import EarlyCrop, needs_crop
 from ct_inertia.surface.surface import write_surface
+from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -75,7 +76,10 @@ def write_result(
         content["exports"] = units_of(export)
         names += write_exports(result, stage, export, shown)
     names += [REPORT] if report else []
-    notices = outputs.kept_notices([*names_of(result, content), *names])
+    notices = (
+        *_replaced_notices(outputs.folder / "mass.json", content),
+        *outputs.kept_notices([*names_of(result, content), *names]),
+    )
     content["warnings"] += [notice.as_json() for notice in notices]
     if report:
         from ct_inertia.report.sections import write_report
@@ -117,6 +121,23 @@ def write_outputs(
     if result.inputs is not None:  # labels and pictures were read from the scan until here
         result.inputs.check()
     return names_of(result, content)
+
+
+def _replaced_notices(earlier: Path, content: Mapping[str, Any]) -> tuple[Notice, ...]:
+    """Report that the result of another scan is replaced: the usual folder is named after the scan alone."""
+    try:
+        before = json.loads(earlier.read_text(encoding="utf-8"))["provenance"]["inputs"]["scan"]
+        now = content["provenance"]["inputs"]["scan"]
+        if before["hash"] == now["hash"]:
+            return ()
+        was = f"{before['file']} of {before['modified']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()
+    text = (
+        f"{earlier.parent.name} held the result of another scan, {was}, which is replaced by this one. Give "
+        f"each ear a folder of its own with {named('out')}."
+    )
+    return (Notice("other_result_replaced", text),)
 
 
 def names_of(result: MassMeasurement, content: Mapping[str, Any]) -> list[str]:

@@ -193,7 +193,7 @@ def _read_file(path: Path, options: ReadOptions) -> Volume:
     try:
         image = sitk.ReadImage(str(path))
     except RuntimeError as fault:
-        raise not_readable(path, "DICOM file", fault) from fault
+        raise _refused(path, fault) from fault
     array = sitk.GetArrayFromImage(image)
     steps, origin = np.array(image.GetSpacing()), np.array(image.GetOrigin())
     direction = np.array(image.GetDirection()).reshape(3, 3)
@@ -216,7 +216,7 @@ def _slice(name: str) -> _Slice:
     try:
         reader.ReadImageInformation()
     except RuntimeError as fault:
-        raise not_readable(Path(name), "DICOM file", fault) from fault
+        raise _refused(Path(name), fault) from fault
     finally:
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
     kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
@@ -229,6 +229,19 @@ def _slice(name: str) -> _Slice:
         np.array(reader.GetSpacing()),
         np.array(reader.GetOrigin()),
         np.array(reader.GetDirection()).reshape(len(reader.GetSize()), -1),
+    )
+
+
+def _refused(path: Path, fault: RuntimeError) -> CtInertiaError:
+    """Return the error for a slice that the library refuses: sound, but not readable by it, or damaged."""
+    if "Pixel type larger than output type" not in str(fault):
+        return not_readable(path, "DICOM file", fault)
+    return CtInertiaError.of(
+        "the rescaled grey values",
+        "within the range of the stored type (RescaleSlope, RescaleIntercept)",
+        "a rescaling that leaves it, which the DICOM library refuses",
+        path.name,
+        "The file may be sound: export unsigned grey values without rescaling, or convert it to NRRD",
     )
 
 
@@ -288,7 +301,7 @@ def _array(slices: Sequence[_Slice]) -> NDArray[Any]:
             with one_by_one:
                 image = sitk.GetArrayFromImage(sitk.ReadImage(slices[z].file))
         except RuntimeError as fault:
-            raise not_readable(Path(slices[z].file), "DICOM file", fault) from fault
+            raise _refused(Path(slices[z].file), fault) from fault
         return np.asarray(image).reshape(1, ny, nx)
 
     return BlockArray((len(slices), ny, nx), dtype, (1, ny, nx), plane).as_array()

@@ -225,6 +225,15 @@ class TestAMesh:
         }
         assert outcome.result["found"]["holes"] == 1
 
+    def test_the_result_of_another_scan_that_is_replaced_is_told(self, mesh, tmp_path):
+        other = tmp_path / "other" / mesh.name
+        other.parent.mkdir()
+        write_surface(other, stapes(0.07))
+        words = ["--density", "1900+-38", "--anterior", "1,0,0", "--out", tmp_path / "out", "--no-report"]
+        for number, scan in enumerate((mesh, mesh, other)):
+            codes = {warning["code"] for warning in run([scan, *words]).result["warnings"]}
+            assert ("other_result_replaced" in codes) is (number == 2)
+
     def test_a_box_has_the_closed_form(self, tmp_path):
         write_surface(tmp_path / "box.ply", box((3.0, 0.4, 1.4), (7.0, 1.0, 2.0)))
         mark = tmp_path / "m.csv"

@@ -312,3 +312,15 @@ def test_tiff_in_other_packings(tmp_path, packing):
         return
     with pytest.raises(CtInertiaError, match=r"packed by one of NONE, .*; got JPEGXR"):
         read_volume(tmp_path / "a.tif", SPACING)
+
+
+def test_a_rescaling_that_the_library_refuses_is_no_damage(tmp_path):
+    folder = f.dicom(tmp_path / "d", picture(np.int16), **{"0028|1052": "0", "0028|1053": "1"})
+    for path in folder.iterdir():
+        content = path.read_bytes()
+        place = content.index(bytes.fromhex("28005210"))
+        length = int.from_bytes(content[place + 4 : place + 8], "little")
+        path.write_bytes(content[: place + 4] + b"\x06\0\0\x0032768 " + content[place + 8 + length :])
+    with pytest.raises(CtInertiaError) as refused:
+        read_volume(folder)
+    assert refused.value.faults[0].thing == "the rescaled grey values"
