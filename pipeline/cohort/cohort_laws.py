@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.cohort.compare_ears import Ear, labels
-from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
+from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort, shared_scans
 from pipeline.cohort.covariates import covariates_of, stated
 from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.independent_parameters import Components, independent_parameters
@@ -269,7 +269,7 @@ def cohort_laws(
     names = dict(zip((ear.folder for ear in ears), labels(ears), strict=True))
     excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))
     used = [ear for ear in ears if ear.folder not in reasons]
-    notices = []
+    notices = shared_scans(ears)
     for why in dict.fromkeys(reasons.values()):
         alike = [names[folder] for folder, reason in reasons.items() if reason == why]
         verb = "enters" if len(alike) == 1 else "enter"

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.cohort.compare_ears import Ear
 from stapeskit.faults import Fault
+from stapeskit.warnings import Notice
 
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _LEAVE_OUT = "Leave one of them out"
@@ -58,7 +59,6 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
     ]
     alike: list[tuple[str, list[Hashable]]] = [
         ("the same measured motion", [_measurement(ear) for ear in ears]),
-        ("the same body of the same scan", [_scan(ear) for ear in ears]),
         ("exactly the same K", [str(ear.kd["stiffness_si"]) for ear in ears]),
         ("the same identifier [study] ear", [str(ear.about.get("ear", "")) for ear in ears]),
         ("the same subject and side", [_subject_side(ear) for ear in ears]),
@@ -76,6 +76,23 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
                 listed = ", ".join(f"{ear.name} ({ear.folder})" for ear in members)
                 faults.append(Fault("an ear", "in a cohort once", f"{what} in {listed}", "", _LEAVE_OUT))
     return faults
+
+
+def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
+    """Return a warning about ears whose masses come from one body of one scan."""
+    groups = defaultdict(list)
+    for ear in ears:
+        if key := _scan(ear):
+            groups[key].append(ear)
+    shared = [members for members in groups.values() if len(members) > 1]
+    if not shared:
+        return []
+    listed = "; ".join(", ".join(f"{ear.name} ({ear.folder})" for ear in members) for members in shared)
+    text = (
+        f"Ears with the same body of the same scan: {listed}. Either one ear is there more than once, or a "
+        f"study names the scan of another ear."
+    )
+    return [Notice("scan_shared", text)]
 
 
 def _measurement(ear: Ear) -> str:

@@ -180,18 +180,28 @@ def with_readings(one, *hashes):
     return replace(one, kd={**one.kd, "provenance": {**one.kd["provenance"], "measured": measured}})
 
 
+@pytest.mark.parametrize(("hashes", "twice"), [(("b", "a"), True), (("a", "c"), False)])
+def test_one_measurement_is_one_ear(ears, hashes, twice):
+    members = [with_readings(ears[0], "a", "b"), with_readings(ears[1], *hashes), *ears[2:5]]
+    assert bool(faults_of_cohort(members)) is twice
+
+
 @pytest.mark.parametrize(
-    ("first", "second", "twice"),
+    ("first", "second", "told"),
     [
-        (lambda one: with_scan(one, "a"), lambda one: with_scan(one, "a", density_kg_m3=[1900.0]), True),
-        (lambda one: with_scan(one, "a"), lambda one: with_scan(one, "b"), False),
-        (lambda one: with_scan(one, "a", seed_mm=[1]), lambda one: with_scan(one, "a", seed_mm=[9]), False),
-        (lambda one: with_readings(one, "a", "b"), lambda one: with_readings(one, "b", "a"), True),
-        (lambda one: with_readings(one, "a", "b"), lambda one: with_readings(one, "a", "c"), False),
+        (("a", {}), ("a", {"density_kg_m3": [1900.0]}), True),
+        (("a", {}), ("b", {}), False),
+        (("a", {"seed_mm": [1, 2, 3]}), ("a", {"seed_mm": [9, 2, 3]}), False),
+        (("", {}), ("", {}), False),
     ],
-)  # fmt: skip
-def test_one_scan_or_one_measurement_is_one_ear(ears, first, second, twice):
-    assert bool(faults_of_cohort([first(ears[0]), second(ears[1]), *ears[2:5]])) is twice
+)
+def test_ears_with_one_scan_are_told(ears, first, second, told):
+    members = [
+        with_scan(ear_, scan, **parameters)
+        for ear_, (scan, parameters) in zip(ears, (first, second), strict=False)
+    ]
+    codes = {notice.code for notice in cohort_laws([*members, *ears[2:]]).notices}
+    assert ("scan_shared" in codes) is told
 
 
 def test_a_mixture_that_is_asked_for_is_allowed(ears):
