@@ -152,6 +152,7 @@ def _stage(
             raise
         except StapeskitError as error:
             raise PipelineError(*error.faults) from error
+        work.drop(set(stage.outputs(study, work.out)) - set(names))
         write_stage_report(work.fresh, stage.name, report)
         step.note = "" if old is None else reason
         runs.append(_finish(stage.name, now, (*names, stage_report_name(stage.name)), reason, step, work))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -37,11 +37,16 @@ class Workspace:
     fresh: Path
     hashes: Hashes = field(default_factory=Hashes, repr=False, compare=False)
     _values: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    _gone: set[str] = field(default_factory=set, repr=False, compare=False)
 
     def find(self, name: str) -> Path:
-        """Return the present place of an output."""
+        """Return the present place of an output; there is no file at that of one that is gone."""
         path = self.fresh / name
-        return path if path.exists() else self.out / name
+        return path if path.exists() or name in self._gone else self.out / name
+
+    def drop(self, names: Iterable[str]) -> None:
+        """Note outputs of earlier runs that a stage did not write this time: they will be removed."""
+        self._gone.update(names)
 
     def hash_of(self, name: str) -> str:
         """Return the content hash of an output."""

@@ -24,6 +24,8 @@ def plus_minus(value: float, sd: float | None) -> str:
     --------
     >>> plus_minus(1736.4, 17.2), plus_minus(13379, 2762), plus_minus(3.0531e-08, 7.2e-10)
     ('1736 ± 17', '13400 ± 2800', '(3.053 ± 0.072)·10⁻⁸')
+    >>> plus_minus(-1e-5, 0.014)
+    '0.000 ± 0.014'
     """
     if sd is None or not 0.0 < sd < math.inf:
         return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
@@ -31,7 +33,8 @@ def plus_minus(value: float, sd: float | None) -> str:
     power = 0 if -3 < power < 6 else power
     value, sd = value * 10.0**-power, sd * 10.0**-power
     digits = 1 - math.floor(math.log10(sd))
-    text = " ± ".join(f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sd))
+    # A zero has no sign.
+    text = " ± ".join(f"{round(number, digits) + 0.0:.{max(0, digits)}f}" for number in (value, sd))
     return text if power == 0 else f"({text})·10{str(power).translate(_RAISED)}"
 
 
