@@ -248,8 +248,7 @@ class ThroughBone:
             return []
         text = (
             f"The stapes was cut off other bone that it touches, over {self.area_mm2:.3f} mm2. Check the "
-            "cut in "
-            f"the report; labels drawn by hand ({named('labels')}) correct it."
+            f"cut in the report; where it is wrong, draw or correct labels by hand ({named('labels')})."
         )
         notices = [Notice("cut_through_bone", text)]
         share = float(np.sqrt(self.covariance[0, 0])) / volume_mm3
