@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Least rows that are unpacked at a time: fewer cost more calls, more waste memory on parts of a plane.
 _ROWS = 64
+# Pixels per inch of screens and printers, which programs write where they know none; 1 for none.
+_NO_SCANNERS_DPI = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 1200.0)
 # Decoders that neither crashed nor hung on 600 damaged files each; that of JPEG XR did both.
 _PACKINGS = (
     *(
@@ -86,8 +88,8 @@ def plane_calibration(page: Any) -> Calibration:
     if plane is None or unit is None:
         return Calibration(None, known="the TIFF has no resolution with a unit")
     x, y = plane * unit
-    if abs(x - 25.4 / 72.0) < 1e-6 or abs(x - 25.4 / 96.0) < 1e-6:
-        return Calibration(None, known="the TIFF has the screen resolution only")
+    if any(abs(x * dpi / 25.4 - 1.0) < 1e-4 for dpi in _NO_SCANNERS_DPI):
+        return Calibration(None, known="the TIFF has the resolution of a screen or printer only")
     return Calibration(
         np.array([x, y, np.nan]),
         known=f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices",

@@ -56,3 +56,9 @@ def test_each_axis_of_imagej_may_have_its_unit(tmp_path):
         metadata={"spacing": 1e3 * z, "unit": "mm", "yunit": "um", "zunit": "micron", "axes": "ZYX"},
     )
     np.testing.assert_allclose(read_volume(tmp_path / "a.tif").spacing_mm, f.SPACING, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dpi", [1, 72, 300, 600])
+def test_the_resolution_of_a_printer_is_no_spacing(tmp_path, dpi):
+    path = f.plain(tmp_path / "a.tif", picture(), resolution=(dpi, dpi), resolutionunit="INCH", metadata=None)
+    assert "spacing_overridden" not in [notice.code for notice in read_volume(path, 0.02).notices]
