@@ -63,6 +63,7 @@ def companion_files(path: Path) -> list[Path]:
         Those that exist. What is wrong with the file itself is said when it is read.
     """
     path = Path(path)
+    path = path if path.name else path.resolve()  # the folder "." has no name
     mapping = mapping_of(path, None)
     files = [] if mapping is None else [mapping]
     if any(entry.companions for entry in FORMATS) and path.is_file():
