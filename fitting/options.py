@@ -54,7 +54,7 @@ COCHLEA = {
     "closed": "a mass of fluid is expected",
 }
 
-_CONSTRAINED = "constrained estimator"
+_BOUNDED = "estimators that take bounds"
 _RULES = (
     Rule(
         lambda v: v.robust != "none" and v.robust not in estimator(v.estimator).robust,
@@ -66,8 +66,15 @@ _RULES = (
     Rule(
         lambda v: (v.lower or v.upper) and not estimator(v.estimator).bounded,
         "{lower} and {upper}",
-        "left out unless {estimator} takes bounds (constrained)",
-        next_step="Choose the constrained estimator, or leave the bounds out",
+        "left out unless {estimator} takes bounds",
+        next_step="Choose an estimator that takes bounds, or leave them out",
+        shows="estimator",
+    ),
+    Rule(
+        lambda v: v.given("constraint") and not estimator(v.estimator).bounded,
+        "{constraint}",
+        "left out unless {estimator} takes bounds",
+        next_step="Choose an estimator that takes bounds, or leave it out",
         shows="estimator",
     ),
     Rule(
@@ -158,15 +165,15 @@ class KDOptions(OptionTable):
         "check the intervals by so many refits of simulated repetitions, e.g. 10000 (about 10 s)",
         0,
     )
-    constraint: str = option(choice(*CONSTRAINTS), summaries(CONSTRAINTS), "eigenvalues", group=_CONSTRAINED)
+    constraint: str = option(choice(*CONSTRAINTS), summaries(CONSTRAINTS), "eigenvalues", group=_BOUNDED)
     lower: Mapping[str, float] = option(
-        BOUNDS, "lower bound of an entry, SI; may be repeated", {}, group=_CONSTRAINED, example={"K11": 100.0}
+        BOUNDS, "lower bound of an entry, SI; may be repeated", {}, group=_BOUNDED, example={"K11": 100.0}
     )
     upper: Mapping[str, float] = option(
         BOUNDS,
         "upper bound of an entry, SI; may be repeated",
         {},
-        group=_CONSTRAINED,
+        group=_BOUNDED,
         example={"K11": 5000.0},
     )
     profile: bool = True

@@ -33,8 +33,13 @@ def files_by_role(files: Sequence[Path], named: Mapping[str, Path | None]) -> di
     from kinematics.readers.measurement_files import inputs_of
     from kinematics.readers.recognise_format import companion_files
 
-    companions = {other.name: other for path in files for other in companion_files(path)}
-    return {**inputs_of(files, None), **named, **companions}
+    roles: dict[str, Path | None] = {**inputs_of(files, None), **named}
+    for other in (other for path in files for other in companion_files(path)):
+        role, number = other.name, 2
+        while role in roles and roles[role] != other:
+            role, number = f"{other.name} {number}", number + 1
+        roles[role] = other
+    return roles
 
 
 @dataclass(frozen=True)

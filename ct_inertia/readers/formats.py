@@ -58,7 +58,8 @@ class Format:
         * ``read(path, options: ReadOptions) -> Volume``,
         * ``recognises(path) -> bool`` where ``sniffs`` is not empty: whether the content is of this format,
         * ``companion_files(path) -> list[Path]`` where the scan may lie in several files: those that are read
-          with the one given; not asked for folders, which are one input with all that they hold.
+          with the one given; not asked for folders, which are one input with all that they hold. Names in a
+          header pass through `checks.beside`, which keeps them in its folder unless ``follow`` allows more.
     reads : str
         What is read of it, for docs/formats.md.
     suffixes : tuple of str

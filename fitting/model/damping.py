@@ -93,8 +93,9 @@ class DampingLaw:
         if not len(values):
             return self
         low, high = self.law.valid
+        margin = 1e-3 if self.law.time_power is None else 0.0
         ratio = float(np.exp(np.clip(values[1], -_WIDEST, _WIDEST))) if len(values) > 1 else self.ratio
-        return replace(self, exponent=float(np.clip(values[0], low + 1e-3, high - 1e-3)), ratio=ratio)
+        return replace(self, exponent=float(np.clip(values[0], low + margin, high - margin)), ratio=ratio)
 
     @property
     def time_power(self) -> float:

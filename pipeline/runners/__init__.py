@@ -61,7 +61,10 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Runner:
-    """An entry: what it is, for the help, and the schemes of addresses (``tcp`` of tcp://HOST:PORT)."""
+    """An entry: what it is, after the words "address of" in the help, and the schemes of addresses.
+
+    ``tcp`` is the scheme of tcp://HOST:PORT.
+    """
 
     summary: str
     schemes: tuple[str, ...] = ()

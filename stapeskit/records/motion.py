@@ -202,7 +202,7 @@ class RowColumn:
         Whether the field may be None, as in files that were written before the column was added, and in
         bodies whose fit has no such number.
     least, most : float
-        Range of what a cell may hold: beyond it, a reader refuses the table.
+        Range of what a cell may hold, 0 to 1e15 unless stated: beyond it, a reader refuses the table.
 
     Notes
     -----

@@ -17,6 +17,7 @@ from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import read_surface, write_surface
 from stapeskit.command import show
 from stapeskit.faults import StapeskitError
+from stapeskit.page.quantities import MASS
 from stapeskit.provenance import content_hash
 from stapeskit.records.mass_record import read_mass_record
 from tests.ct_inertia.shapes import box, stapes
@@ -128,7 +129,10 @@ class TestAScan:
         assert "http://" not in page
         assert "https://" not in page
         # To the second digit of its standard deviation, 1 % of the mass.
-        assert f"{content['mass_kg'] * 1e6:.3f} ± 0.037" in page
+        assert MASS.with_sd(content["mass_kg"], content["uncertainty"]["total"]["mass_kg"]) in page
+        assert content["uncertainty"]["total"]["mass_kg"] == pytest.approx(
+            0.01 * content["mass_kg"], rel=0.05
+        )
 
     def test_the_table_is_short(self, result, capsys, tmp_path):
         outcome = result[1]

@@ -184,7 +184,7 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
         ),
         ("dof.csv --mass M.csv --exclude 60-50", "Write 50-60."),
         ("dof.csv --mass M.csv --exclude 50-50", "Give two different frequencies in Hz"),
-        ("dof.csv --mass M.csv --lower K11=5", "Choose the constrained estimator, or leave the bounds out."),
+        ("dof.csv --mass M.csv --lower K11=5", "Choose an estimator that takes bounds, or leave them out."),
         (
             "dof.csv --mass M.csv --estimator constrained --lower Q9=3",
             "D33; got Q9. Count rows and columns in the order of --dof",

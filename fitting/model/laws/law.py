@@ -33,7 +33,8 @@ class Law:
     time_power : float, optional
         Power of time in the unit of D where a is a time instead.
     valid : (float, float)
-        What a may be; an estimated one of zero or below is noise, and never chosen (`DampingLaw.physical`).
+        What a may be; an exponent stays a thousandth within it. An estimated a of zero or below is noise, and
+        never chosen (`DampingLaw.physical`): a time that may scatter below zero has infinite ends.
     causal : bool
         Whether real and imaginary part obey the relations of Kramers and Kronig, so that nothing moves before
         it is pushed. The words about a law that does not are those of a constant loss factor
@@ -41,7 +42,8 @@ class Law:
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
     includes : tuple of str
-        Simpler laws that it becomes at a value of its exponent or in a limit.
+        Simpler laws that it becomes at a value of its exponent or in a limit. A new simpler law also stands
+        in those of the laws that become it: beside them it is no law that the data could not tell apart.
     ratios : tuple of float
         Usual ratios of a second time to the first; a fit starts at each. ``factor``, ``continued``,
         ``formula`` and ``slope`` then take the ratio after the exponent.

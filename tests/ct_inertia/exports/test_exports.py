@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from ct_inertia.ct2mass import ct2mass
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.exports import FILES, FORMATS, export, parse_formats, units_of
+from ct_inertia.export_formats import EXPORTS
+from ct_inertia.exports import FORMATS, export, parse_formats, units_of
 from ct_inertia.exports.body import body_of, quaternion, roll_pitch_yaw
 from ct_inertia.exports.export import _module
 from ct_inertia.options import MassOptions
@@ -51,7 +52,7 @@ class TestContract:
         module = _module(name)
         names = module.write(body, tmp_path)
         assert names
-        assert set(names) <= set(FILES)
+        assert set(names) <= set(EXPORTS[name].files)
         assert sorted(names) == sorted(path.name for path in tmp_path.iterdir())
         assert all((tmp_path / file).stat().st_size > 200 for file in names)
         assert module.UNITS["coordinates"] in ("scan", "footplate")

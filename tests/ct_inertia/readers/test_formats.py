@@ -91,6 +91,23 @@ def test_a_given_spacing_replaces_that_of_the_file(entry, written):
         assert case.asks or "spacing_overridden" in codes
 
 
+@EVERY
+def test_a_name_in_a_header_does_not_lead_out_of_its_folder(entry, written, tmp_path):
+    """Voxels beside the folder of the header, which names them there, are not read."""
+    for number, (path, _, _) in enumerate(scans_of(entry, written)):
+        if path.suffix not in entry.headers:
+            continue
+        (tmp_path / str(number) / "in").mkdir(parents=True)
+        content = path.read_bytes()
+        for file in data_files(path):
+            (tmp_path / str(number) / file.name).write_bytes(file.read_bytes())
+            content = content.replace(file.name.encode(), f"../{file.name}".encode())
+        header = tmp_path / str(number) / "in" / path.name
+        header.write_bytes(content)
+        with pytest.raises(CtInertiaError):
+            read_volume(header, SPACING)
+
+
 @pytest.mark.parametrize(
     ("entry", "suffix"), [(entry, suffix) for entry in FORMATS for suffix in entry.suffixes]
 )

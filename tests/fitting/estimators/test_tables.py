@@ -34,6 +34,41 @@ def test_scores_of_every_estimator_sum_to_its_gradient_and_vanish(name: str) -> 
         assert np.all(np.abs(scores.sum(axis=0)) < 1e-3 * typical)
 
 
+@pytest.mark.parametrize("name", [name for name in ESTIMATORS if estimator(name).bounded])
+def test_an_estimator_that_takes_bounds_keeps_to_them(name: str) -> None:
+    motion, lower = paper_motion(0.02, 3, 60), 1.1 * float(K[0, 0])
+    fit = fit_kd(motion, M, KDOptions(estimator=name, bands=0, lower={"K11": lower}))
+    assert fit.stiffness[0, 0] >= lower * (1.0 - 1e-9)
+    assert "constraint_active" in [notice.code for notice in fit.notices]
+    upper = -1e-3 * float(np.sqrt(K[0, 0] * K[1, 1]))
+    off = KDOptions(estimator=name, bands=0, upper={"K11": 0.9 * float(K[0, 0]), "K12": upper})
+    bound = fit_kd(motion, M, off).stiffness
+    assert bound[0, 0] <= 0.9 * float(K[0, 0]) * (1.0 + 1e-9)
+    assert bound[0, 1] <= upper * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in ESTIMATORS if estimator(name).bounded])
+def test_an_estimator_that_takes_bounds_keeps_to_its_constraint(name: str) -> None:
+    few = paper_motion(0.6, 3, 8)
+    free, kept = (
+        fit_kd(few, M, KDOptions(estimator=one, bands=0, constraint=constraint))
+        for one, constraint in (("pinv", "eigenvalues"), (name, "psd"))
+    )
+    assert not all(free.passive)
+    assert all(kept.passive)
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("unknown", [1e-6, 6e-5, 0.3])
+def test_unknowns_of_every_law_are_those_that_were_given(name: str, unknown: float) -> None:
+    law = DampingLaw(name, unknown)
+    if law_of(name).time_power is None and law.estimated and unknown < 1e-3:
+        return  # an exponent keeps away from zero
+    same = law.with_unknowns(law.unknowns)
+    assert same.exponent == law.exponent
+    assert same.ratio == pytest.approx(law.ratio, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_is_recovered_from_exact_data_and_has_help(name: str) -> None:
     law = DampingLaw(name, 0.6).scaled(1.0 / (2.0 * np.pi * 2000.0))

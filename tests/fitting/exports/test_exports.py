@@ -32,6 +32,7 @@ def fit():
 
 
 def test_every_export_is_written_beside_the_record(fit, tmp_path) -> None:
+    assert len({file_name("kd", name) for name in EXPORTS}) == len(EXPORTS)
     files = fit.write(tmp_path, export=tuple(EXPORTS))
     assert {file.name for file in files} == {
         "kd.json",

@@ -96,6 +96,16 @@ def test_the_companions_of_a_format_are_inputs(tmp_path, monkeypatch):
     monkeypatch.setattr(recognise_format, "FORMATS", (entry, *FORMATS))
     roles = files_by_role((tmp_path / "a.new",), {})
     assert list(roles) == ["ldv", "a.new.toml", "a.values"]
+    setup = [tmp_path / folder / "setup.xml" for folder in ("one", "two")]
+    for file in setup:
+        file.parent.mkdir()
+        file.touch()
+        (file.parent / f"{file.parent.name}.new").write_text("NEW")
+    together = replace(entry, companions=lambda path: [path.with_name("setup.xml")])
+    monkeypatch.setattr(recognise_format, "FORMATS", (together, *FORMATS))
+    files = tuple(file.parent / f"{file.parent.name}.new" for file in setup)
+    every = files_by_role(files, {"setup.xml": tmp_path / "b.csv"})
+    assert set(every.values()) == {*files, *setup, tmp_path / "b.csv"}
     monkeypatch.setattr(recognise_format, "FORMATS", (replace(entry, companions=fails), *FORMATS))
     assert list(files_by_role((tmp_path / "a.new", tmp_path / "none.new"), {})) == [
         "ldv",
