@@ -10,7 +10,10 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from ct_inertia import export_formats as mass_formats
+from ct_inertia.exports import units_of
 from ct_inertia.readers import formats as scan_formats
+from fitting import export_formats as fit_formats
 from kinematics.readers import formats as vibrometer_formats
 from stapeskit.records.motion import ROW_COLUMNS
 
@@ -43,10 +46,33 @@ def columns() -> str:
     return table(("column", "what it holds", "also in `dof.h5`"), rows)
 
 
+def mass_exports() -> str:
+    every = units_of(mass_formats.FORMATS)
+    rows = [
+        (
+            f"`{name}`",
+            code(entry.files),
+            entry.summary,
+            ", ".join(unit for key, unit in every[name].items() if key != "coordinates"),
+            every[name]["coordinates"],
+        )
+        for name, entry in mass_formats.EXPORTS.items()
+    ]
+    return table(("name", "files", "for", "units", "coordinates"), rows)
+
+
+def fit_exports() -> str:
+    entries = fit_formats.EXPORTS.items()
+    rows = [(f"`{name}`", f"`kd{entry.ending}`", entry.content) for name, entry in entries]
+    return table(("name", "file", "what it holds"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "scans": scans,
     "vibrometer files": vibrometer_files,
     "columns of dof.csv": columns,
+    "exports of a mass": mass_exports,
+    "exports of a fit": fit_exports,
 }
 
 
