@@ -20,6 +20,7 @@ from fitting.estimators.problem import Problem
 from fitting.model.parameter_vector import entry_names
 from fitting.model.scaled_lines import forward, real_rows
 from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.arrays import Array
 from stapeskit.option_names import named
 from stapeskit.warnings import Notice
 
@@ -52,6 +53,9 @@ class InplaneChoice:
         Of the maximum likelihood fit without and with the load.
     mass_known : bool
         Whether the mass matrix has the other degrees of freedom, so that the load can be computed.
+    beyond_shared : float or None
+        The same significance against noise and the errors that lines share: what lasers and frames that are a
+        little off make of the other motion is no motion.
     """
 
     used: bool
@@ -64,6 +68,7 @@ class InplaneChoice:
     chi2_without: float | None = None
     chi2_with: float | None = None
     mass_known: bool = True
+    beyond_shared: float | None = None
 
     def notices(self) -> list[Notice]:
         """Return a warning when significant motion is left out, or motion whose load is not known."""
@@ -74,8 +79,7 @@ class InplaneChoice:
                 f"which has all six, or say by {named('inplane')} ignore that the load is small."
             )
             return [Notice("inplane_mass_not_given", text)]
-        significant = self.statistic is not None and self.threshold is not None
-        if self.used or not significant or (self.statistic or 0.0) <= (self.threshold or 0.0):
+        if self.used or self.threshold is None or (self.beyond_shared or 0.0) <= self.threshold:
             return []
         return [
             Notice(
@@ -116,8 +120,9 @@ def choose_inplane_load(problem: Problem, choice: str) -> tuple[Problem, Inplane
             )
         reason = "the mass matrix of the other degrees of freedom is not given"
         return without, InplaneChoice(False, others, reason, mass_known=choice != AUTO)
-    statistic, threshold, effect, entry = significance(problem, without)
-    significant = statistic > threshold
+    found = significance(problem, without)
+    threshold = found.threshold
+    significant = found.statistic > threshold
     chi2_without, chi2_with = _chi2(without), _chi2(problem)
     needed = _misfit(without, chi2_without) and chi2_without - chi2_with > threshold
     used = choice == LOAD or (choice == AUTO and (significant or needed))
@@ -128,7 +133,16 @@ def choose_inplane_load(problem: Problem, choice: str) -> tuple[Problem, Inplane
     if choice != AUTO:
         reason = f"asked for with {named('inplane')} {choice}; {reason}"
     decision = InplaneChoice(
-        used, others, reason, statistic, threshold, effect, entry, chi2_without, chi2_with
+        used,
+        others,
+        reason,
+        found.statistic,
+        threshold,
+        found.effect,
+        found.entry,
+        chi2_without,
+        chi2_with,
+        beyond_shared=found.beyond_shared,
     )
     return (problem if used else without), decision
 
@@ -146,8 +160,29 @@ def _misfit(problem: Problem, chi2: float) -> bool:
     return bool(chdtrc(max(2 * lines.n * lines.count - lines.parameters, 1), chi2) < _IMPROBABLE)
 
 
-def significance(problem: Problem, without: Problem) -> tuple[float, float, float, str]:
-    """Return statistic, threshold, and the largest relative change of an entry with its name."""
+@dataclass(frozen=True)
+class Significance:
+    """The effect of a load on the parameters against what it is known by.
+
+    Attributes
+    ----------
+    statistic, beyond_shared, threshold : float
+        Against noise, against noise and shared errors, and what they must exceed.
+    effect : float
+        Largest relative change of an entry.
+    entry : str
+        That entry.
+    """
+
+    statistic: float
+    beyond_shared: float
+    threshold: float
+    effect: float
+    entry: str
+
+
+def significance(problem: Problem, without: Problem) -> Significance:
+    """Compare the effect of the load on the parameters with its noise, and with errors that lines share."""
     from scipy.special import chdtri
 
     lines = without.lines()
@@ -166,21 +201,48 @@ def significance(problem: Problem, without: Problem) -> tuple[float, float, floa
         terms = np.einsum("ilp,il->lp", rows.conj(), part)
         spread += 0.5 * (terms.conj().T @ terms).real
     variance = inverse @ spread @ inverse
-    statistic = float(shift @ np.linalg.pinv(variance, rcond=1e-12) @ shift)
+    by_errors = [
+        inverse @ transposed_times(flat, real_rows(forward(now.factor, np.ascontiguousarray(change))))
+        for change in _shared_loads(problem)
+    ]
+    both = variance + sum((np.outer(step, step) for step in by_errors), np.zeros_like(variance))
+    statistic, beyond = (
+        float(shift @ np.linalg.pinv(part, rcond=1e-12) @ shift) for part in (variance, both)
+    )
     relative = np.abs(shift) / relative_sizes(parameters, lines.n)
     worst = int(np.argmax(relative))
     threshold = max(float(chdtri(len(shift), 1.0 - _LEVEL)), 2.0 * len(shift))
-    return statistic, threshold, float(relative[worst]), entry_names(lines.n)[worst]
+    return Significance(statistic, beyond, threshold, float(relative[worst]), entry_names(lines.n)[worst])
 
 
 def _load_root(problem: Problem) -> NDArray[np.complex128]:
     """Return F_c times a root of the covariance of q_c, scaled, (n, c, lines)."""
-    observation, scale = problem.observation, problem.scale
-    n, c = problem.n, len(observation.load_dof)
-    coupling = problem.inertia.rows(observation.dof, observation.load_dof)[:, n:]
-    coupling = coupling / scale.root_mass[:, None] / scale.amplitude
-    covariance = observation.covariance[:, n : n + c, n : n + c]
+    n, c = problem.n, len(problem.observation.load_dof)
+    covariance = problem.observation.covariance[:, n : n + c, n : n + c]
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.moveaxis(_forces(problem) @ root, 0, 2)
+
+
+def _shared_loads(problem: Problem) -> NDArray[np.complex128]:
+    """Return F_c times the changes of q_c by shared errors of unit variance, scaled, (k, n, lines)."""
+    observation = problem.observation
+    n, c = problem.n, len(observation.load_dof)
+    covariance, derivatives = observation.shared_covariance, observation.shared_derivatives
+    if covariance is None or derivatives is None or not len(covariance):
+        return np.zeros((0, n, len(observation.freq_hz)), dtype=complex)
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    units = (vectors * np.sqrt(np.maximum(values, 0.0))).T * size
+    changes = np.tensordot(units, derivatives[:, :, n : n + c], 1)
+    return np.asarray(np.moveaxis((_forces(problem) @ changes[..., None])[..., 0], 2, 1))
+
+
+def _forces(problem: Problem) -> Array:
+    """Return F_c, the forces of the load per motion outside the model, scaled, (lines, n, c)."""
+    observation, scale = problem.observation, problem.scale
+    coupling = problem.inertia.rows(observation.dof, observation.load_dof)[:, problem.n :]
+    coupling = coupling / scale.root_mass[:, None] / scale.amplitude
     square = (2.0 * np.pi * observation.freq_hz / scale.omega) ** 2
-    return np.moveaxis(square[:, None, None] * (coupling @ root), 0, 2)
+    return np.asarray(square[:, None, None] * coupling)

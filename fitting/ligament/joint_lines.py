@@ -24,6 +24,11 @@ _NO_ERROR = 1e-9
 # What a map leaves over of a recorded derivative is noise of the readings, unless neighbouring lines agree
 # in it: least correlation of neighbours, and least share of the derivative.
 _NEIGHBOURS_AGREE, _LEAST_REST = 0.5, 0.02
+# A change grows with frequency when that leaves less than this share of the variance: noise of the readings
+# leaves all of it, and a delay less than a hundredth.
+_EXPLAINED = 0.25
+# Share of a change that is rounding.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -151,9 +156,9 @@ def joint_lines(problem: Problem, both: Observation) -> JointLines:
     y = both.q * unit
     covariance = both.covariance * np.outer(unit, unit)
     changes, slopes, sources = _shared_changes(problem, both)
-    maps, rests = _maps(y, changes * unit)
-    scaled = slopes / np.outer(root, root)
     omega = 2.0 * np.pi * both.freq_hz / scale.omega
+    maps, rests = _maps(y, omega, changes * unit)
+    scaled = slopes / np.outer(root, root)
     mass = problem.inertia.matrix / np.outer(root, root)
     starts = tuple((np.flatnonzero(np.diff(both.run)) + 1).tolist())
     return JointLines(
@@ -211,23 +216,59 @@ def _unit_errors(covariance: Array, names: tuple[str, ...]) -> tuple[Array, list
     return np.concatenate(rows), sources
 
 
-def _maps(y: ComplexArray, changes: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
-    """Return the linear maps that make the changes (k, lines, 12) of y, and the rests of others."""
-    count = len(changes)
-    maps = np.zeros((2, DOFS, DOFS, count), dtype=complex)
+def _maps(y: ComplexArray, omega: Array, changes: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+    """Return the linear maps that make the changes (k, lines, 12) of y, and the rests of others.
+
+    Notes
+    -----
+    Most changes are constant maps of the motion, and what is left over is noise of the readings. Others, as
+    of a delay, grow with frequency: they are fitted by a constant map and by one times the frequency at once,
+    and what the constant one leaves over is their rest. With the constant map alone it would be laid on
+    columns of the motion that are nothing but noise.
+    """
+    count, lines = len(changes), len(y)
     if not count:
-        return maps, None
-    rests = np.moveaxis(changes, 0, 2).copy()
-    for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
-        motion = y[:, place]
-        size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
-        size = np.where(size > 0.0, size, 1.0)
-        wanted = rests[:, place].reshape(len(y), -1)
-        turned = np.linalg.lstsq(motion / size, wanted, rcond=1e-11)[0] / size[:, None]
-        rests[:, place] -= (motion @ turned).reshape(len(y), DOFS, count)
-        maps[body] = turned.reshape(DOFS, DOFS, count).transpose(1, 0, 2)
-    unexplained = np.sum(np.abs(rests) ** 2, axis=(0, 1))
-    whole = np.sum(np.abs(changes) ** 2, axis=(1, 2))
+        return np.zeros((2, DOFS, DOFS, count), dtype=complex), None
+    whole = np.moveaxis(changes, 0, 2)
+    constant = _fitted_maps(y, y[:, :, None], whole)
+    maps, rests = constant.maps, constant.rests
     alike = np.sum((rests[1:].conj() * rests[:-1]).real, axis=(0, 1))
-    odd = (alike > _NEIGHBOURS_AGREE * unexplained) & (unexplained > _LEAST_REST**2 * whole)
+    size = np.sum(np.abs(whole) ** 2, axis=(0, 1))
+    odd = alike > _NEIGHBOURS_AGREE * constant.unexplained
+    odd &= constant.unexplained > _LEAST_REST**2 * size
+    if lines > 4 * DOFS:
+        columns = np.stack([y, y * (omega - np.mean(omega))[:, None]], axis=2)
+        growing = _fitted_maps(y, columns, whole)
+        freed = (lines - 2 * DOFS) / (lines - DOFS)
+        grows = growing.unexplained < _EXPLAINED * freed * constant.unexplained
+        grows &= constant.unexplained > _ROUNDING**2 * size
+        maps, rests = np.where(grows, growing.maps, maps), np.where(grows, growing.rests, rests)
+        odd |= grows
     return maps, np.where(odd, rests, 0.0) if np.any(odd) else None
+
+
+@dataclass(frozen=True)
+class _FittedMaps:
+    """Maps (2, 6, 6, k) of the motion, what they leave (lines, 12, k), and what all columns leave (k,)."""
+
+    maps: ComplexArray
+    rests: ComplexArray
+    unexplained: Array
+
+
+def _fitted_maps(y: ComplexArray, columns: ComplexArray, changes: ComplexArray) -> _FittedMaps:
+    """Fit changes (lines, 12, k) by columns (lines, 12, c) of each body, the first of which are y."""
+    count = changes.shape[2]
+    maps, rests = np.zeros((2, DOFS, DOFS, count), dtype=complex), changes.copy()
+    unexplained = np.zeros(count)
+    for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
+        flat = columns[:, place].transpose(0, 2, 1).reshape(len(y), -1)
+        size = np.sqrt(np.mean(np.abs(flat) ** 2, axis=0))
+        size = np.where(size > 0.0, size, 1.0)
+        wanted = changes[:, place].reshape(len(y), -1)
+        turned = np.linalg.lstsq(flat / size, wanted, rcond=1e-11)[0] / size[:, None]
+        left = np.abs(wanted - flat @ turned) ** 2
+        unexplained += left.reshape(-1, count).sum(axis=0)
+        rests[:, place] -= (y[:, place] @ turned[:DOFS]).reshape(len(y), DOFS, count)
+        maps[body] = turned[:DOFS].reshape(DOFS, DOFS, count).transpose(1, 0, 2)
+    return _FittedMaps(maps, rests, unexplained)

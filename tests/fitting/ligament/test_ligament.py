@@ -14,7 +14,7 @@ from fitting.kd_fit import KDFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import equation_error_start, expand
-from fitting.ligament.joint_lines import joint_lines
+from fitting.ligament.joint_lines import _maps, joint_lines
 from fitting.model.observation import observe_both
 from fitting.model.parameter_vector import join
 from fitting.montecarlo import monte_carlo
@@ -171,6 +171,26 @@ def test_shared_errors_are_maps_of_the_motion() -> None:
             [lines.y[:, :6] @ lines.maps[0, :, :, column].T, lines.y[:, 6:] @ lines.maps[1, :, :, column].T]
         )
         assert np.abs(np.abs(moved) - np.abs(wanted)).max() < 1e-6 * np.abs(wanted).max()
+
+
+def test_a_delay_is_not_laid_on_motion_that_is_noise() -> None:
+    """Where bodies do not move in the plane, those columns are noise: a delay starts nothing there."""
+    rng = np.random.default_rng(3)
+    omega = np.linspace(0.3, 3.0, 120)
+    y = np.zeros((120, 12), dtype=complex)
+    y[:, 1::2] = 1.0 / (rng.uniform(0.5, 2.5, 6) + 0.1j - omega[:, None])
+    y += 1e-3 * (rng.standard_normal((120, 12, 2)) @ [1.0, 1j])
+    delays = 1e-2 * rng.standard_normal((12, 12)) * np.kron(np.eye(2), np.ones((6, 6)))
+    gains = 1e-2 * rng.standard_normal((12, 12)) * np.kron(np.eye(2), np.ones((6, 6)))
+    changes = np.array([y @ gains.T, -1j * omega[:, None] * (y @ delays.T)])
+    maps, rests = _maps(y, omega, changes)
+    for body, place in enumerate((slice(0, 6), slice(6, 12))):
+        assert np.allclose(maps[body, :, :, 0], gains[place, place], atol=1e-9)
+        assert np.allclose(maps[body, :, :, 1], -1j * omega.mean() * delays[place, place], atol=1e-9)
+    away = omega - omega.mean()
+    assert rests is not None
+    assert not np.any(rests[:, :, 0])
+    assert np.allclose(rests[:, :, 1], -1j * away[:, None] * (y @ delays.T), atol=1e-9)
 
 
 def test_an_error_that_is_no_map_of_the_motion_is_kept_as_recorded() -> None:
