@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -58,6 +59,8 @@ def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> N
         Takes the arguments, returns the options and the outcome, or None when it has printed already.
     """
     _State.written = False
+    if not sys.warnoptions:  # what Python warns of is no warning of ours: those have a code and a sentence
+        warnings.simplefilter("ignore")
     try:
         gc.set_threshold(_GARBAGE_AFTER)
         _open_descriptors()

@@ -38,11 +38,12 @@ def detectable_size(sd: float, least: float, information: Array | None = None) -
     if information is None:
         return float(needed * sd)
     scaled = information / max(information[0, 0], 1e-300)
-    across, own = scaled[0, 1:], scaled[1:, 1:]
+    values, vectors = np.linalg.eigh(scaled[1:, 1:])
+    across, values = (vectors.T @ scaled[1:, 0]) ** 2, np.maximum(values, 0.0)
 
     def rise(size: float) -> float:
-        hidden = across @ np.linalg.solve(own + (sd / size) ** 2 * np.eye(len(own)), across)
-        return float(size / sd * np.sqrt(max(1.0 - hidden, 0.0)))
+        hidden = np.sum(across / np.maximum(values + (sd / size) ** 2, 1e-300))
+        return float(size / sd * np.sqrt(max(1.0 - float(hidden), 0.0)))
 
     low, high = needed * sd, needed * sd * _LARGEST
     if rise(high) < needed:

@@ -59,7 +59,7 @@ def apply_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[li
             entries.append((recordings.file, _with_stated(recording, recordings, options)))
     step = "Leave it out, or correct the file"
     faults = [
-        Fault(option, "left out where the files say it themselves", "it", "", step)
+        Fault(option, "left out where the files say it, or need none", "a value", "", step)
         for option, needed in silent.items()
         if option in options.stated_names and not needed
     ]

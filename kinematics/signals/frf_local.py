@@ -21,6 +21,8 @@ from stapeskit.warnings import Notice
 _ORDER = 2
 # Degrees of freedom for the noise of a line at the least, and to how many neighbours are gathered.
 _LEAST_FREEDOM, _STEADY_DOF = 4, 60
+# Share of the largest power of the reference from which a line counts as driven.
+_DRIVEN = 1e-6
 # Numbers that are held at once.
 _HELD = 2_000_000
 
@@ -118,11 +120,20 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
         value,
         np.sqrt(0.5 * own * lever),
         np.where(whole > 0.0, size / np.where(whole > 0.0, whole, 1.0), 0.0),
-        float(np.median(1.0 / (lever * power))),
+        _averages(lever, power),
         common_sd,
         np.sqrt(power) * np.sqrt(2.0 * width) / samples,
         tuple(notices),
     )
+
+
+def _averages(lever: Array, power: Array) -> float:
+    """Return how many averages the lines have that the reference drives, one at least.
+
+    ``lever`` (line,) is the variance of a value per variance of a reading, ``power`` that of the reference.
+    """
+    driven = power > _DRIVEN * np.max(power)
+    return max(1.0, float(np.median(1.0 / (lever[driven] * power[driven]))))
 
 
 def _lines(signal: Array, samples: int, width: int, count: int) -> ComplexArray:

@@ -224,7 +224,9 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         return read_json(path)
     except ValueError as fault:
-        raise StapeskitError.of("the mass file", "a JSON object", fault, path.name, MADE_BY) from fault
+        raise StapeskitError.of(
+            "the mass file", "mass.json, a JSON object", fault, path.name, MADE_BY
+        ) from fault
 
 
 def _record(raw: dict[str, Any], name: str) -> MassRecord:

@@ -31,3 +31,17 @@ def test_a_cause_is_found_where_chi2_rises_over_all_errors_of_its_place() -> Non
 def test_what_its_place_can_hide_wholly_is_never_found() -> None:
     information = np.array([[25.0, 50.0], [50.0, 100.0]])
     assert detectable_size(0.2, 3.0, information) == float("inf")
+
+
+def test_nuisances_that_are_one_are_no_singular_matrix():
+    nuisances = np.ones((3, 3))
+    information = (
+        np.block([[np.ones((1, 1)), np.full((1, 3), 0.5)], [np.full((3, 1), 0.5), nuisances]]) * 1e30
+    )
+    size = detectable_size(1e-15, 3.0, information)
+    assert np.isfinite(size)
+    assert size > detectable_size(1e-15, 3.0)
+
+
+def test_a_hidden_cause_is_never_seen():
+    assert detectable_size(1.0, 3.0, np.ones((2, 2))) == np.inf

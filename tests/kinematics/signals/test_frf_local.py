@@ -129,3 +129,15 @@ def test_the_noise_of_second_differences_is_that_of_responses_by_segments(window
     bent = value[:, 2:] - 2.0 * value[:, 1:-1] + value[:, :-2]
     measured = np.mean(np.abs(bent) ** 2) / np.mean(np.abs(value) ** 2)
     assert noise_of_differences(taper) == pytest.approx(measured, rel=0.04)
+
+
+def test_lines_that_nothing_drives_do_not_count_the_averages() -> None:
+    """A digital drive within a band leaves the other lines without power."""
+    rng = np.random.default_rng(5)
+    lines = np.zeros(2049, dtype=complex)
+    lines[200:900] = rng.standard_normal((700, 2)) @ [1.0, 1j]
+    drive = np.fft.irfft(lines)
+    found = local_frf([(drive, GAINS * drive + 1e-4 * rng.standard_normal((4, 4096)))], RATE, Local(6.0))
+    assert found.n_avg >= 1.0
+    inside = (found.freq_hz > 60.0) & (found.freq_hz < 200.0)
+    assert np.allclose(found.value[:, inside], GAINS, rtol=1e-2)

@@ -99,7 +99,7 @@ def test_every_fault_of_a_record_is_refused(tmp_path, edit, match):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("{", "must be a JSON object; got Expecting"),
+        ("{", "must be mass.json, a JSON object; got Expecting"),
         ("[1]", "a JSON object; got list"),
         (None, "an existing mass.json"),
     ],
