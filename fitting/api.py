@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from fitting.errors import FittingError
 from stapeskit.faults import translate_option_names
 from stapeskit.option_names import as_keyword
-from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.mass_record import MassMatrix, MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion
 
@@ -32,7 +32,7 @@ class HasMotion(Protocol):
 def dof2kd(
     motion: str | os.PathLike[str] | RigidMotion | HasMotion,
     *,
-    mass: MassInput | ArrayLike,
+    mass: MassInput | MassMatrix | ArrayLike,
     force: bool = False,
     **options: Any,
 ) -> KDResult:
@@ -40,7 +40,7 @@ def dof2kd(
 
     Parameters
     ----------
-    mass : path or result of ct2mass, or ndarray, (n, n)
+    mass : path or result of ct2mass, MassMatrix, or ndarray, (n, n)
         An array is in the order of ``dof``, SI, about the footplate centre in footplate axes.
     force : bool
         Use a mass that is not the one whose frames the motion was computed with, with a warning.
@@ -78,8 +78,14 @@ def dof2kd(
         measured = measured_mass(mass)
         matrix, known = measured.record.mass_matrix, measured.record
         files["mass"] = measured.provenance_input
+    elif isinstance(mass, MassMatrix):
+        matrix, known = mass, None
     else:
-        matrix, known = np.asarray(mass, dtype=float), None
+        try:
+            matrix, known = np.asarray(mass, dtype=float), None
+        except (TypeError, ValueError) as fault:
+            expected = "a file, a result of ct2mass or a matrix in SI"
+            raise FittingError.of("the mass", expected, type(mass).__name__) from fault
     if isinstance(motion, str | os.PathLike):
         files["motion"] = Path(motion)
         moved = read_motion(Path(motion))

@@ -65,7 +65,7 @@ class Identifiability:
         if not self.weak:
             return []
         entries = [
-            f"{name} {100.0 * value:.0f} %"
+            f"{name} {100.0 * value:.0f} %" if value <= 1.0 else f"{name} undetermined"
             for name, value in zip(self.names, self.relative, strict=True)
             if value > WEAK_ENTRY
         ]

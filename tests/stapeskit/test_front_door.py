@@ -72,6 +72,11 @@ def test_files_of_one_step_serve_the_next(ear, chain, tmp_path):
     plain = sk.dof2kd(motion.motion, mass=matrix)
     without_load = sk.dof2kd(motion, mass=mass, inplane="ignore")
     np.testing.assert_allclose(plain.stiffness, without_load.stiffness, rtol=1e-6)
+    whole = sk.dof2kd(motion.motion, mass=mass.matrix)
+    np.testing.assert_allclose(whole.stiffness, fit.stiffness, rtol=1e-3)
+    with pytest.raises(sk.StapeskitError) as raised:
+        sk.dof2kd(motion.motion, mass=object())
+    assert raised.value.faults[0].got == "object"
 
 
 def test_results_write_nothing_over_what_they_read(ear, chain, tmp_path, undrawn):
