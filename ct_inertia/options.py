@@ -47,8 +47,6 @@ _RAW = "raw voxels without a header"
 _FINDING = "finding the stapes"
 _FRAMES = "frames"
 _OUTPUT = "output"
-
-
 # Voxels in which a stapes of 3 mm would have 30 000 voxels a side, or less than one.
 _SPACING_MM = (1e-4, 3.0)
 # Thinner than a cell: a thickness in mm. Mucosa of the middle ear has 20 to 50 um.
@@ -60,18 +58,15 @@ def _plausible_spacing(spacing_mm: tuple[float, ...]) -> bool:
     return _SPACING_MM[0] <= min(spacing_mm) and max(spacing_mm) <= _SPACING_MM[1]
 
 
-def _is_known(name: str) -> Rule:
-    def is_lost(options: Values) -> bool:
-        value: WithSd | None = getattr(options, name)
+def _needs_to_be_known(name: str) -> Rule:
+    """Return the rule that a value is larger than its standard deviation."""
+
+    def breaks(values: Values) -> bool:
+        value: WithSd | None = getattr(values, name)
         return value is not None and value[1] is not None and value[1] >= value[0]
 
-    return Rule(
-        is_lost,
-        f"the standard deviation of {{{name}}}",
-        "smaller than its value",
-        next_step="A value that is known no better is none: weigh the stapes, or leave it out",
-        shows=name,
-    )
+    thing, step = f"the standard deviation of {{{name}}}", "Weigh the stapes, or leave this value out"
+    return Rule(breaks, thing, "smaller than its value", next_step=step, shows=name)
 
 
 def _is_of_bone(density_kg_m3: float) -> bool:
@@ -143,8 +138,8 @@ class MassOptions(OptionTable):
             next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
             shows="density",
         ),
-        _is_known("density"),
-        _is_known("mass_mg"),
+        _needs_to_be_known("density"),
+        _needs_to_be_known("mass_mg"),
         Rule(
             lambda v: v.spacing_mm is not None and not _plausible_spacing(v.spacing_mm),
             "{spacing}",
