@@ -201,11 +201,15 @@ def significance(problem: Problem, without: Problem) -> Significance:
         terms = np.einsum("ilp,il->lp", rows.conj(), part)
         spread += 0.5 * (terms.conj().T @ terms).real
     variance = inverse @ spread @ inverse
-    by_errors = [
-        inverse @ transposed_times(flat, real_rows(forward(now.factor, np.ascontiguousarray(change))))
-        for change in _shared_loads(problem)
-    ]
-    both = variance + sum((np.outer(step, step) for step in by_errors), np.zeros_like(variance))
+    both = variance
+    if problem.observation.shared_covariance is not None:
+        by_errors = np.array(
+            [
+                inverse @ transposed_times(flat, real_rows(forward(now.factor, np.ascontiguousarray(change))))
+                for change in _shared_loads(problem)
+            ]
+        )
+        both = variance + by_errors.T @ problem.observation.shared_covariance @ by_errors
     statistic, beyond = (
         float(shift @ np.linalg.pinv(part, rcond=1e-12) @ shift) for part in (variance, both)
     )
@@ -225,18 +229,11 @@ def _load_root(problem: Problem) -> NDArray[np.complex128]:
 
 
 def _shared_loads(problem: Problem) -> NDArray[np.complex128]:
-    """Return F_c times the changes of q_c by shared errors of unit variance, scaled, (k, n, lines)."""
-    observation = problem.observation
-    n, c = problem.n, len(observation.load_dof)
-    covariance, derivatives = observation.shared_covariance, observation.shared_derivatives
-    if covariance is None or derivatives is None or not len(covariance):
-        return np.zeros((0, n, len(observation.freq_hz)), dtype=complex)
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    units = (vectors * np.sqrt(np.maximum(values, 0.0))).T * size
-    changes = np.tensordot(units, derivatives[:, :, n : n + c], 1)
-    return np.asarray(np.moveaxis((_forces(problem) @ changes[..., None])[..., 0], 2, 1))
+    """Return F_c times the derivatives of q_c by shared errors, scaled, (p, n, lines)."""
+    n, c, derivatives = problem.n, len(problem.observation.load_dof), problem.observation.shared_derivatives
+    assert derivatives is not None  # noqa: S101
+    changes = derivatives[:, :, n : n + c, None]
+    return np.asarray(np.moveaxis((_forces(problem) @ changes)[..., 0], 2, 1))
 
 
 def _forces(problem: Problem) -> Array:

@@ -5,7 +5,6 @@ import numpy as np
 import stapeskit as sk
 from tests.fitting.cases import K
 
-FREQ_HZ = np.linspace(400.0, 5000.0, 120)
 COUPLED = [6.142e-6, -3.679e-6, -6.756e-12]  # yalpha, ygamma, alphagamma
 D = np.diag([0.02289, 3.015e-8, 5.646e-8])
 D[[0, 0, 1], [1, 2, 2]] = D[[1, 2, 2], [0, 0, 1]] = COUPLED
@@ -33,10 +32,10 @@ BEAMS /= np.linalg.norm(BEAMS, axis=1)[:, None]
 NOISE = 2e-6  # m/s
 
 
-def motion():
+def motion(freq_hz):
     """Return velocities of both bodies (line, 6), m/s and rad/s."""
     places = [1, 3, 5]
-    omega = 2.0 * np.pi * FREQ_HZ
+    omega = 2.0 * np.pi * freq_hz
     phase = 6e-4 * np.exp(-0.3j - 1e-5j * omega)
     base, stapes = np.zeros((2, len(omega), 6), dtype=complex)
     base[:, places] = np.stack([phase, 40.0 * phase * np.exp(0.4j), -30.0 * phase], axis=1)
@@ -47,18 +46,24 @@ def motion():
     return {"stapes": stapes, "base": base}
 
 
-def table(seed):
-    rng = np.random.default_rng(seed)
+def table(seed, scatter=0.0, lines=120):
+    """Return a vibrometer table; ``scatter`` times 1 %, 0.5 degrees and 1 us is the sd of the lasers."""
+    rng, lasers = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+    freq_hz = np.linspace(400.0, 5000.0, lines)
+    gain, phase, delay = scatter * lasers.standard_normal((3, len(BEAMS), 1))
+    factor = (1.0 + 0.01 * gain) * np.exp(
+        1j * (np.radians(0.5 * phase) - 2.0 * np.pi * freq_hz * 1e-6 * delay)
+    )
     rows = ["body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s,sd_m_s"]
-    for body, moved in motion().items():
+    for body, moved in motion(freq_hz).items():
         for point, place in enumerate(POINTS_MM[body]):
             velocity = moved[:, :3] + np.cross(moved[:, 3:], 1e-3 * np.array(place))
-            for beam in BEAMS:
-                noise = NOISE * (rng.standard_normal((len(FREQ_HZ), 2)) @ [1.0, 1j])
+            for beam, own in zip(BEAMS, factor, strict=True):
+                noise = NOISE * (rng.standard_normal((lines, 2)) @ [1.0, 1j])
                 where = ",".join(f"{v:.12g}" for v in (*place, *beam))
                 rows += [
                     f"{body},{point},{where},{f:.9g},{v.real:.9g},{v.imag:.9g},{NOISE}"
-                    for f, v in zip(FREQ_HZ, velocity @ beam + noise, strict=True)
+                    for f, v in zip(freq_hz, own * (velocity @ beam) + noise, strict=True)
                 ]
     return "\n".join(rows) + "\n"
 
@@ -67,15 +72,17 @@ def fitted(path, **options):
     return sk.dof2kd(sk.points2dof(path), mass=MASS, bands=0, **options)
 
 
+def deviations(path, seed, scatter=0.0, lines=120):
+    """Return how many of their sd the entries of K and D (12,) lie off."""
+    path.write_text(table(seed, scatter, lines), encoding="utf-8")
+    fit = fitted(path)
+    off = [matrix[np.triu_indices(3)] for matrix in (fit.stiffness - K, fit.damping - D)]
+    return np.concatenate(off) / np.sqrt(np.diag(fit.covariance))
+
+
 def test_intervals_hold_where_motion_in_the_plane_is_noise(tmp_path):
     """Delays of the lasers, which are little known, are not laid on columns of the motion that are noise."""
-    off = []
-    for seed in range(8):
-        (tmp_path / "ldv.csv").write_text(table(seed), encoding="utf-8")
-        fit = fitted(tmp_path / "ldv.csv")
-        truth = np.concatenate([matrix[np.triu_indices(3)] for matrix in (K, D)])
-        values = np.concatenate([matrix[np.triu_indices(3)] for matrix in (fit.stiffness, fit.damping)])
-        off.append((values - truth) / np.sqrt(np.diag(fit.covariance)))
+    off = [deviations(tmp_path / "ldv.csv", seed) for seed in range(8)]
     assert np.all(np.sqrt(np.mean(np.square(off), axis=0)) < 1.5)
 
 

@@ -25,9 +25,9 @@ _NO_ERROR = 1e-9
 # in it: least correlation of neighbours, and least share of the derivative.
 _NEIGHBOURS_AGREE, _LEAST_REST = 0.5, 0.02
 # A change grows with frequency when that leaves less than this share of the variance: noise of the readings
-# leaves all of it, and a delay less than a hundredth.
+# leaves all of it, a delay less than a hundredth (benchmarks/quiet_plane.py, 14 to 120 lines).
 _EXPLAINED = 0.25
-# Share of a change that is rounding.
+# Share of a change that is rounding: derivatives are recorded as central differences, exact to 1e-9 or so.
 _ROUNDING = 1e-6
 
 
@@ -236,7 +236,7 @@ def _maps(y: ComplexArray, omega: Array, changes: ComplexArray) -> tuple[Complex
     size = np.sum(np.abs(whole) ** 2, axis=(0, 1))
     odd = alike > _NEIGHBOURS_AGREE * constant.unexplained
     odd &= constant.unexplained > _LEAST_REST**2 * size
-    if lines > 4 * DOFS:
+    if lines > 2 * DOFS:
         columns = np.stack([y, y * (omega - np.mean(omega))[:, None]], axis=2)
         growing = _fitted_maps(y, columns, whole)
         freed = (lines - 2 * DOFS) / (lines - DOFS)

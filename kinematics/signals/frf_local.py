@@ -21,7 +21,8 @@ from stapeskit.warnings import Notice
 _ORDER = 2
 # Degrees of freedom for the noise of a line at the least, and to how many neighbours are gathered.
 _LEAST_FREEDOM, _STEADY_DOF = 4, 60
-# Share of the largest power of the reference from which a line counts as driven.
+# Share of the largest power of the reference from which a line counts as driven: a thousandth in amplitude,
+# which is what leaks of a record without a window at the least.
 _DRIVEN = 1e-6
 # Numbers that are held at once.
 _HELD = 2_000_000

@@ -1,4 +1,4 @@
-"""Unknowns of damping laws: found by every estimator, whatever the scale of its own objective."""
+"""Unknowns of damping laws come out alike from every estimator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A NIfTI header states the place of its voxels up to three times: contradictions are told."""
+"""NIfTI headers that give two different places or sizes of their voxels."""
 
 import numpy as np
 import pytest
