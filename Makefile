@@ -30,7 +30,7 @@ help:
 
 setup: $(TOOLS)
 
-$(READY): pyproject.toml locks/run.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch] */kernels/*.[ch])
+$(READY): pyproject.toml locks/run.txt tools/setup.sh hatch_build.py $(wildcard legacy/*/native/*.[ch] legacy/*/kernels/*.[ch])
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
 
@@ -45,7 +45,7 @@ $(SITE): $(READY) locks/docs.txt
 
 demo: $(READY)
 	$(BIN)/scan2kd sample_volumes/study.toml --out demo
-	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
+	$(BIN)/python -m legacy.fitting.examples.paper_page demo/paper.html --force
 	@echo "Open demo/report.html"
 
 cohort: $(READY)
@@ -87,8 +87,8 @@ format: $(TOOLS)
 check: lint types imports kernels
 
 docs: $(READY)
-	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
-	$(BIN)/python -m pipeline.options_page > docs/options.md
+	$(BIN)/python -m legacy.stapeskit.warnings > docs/warnings.md
+	$(BIN)/python -m legacy.pipeline.options_page > docs/options.md
 	$(BIN)/python -m tools.doc_tables
 
 # the same pages as a website, in site/
@@ -105,7 +105,7 @@ sample: $(READY)
 
 paper: $(READY)
 	mkdir -p demo
-	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
+	$(BIN)/python -m legacy.fitting.examples.paper_page demo/paper.html --force
 
 bench: $(TOOLS)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done

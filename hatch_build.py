@@ -21,9 +21,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent
-FOLDERS = (ROOT / "kinematics" / "native", ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
+FOLDERS = (
+    ROOT / "legacy" / "kinematics" / "native",
+    ROOT / "legacy" / "ct_inertia" / "native",
+    ROOT / "legacy" / "fitting" / "native",
+)
 # The loader's own rules for the file name, so that what is built is what is looked for.
-_LOADER = runpy.run_path(str(ROOT / "stapeskit" / "compiled_kernels.py"))
+_LOADER = runpy.run_path(str(ROOT / "legacy" / "stapeskit" / "compiled_kernels.py"))
 library_name, built_library = _LOADER["library_name"], _LOADER["built_library"]
 FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror"]

@@ -79,10 +79,10 @@ def modes(folder: Path) -> np.ndarray:
 
 def main() -> None:
     """Print both sets of frequencies and leave with 1 when they differ by more than 1 %."""
-    from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.exports import export
-    from ct_inertia.options import MassOptions
-    from ct_inertia.surface.surface import write_surface
+    from legacy.ct_inertia.ct2mass import ct2mass
+    from legacy.ct_inertia.exports import export
+    from legacy.ct_inertia.options import MassOptions
+    from legacy.ct_inertia.surface.surface import write_surface
     from tests.ct_inertia.shapes import stapes
 
     if shutil.which("ccx") is None:

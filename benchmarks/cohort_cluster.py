@@ -20,9 +20,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.runners import Where, dask_cluster, local
-from pipeline.runners.study_process import Task
-from pipeline.stages import STAGES, run_stage
+from legacy.pipeline.runners import Where, dask_cluster, local
+from legacy.pipeline.runners.study_process import Task
+from legacy.pipeline.stages import STAGES, run_stage
 from sample_volumes.make_cohort import Population, make_cohort
 from tests.pipeline.runners.test_dask_cluster import processes
 

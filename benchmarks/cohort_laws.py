@@ -23,11 +23,11 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.cohort.false_discovery import false_discovery
-from pipeline.cohort.independent_parameters import independent_parameters
-from pipeline.cohort.log_pairs import LogPairs
-from pipeline.cohort.power_law import Profile, fit_law
-from pipeline.cohort.prediction import Predictor
+from legacy.pipeline.cohort.false_discovery import false_discovery
+from legacy.pipeline.cohort.independent_parameters import independent_parameters
+from legacy.pipeline.cohort.log_pairs import LogPairs
+from legacy.pipeline.cohort.power_law import Profile, fit_law
+from legacy.pipeline.cohort.prediction import Predictor
 from tests.pipeline.cohort.simulated import cohort
 
 EXPONENT = 1.5

@@ -16,8 +16,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.cohort.cohort_files import write_cohort
-from pipeline.cohort.cohort_laws import cohort_laws
+from legacy.pipeline.cohort.cohort_files import write_cohort
+from legacy.pipeline.cohort.cohort_laws import cohort_laws
 from tests.pipeline.cohort.simulated_ears import ear
 
 

@@ -24,14 +24,14 @@ from numpy.random import Generator
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.ring_ears import PISTON, EarSettings, ear
-from fitting.errors import FittingError
-from fitting.examples.paper import PAPER_DOF, PAPER_MASS
-from fitting.fit_kd import fit_kd
-from fitting.model.parameter_vector import entry_names, join
-from fitting.options import KDOptions
+from legacy.fitting.errors import FittingError
+from legacy.fitting.examples.paper import PAPER_DOF, PAPER_MASS
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.parameter_vector import entry_names, join
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.records.motion import RigidMotion
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.records.motion import RigidMotion
 
 Drawn = tuple[RigidMotion, MassMatrix | np.ndarray, np.ndarray, np.ndarray]
 _BLOCK = np.ix_(PISTON, PISTON)

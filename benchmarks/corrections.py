@@ -28,17 +28,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, frequencies, possible
 from benchmarks.faults_gate import channels, judged
 from benchmarks.fitting_estimators import six_dof
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from fitting.fit_kd import fit_kd
-from fitting.model.inertia import inertia_of
-from fitting.model.parameter_vector import join
-from kinematics.fit_options import Options
-from kinematics.measurement import Measurement
-from kinematics.points2dof import Points2Dof, points2dof
-from kinematics.registration.laser_errors import LaserPriors
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.parameter_vector import join
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import Measurement
+from legacy.kinematics.points2dof import Points2Dof, points2dof
+from legacy.kinematics.registration.laser_errors import LaserPriors
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.spatial import DOF_NAMES
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

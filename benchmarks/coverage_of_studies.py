@@ -25,11 +25,11 @@ ENTRIES = np.triu_indices(3)
 
 def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
-    from ct_inertia.results import mass_of
-    from fitting.fit_kd import fit_kd
-    from kinematics.fit_options import fit_options
-    from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
-    from pipeline.study import read_study
+    from legacy.ct_inertia.results import mass_of
+    from legacy.fitting.fit_kd import fit_kd
+    from legacy.kinematics.fit_options import fit_options
+    from legacy.kinematics.measure_motion import motion_inputs, motion_of, read_inputs
+    from legacy.pipeline.study import read_study
     from sample_volumes.make_sample import make_study
     from sample_volumes.phantom import Ear
     from sample_volumes.vibrometer import Vibrometry

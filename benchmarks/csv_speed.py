@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 import pandas as pd
 
-from kinematics.tidy.ldv_csv import read_ldv
+from legacy.kinematics.tidy.ldv_csv import read_ldv
 
 LINES = 1000
 PLACE = "x_mm,y_mm,z_mm,"

@@ -62,9 +62,9 @@ def made(folder: Path, voxel_um: float, more: tuple[str, ...], seed: int = SEED)
 
 def row(folder: Path, behind: dict[str, Any], calibrated: bool) -> str:
     """Return one line of the table behind name and voxel size."""
-    from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.errors import CtInertiaError
-    from ct_inertia.options import MassOptions
+    from legacy.ct_inertia.ct2mass import ct2mass
+    from legacy.ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.options import MassOptions
 
     calibration = folder / "calibration.toml" if calibrated else None
     long_axis = np.array(behind["scan_from_footplate"])[:3, 0]

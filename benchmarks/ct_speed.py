@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(TITLES), help=f"some of {','.join(TITLES)}")
     parser.add_argument("--quick", action="store_true", help=f"leave out {', '.join(SLOW)}")
     options = parser.parse_args()
-    from ct_inertia.native import which
+    from legacy.ct_inertia.native import which
 
     names = [name for name in options.only.split(",") if not (options.quick and name in SLOW)]
     with tempfile.TemporaryDirectory() as place:

@@ -27,12 +27,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import fault_bodies, fault_scenes
 from benchmarks.fault_bodies import Reading
-from kinematics.faults.proposals.drifting_motion import drifting_motion
-from kinematics.faults.proposals.misfitting_body import MisfittingBody
-from kinematics.faults.proposals.outliers import with_far_values
-from kinematics.fit.beams import beam_set
-from kinematics.measurement import BodyChannels, Measurement
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults.proposals.drifting_motion import drifting_motion
+from legacy.kinematics.faults.proposals.misfitting_body import MisfittingBody
+from legacy.kinematics.faults.proposals.outliers import with_far_values
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.stapeskit.spatial import DOF_NAMES
 
 ONE_HEAD = ("y", "alpha", "gamma")
 # The share of a motion that becomes another one from the first point to the last: that of a stiffness that

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.frames import rotation_from_vector
 
 Array = NDArray[np.float64]
 RESONANCES = ((1753.0, 0.12), (2783.0, 0.14), (3862.0, 0.16))

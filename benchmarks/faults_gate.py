@@ -30,10 +30,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Points2Dof, points2dof
-from kinematics.registration.laser_errors import LaserPriors
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import Points2Dof, points2dof
+from legacy.kinematics.registration.laser_errors import LaserPriors
 
 
 def channels(reading: Reading, stated: bool, position_sd_mm: float, name: str = "incus") -> BodyChannels:

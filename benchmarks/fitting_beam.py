@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sys
 
-from fitting.estimators import ESTIMATORS
-from fitting.examples.beam_experiment import MODELS, Setup, deviations
-from fitting.examples.beam_page import SHIFT_M, frequency_rows, rows_of
+from legacy.fitting.estimators import ESTIMATORS
+from legacy.fitting.examples.beam_experiment import MODELS, Setup, deviations
+from legacy.fitting.examples.beam_page import SHIFT_M, frequency_rows, rows_of
 
 
 def show(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:

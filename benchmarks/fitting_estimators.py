@@ -18,21 +18,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.estimators import estimator, ml
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.multistart import improve
-from fitting.estimators.problem import Problem
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.model.damping import VISCOUS
-from fitting.model.inertia import inertia_of
-from fitting.model.observation import observe
-from fitting.model.parameter_vector import join
-from fitting.model.scaled_lines import Scale
-from fitting.uncertainty.covariance import attenuation, invert, noise_covariance
-from fitting.uncertainty.identifiability import identifiability
+from legacy.fitting.estimators import estimator, ml
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.multistart import improve
+from legacy.fitting.estimators.problem import Problem
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.model.scaled_lines import Scale
+from legacy.fitting.uncertainty.covariance import attenuation, invert, noise_covariance
+from legacy.fitting.uncertainty.identifiability import identifiability
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.spatial import DOF_NAMES, dof_indices
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.spatial import DOF_NAMES, dof_indices
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF
 HEADER = (

@@ -18,16 +18,16 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from fitting.estimators import constrained, irls, ml, pinv
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.problem import Problem
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.model.damping import VISCOUS
-from fitting.model.inertia import inertia_of
-from fitting.model.model import state_matrix
-from fitting.model.observation import observe
-from fitting.model.parameter_vector import join, pairs, split
-from fitting.model.scaled_lines import Lines, Scale, real_rows, regressor
+from legacy.fitting.estimators import constrained, irls, ml, pinv
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.problem import Problem
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.model import state_matrix
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.parameter_vector import join, pairs, split
+from legacy.fitting.model.scaled_lines import Lines, Scale, real_rows, regressor
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF

@@ -127,9 +127,9 @@ def fine_grid(h: float) -> tuple[_Grid, Array]:
 
 @cache
 def _frame(anatomy: _Hashed) -> Array:
-    from ct_inertia.frames.anatomy import AnatomyHints
-    from ct_inertia.frames.footplate import footplate_frame
-    from ct_inertia.surface.isosurface import iso_surface
+    from legacy.ct_inertia.frames.anatomy import AnatomyHints
+    from legacy.ct_inertia.frames.footplate import footplate_frame
+    from legacy.ct_inertia.surface.isosurface import iso_surface
 
     grid, index_to_body = fine_grid(0.022)
     signed = grid.signed(lambda p: shapes.body(anatomy.it, p))

@@ -32,7 +32,7 @@ _HEAD = (
 
 def deviation(estimated: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return the displacement (6,) of a frame in the axes of the true one, mm and rad; either way of x."""
-    from stapeskit.frames import vector_from_rotation
+    from legacy.stapeskit.frames import vector_from_rotation
 
     turn = truth[:3, :3].T @ estimated[:3, :3]
     sign = np.sign(turn[0, 0])
@@ -42,11 +42,11 @@ def deviation(estimated: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> dict[str, np.ndarray]:
     """Return deviations, stated standard deviations and CPU time of one scan."""
-    from ct_inertia.frames.anatomy import AnatomyHints
-    from ct_inertia.frames.footplate import footplate_frame
-    from ct_inertia.frames.plate_frame import plate_frame
-    from ct_inertia.labelling.from_scan import find_bodies
-    from ct_inertia.volume.volume import Volume
+    from legacy.ct_inertia.frames.anatomy import AnatomyHints
+    from legacy.ct_inertia.frames.footplate import footplate_frame
+    from legacy.ct_inertia.frames.plate_frame import plate_frame
+    from legacy.ct_inertia.labelling.from_scan import find_bodies
+    from legacy.ct_inertia.volume.volume import Volume
     from sample_volumes.phantom import Ear, render, scene, truth
 
     rng = np.random.default_rng([seed, 5])
@@ -106,7 +106,7 @@ def row(voxel_um: float, scans: list[dict[str, np.ndarray]]) -> str:
 
 def main() -> None:
     """Print the table."""
-    from ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.errors import CtInertiaError
     from sample_volumes.analytic import write_analytic_stapes
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)

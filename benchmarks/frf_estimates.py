@@ -11,11 +11,11 @@ import time
 import numpy as np
 from scipy.signal import csd, lfilter, welch
 
-from kinematics.signals.frf import Welch, welch_frf
-from kinematics.signals.frf_local import Local, local_frf
-from kinematics.signals.frf_periodic import Periodic, periodic_frf
-from kinematics.signals.lock_in import SteppedSine
-from kinematics.signals.stepped_sine import Step, stepped_frf
+from legacy.kinematics.signals.frf import Welch, welch_frf
+from legacy.kinematics.signals.frf_local import Local, local_frf
+from legacy.kinematics.signals.frf_periodic import Periodic, periodic_frf
+from legacy.kinematics.signals.lock_in import SteppedSine
+from legacy.kinematics.signals.stepped_sine import Step, stepped_frf
 
 RATE = 8192.0
 LINES = np.arange(10, 200, 3)

@@ -39,7 +39,7 @@ def drawn(seed: int, folder: Path) -> Ear:
 
 def measured(ear: Ear, folder: Path) -> tuple[float, bool]:
     """Return the error of the volume in percent, and True if the warning of a cut through bone was given."""
-    import stapeskit
+    from legacy import stapeskit
     from sample_volumes.phantom import scene, truth, write_scan
 
     placed = scene(ear)

@@ -50,11 +50,11 @@ def scanned(settings: dict[str, Any], seed: int) -> tuple[Any, Any, dict[str, An
 
 def ours(placed: Any, grey: Any, behind: dict[str, Any]) -> str:
     """Return one line of the table behind the case's name: find_bodies."""
-    from ct_inertia.errors import CtInertiaError
-    from ct_inertia.labelling.from_scan import find_bodies
-    from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
-    from ct_inertia.volume.volume import Volume
-    from stapeskit.frames import RigidTransform
+    from legacy.ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.labelling.from_scan import find_bodies
+    from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+    from legacy.ct_inertia.volume.volume import Volume
+    from legacy.stapeskit.frames import RigidTransform
 
     volume = Volume(grey, np.array(placed.ear.voxel_mm), np.zeros(3), np.eye(3))
     started = time.process_time()

@@ -50,18 +50,18 @@ CASES = {
 
 def study(case: Case, seed: int, lines: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return errors of the 12 entries over their sd, errors of K's diagonal in percent, and the warnings."""
-    from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-    from fitting.fit_kd import fit_kd
-    from kinematics.fit_options import Options
-    from kinematics.measurement import from_arrays
-    from kinematics.points2dof import points2dof
-    from kinematics.registration.fiducials import Fiducials
-    from kinematics.registration.geometry_model import GeometryPriors
-    from kinematics.registration.laser_errors import LaserPriors
-    from kinematics.registration.placement import place
+    from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+    from legacy.fitting.fit_kd import fit_kd
+    from legacy.kinematics.fit_options import Options
+    from legacy.kinematics.measurement import from_arrays
+    from legacy.kinematics.points2dof import points2dof
+    from legacy.kinematics.registration.fiducials import Fiducials
+    from legacy.kinematics.registration.geometry_model import GeometryPriors
+    from legacy.kinematics.registration.laser_errors import LaserPriors
+    from legacy.kinematics.registration.placement import place
+    from legacy.stapeskit.frames import RigidTransform
+    from legacy.stapeskit.spatial import matrix_from_parameters
     from sample_volumes.vibrometer import Vibrometry, record
-    from stapeskit.frames import RigidTransform
-    from stapeskit.spatial import matrix_from_parameters
 
     how = Vibrometry(lines=lines, seed=seed)
     mass = matrix_from_parameters(PARAMETERS)

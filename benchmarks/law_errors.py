@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.ring_ears import BRANCHES, LAWS, EarSettings, ear
 from benchmarks.simulated_fits import ALARMS, BLOCK, PLAIN, fitted, row, table, truth
-from fitting.calibrated import calibrated
-from fitting.kd_fit import KDFit
-from fitting.model.laws import law_of
-from fitting.model.parameter_vector import join
+from legacy.fitting.calibrated import calibrated
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.laws import law_of
+from legacy.fitting.model.parameter_vector import join
 
 BANDS = {"400 to 5000": (400.0, 5000.0), "1000 to 3000": (1000.0, 3000.0)}
 

@@ -53,11 +53,11 @@ def random_ear(seed: int, voxel_mm: float, stapes: Path | None) -> object:
 
 def measured(seed: int, voxel_mm: float, stapes: Path | None) -> dict[str, np.ndarray]:
     """Return errors and stated standard deviations of one ear."""
-    from ct_inertia.frames.anatomy import AnatomyHints
-    from ct_inertia.frames.footplate import footplate_frame
-    from ct_inertia.labelling.from_scan import find_bodies
-    from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
-    from ct_inertia.volume.volume import Volume
+    from legacy.ct_inertia.frames.anatomy import AnatomyHints
+    from legacy.ct_inertia.frames.footplate import footplate_frame
+    from legacy.ct_inertia.labelling.from_scan import find_bodies
+    from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+    from legacy.ct_inertia.volume.volume import Volume
     from sample_volumes.phantom import render, scene, truth
 
     ear = random_ear(seed, voxel_mm, stapes)

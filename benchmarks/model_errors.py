@@ -33,11 +33,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fitting.budget import MODEL_ERROR
-from fitting.causes.refits import rarity_penalty
-from fitting.kd_fit import KDFit
-from fitting.model.parameter_vector import entry_names, join, pairs
-from fitting.options import CORRECT
+from legacy.fitting.budget import MODEL_ERROR
+from legacy.fitting.causes.refits import rarity_penalty
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.parameter_vector import entry_names, join, pairs
+from legacy.fitting.options import CORRECT
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

@@ -36,7 +36,7 @@ from benchmarks.fault_scenes import (
     with_gaps,
 )
 from benchmarks.points_faults import judged
-from stapeskit.faults import StapeskitError
+from legacy.stapeskit.faults import StapeskitError
 
 PAIRS = (("sign", "gain 5 %"), ("sign", "sign"), ("gain 5 %", "direction 4 deg"), ("sign", "noise x4"),
          ("position 200 um", "sign"), ("drift 6 %", "gain 5 %"))  # fmt: skip

@@ -21,17 +21,17 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from kinematics.fit.beams import BeamSet, beam_set  # noqa: E402
-from kinematics.fit.frf_ratio import per_reference  # noqa: E402
-from kinematics.fit.rigid_fit import LineFit, fit_lines  # noqa: E402
-from kinematics.measurement import BodyChannels  # noqa: E402
-from kinematics.registration.placement import Placement  # noqa: E402
-from kinematics.registration.shared_errors import pose_derivatives, position_errors  # noqa: E402
-from kinematics.tidy.few_averages import steady_noise  # noqa: E402
-from stapeskit.frames import RigidTransform  # noqa: E402
-from stapeskit.records.motion import RigidMotion  # noqa: E402
-from stapeskit.records.motion_files import line_covariance  # noqa: E402
-from stapeskit.spatial import DOF_NAMES  # noqa: E402
+from legacy.kinematics.fit.beams import BeamSet, beam_set  # noqa: E402
+from legacy.kinematics.fit.frf_ratio import per_reference  # noqa: E402
+from legacy.kinematics.fit.rigid_fit import LineFit, fit_lines  # noqa: E402
+from legacy.kinematics.measurement import BodyChannels  # noqa: E402
+from legacy.kinematics.registration.placement import Placement  # noqa: E402
+from legacy.kinematics.registration.shared_errors import pose_derivatives, position_errors  # noqa: E402
+from legacy.kinematics.tidy.few_averages import steady_noise  # noqa: E402
+from legacy.stapeskit.frames import RigidTransform  # noqa: E402
+from legacy.stapeskit.records.motion import RigidMotion  # noqa: E402
+from legacy.stapeskit.records.motion_files import line_covariance  # noqa: E402
+from legacy.stapeskit.spatial import DOF_NAMES  # noqa: E402
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams  # noqa: E402
 
 LINES = 40000

@@ -28,10 +28,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_bounds import bound, bound_of_search, nameable
 from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, measured, possible, scene
-from kinematics.errors import KinematicsError
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Points2Dof, points2dof
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import Points2Dof, points2dof
 
 
 def judged(

@@ -20,14 +20,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.fit_options import Options
-from kinematics.points2dof import points2dof
-from kinematics.registration.geometry_model import GeometryPriors
-from kinematics.registration.icp import fit_to_surface
-from kinematics.registration.icp_refine import Cloud
-from stapeskit.alignment.registration import displacement, fit_rigid
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.geometry_model import GeometryPriors
+from legacy.kinematics.registration.icp import fit_to_surface
+from legacy.kinematics.registration.icp_refine import Cloud
+from legacy.stapeskit.alignment.registration import displacement, fit_rigid
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.registration.test_calibrate import COUNT, ear, nees
 from tests.kinematics.surfaces import box, on_faces, wedge
 from tests.stapeskit.alignment.test_registration import fitzpatrick_west

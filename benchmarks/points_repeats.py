@@ -13,9 +13,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.measurement import BodyChannels, Measurement, Take
-from kinematics.repeats.comparison import code_of
-from kinematics.repeats.pooling import pool_repeats
+from legacy.kinematics.measurement import BodyChannels, Measurement, Take
+from legacy.kinematics.repeats.comparison import code_of
+from legacy.kinematics.repeats.pooling import pool_repeats
 
 RESONANCES = ((1753.0, 0.12), (2783.0, 0.14))
 ALARM = {

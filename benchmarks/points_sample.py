@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_volumes"
 ALARM = 0.01
@@ -53,7 +53,7 @@ def sample(second_run: bool = False) -> Measurement:
 
     The motion of the second run is that of the first, its degrees of freedom mixed: another shaker axis.
     """
-    from kinematics.readers.measurement_files import read_measurement
+    from legacy.kinematics.readers.measurement_files import read_measurement
 
     data = read_measurement((SAMPLE / "ldv.csv",), SAMPLE / "points.csv", "vibrometer")
     middle = np.mean(np.concatenate([body.positions_mm for body in data.bodies]), axis=0)

@@ -76,10 +76,10 @@ def peak(work: Callable[[], Any]) -> int:
 
 def ours(data: dict[str, Any], repeat: int) -> tuple[list[dict[str, Any]], np.ndarray]:
     """Measure the fit alone and the whole of points2dof; return rows and the motion (freq, 6)."""
-    from kinematics.fit.beams import beam_set
-    from kinematics.fit.rigid_fit import fit_lines
-    from kinematics.measurement import from_arrays
-    from kinematics.points2dof import points2dof
+    from legacy.kinematics.fit.beams import beam_set
+    from legacy.kinematics.fit.rigid_fit import fit_lines
+    from legacy.kinematics.measurement import from_arrays
+    from legacy.kinematics.points2dof import points2dof
 
     value = data["value"]
     flat = value.reshape(-1).view(float)

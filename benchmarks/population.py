@@ -88,8 +88,8 @@ def score(row: Row, number: int, folder: Path, frames: bool = True, **fixed: Any
     """
     from dataclasses import replace
 
-    from ct_inertia.ct2mass import MassOptions, ct2mass
-    from ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.ct2mass import MassOptions, ct2mass
+    from legacy.ct_inertia.errors import CtInertiaError
 
     own = sum(map(ord, row.name))
     shape_rng = np.random.default_rng([1000 + number, own])

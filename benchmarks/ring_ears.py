@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.records.motion import RigidMotion, SharedErrors
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.records.motion import RigidMotion, SharedErrors
 
 # Pieces of the ring, drawn with other sums than those of the prior's population (72).
 PIECES = 90

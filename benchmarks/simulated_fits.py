@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.ring_ears import PISTON, SimulatedEar
-from fitting.errors import FittingError
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
+from legacy.fitting.errors import FittingError
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
 
 BLOCK = np.ix_(PISTON, PISTON)
 PLAIN = KDOptions(bands=0)

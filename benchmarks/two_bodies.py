@@ -25,8 +25,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.faults.judges.phase_convention import compare_labels, size_notices
-from kinematics.faults.proposals.two_bodies import Pair
+from legacy.kinematics.faults.judges.phase_convention import compare_labels, size_notices
+from legacy.kinematics.faults.proposals.two_bodies import Pair
 
 LEVER_M = 1e-3
 UNIT_M = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])

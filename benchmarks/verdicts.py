@@ -171,10 +171,10 @@ def one_ear(seed: int, variants: int = 9) -> list[dict[str, Any]]:
     """Make an ear, measure its scan once and its motion several times; return one row a study."""
     import SimpleITK as sitk
 
-    from ct_inertia.results import mass_of
-    from pipeline.study import read_study
+    from legacy.ct_inertia.results import mass_of
+    from legacy.pipeline.study import read_study
+    from legacy.stapeskit.faults import StapeskitError
     from sample_volumes.make_sample import make_study
-    from stapeskit.faults import StapeskitError
 
     rng = np.random.default_rng([seed, 41])
     scan_name = "good" if rng.uniform() < 0.6 else str(rng.choice(list(SCANS)[1:]))
@@ -238,14 +238,14 @@ def _write_study(folder: Path, stated: Mapping[str, str]) -> None:
 def _study(
     folder: Path, ear: Ear, truth: Mapping[str, Any], mass: Any, seed: int, scan: str, what: str
 ) -> dict[str, Any]:
-    from fitting.recorded_fit import kd_of
-    from kinematics.fit_options import fit_options
-    from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
-    from pipeline.study import read_study
-    from pipeline.verdict import verdict
+    from legacy.fitting.recorded_fit import kd_of
+    from legacy.kinematics.fit_options import fit_options
+    from legacy.kinematics.measure_motion import motion_inputs, motion_of, read_inputs
+    from legacy.pipeline.study import read_study
+    from legacy.pipeline.verdict import verdict
+    from legacy.stapeskit.faults import StapeskitError
+    from legacy.stapeskit.warnings import unique
     from sample_volumes.make_sample import write_recording
-    from stapeskit.faults import StapeskitError
-    from stapeskit.warnings import unique
 
     rng = np.random.default_rng([seed, list(RECORDINGS).index(what), 43])
     how = Vibrometry(seed=seed + (100_000 if what == "right again" else 0))
@@ -275,10 +275,10 @@ def _study(
 
 
 def _recording(ear: Ear, truth: Mapping[str, Any], how: Vibrometry, what: str, rng: Draw) -> Recording:
-    from fitting.examples.paper import PAPER_STIFFNESS
+    from legacy.fitting.examples.paper import PAPER_STIFFNESS
+    from legacy.stapeskit.frames import RigidTransform
     from sample_volumes import bodies
     from sample_volumes.vibrometer import record
-    from stapeskit.frames import RigidTransform
 
     plate = RigidTransform(np.array(truth["plate_from_footplate"]), "plate", "footplate").inverse()
     marks = [(name, np.array(place)) for name, place in truth["fiducials_in_plate_mm"].items()]

@@ -29,12 +29,12 @@ _FINE_MM = 0.022
 
 def true_gap(anatomy: shapes.Anatomy, gap_mm: float) -> NDArray[np.float64]:
     """Return the median gap, the harmonic mean, the sd along the rim, mm, and the share of the rim."""
-    from ct_inertia.bodies import WindowWall
-    from ct_inertia.frames.anatomy import AnatomyHints
-    from ct_inertia.frames.footplate import footplate_frame
-    from ct_inertia.frames.window_gap import window_gap
-    from ct_inertia.surface.contours import contoured
-    from ct_inertia.surface.isosurface import iso_surface
+    from legacy.ct_inertia.bodies import WindowWall
+    from legacy.ct_inertia.frames.anatomy import AnatomyHints
+    from legacy.ct_inertia.frames.footplate import footplate_frame
+    from legacy.ct_inertia.frames.window_gap import window_gap
+    from legacy.ct_inertia.surface.contours import contoured
+    from legacy.ct_inertia.surface.isosurface import iso_surface
 
     grid, place = scans.fine_grid(_FINE_MM)
     stapes = iso_surface(-grid.signed(lambda p: shapes.body(anatomy, p)), 0.0, place)
@@ -49,8 +49,8 @@ def true_gap(anatomy: shapes.Anatomy, gap_mm: float) -> NDArray[np.float64]:
 
 def scan_gap(number: int, folder: Path) -> None:
     """Measure the gap of one scan and print it beside the truth."""
-    from ct_inertia.ct2mass import MassOptions, ct2mass
-    from ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.ct2mass import MassOptions, ct2mass
+    from legacy.ct_inertia.errors import CtInertiaError
 
     rng = np.random.default_rng([number, 77])
     anatomy = shapes.draw(FAMILIES[number % len(FAMILIES)], rng)
@@ -83,10 +83,10 @@ def scan_gap(number: int, folder: Path) -> None:
 
 def phantom_gap(gap_mm: float, voxel_mm: float, psf_voxels: float) -> str:
     """Return a row: the gap that is found around the real stapes in a window with one gap all round."""
-    from ct_inertia.frames.footplate import footplate_frame
-    from ct_inertia.frames.window_gap import window_gap
-    from ct_inertia.labelling.from_scan import find_bodies
-    from ct_inertia.volume.volume import Volume
+    from legacy.ct_inertia.frames.footplate import footplate_frame
+    from legacy.ct_inertia.frames.window_gap import window_gap
+    from legacy.ct_inertia.labelling.from_scan import find_bodies
+    from legacy.ct_inertia.volume.volume import Volume
     from sample_volumes.phantom import Ear, render, scene
 
     ear = Ear(voxel_mm=(voxel_mm,) * 3, plate=False, gap_mm=gap_mm, psf_voxels=psf_voxels)

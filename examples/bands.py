@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-import stapeskit as sk
+import legacy.stapeskit as sk
 
 results = Path(sys.argv[1] if len(sys.argv) > 1 else "results")
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "bands.png")

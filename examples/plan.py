@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from fitting.plan.plan import Plan, expect
+from legacy.fitting.plan.plan import Plan, expect
 
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "plan.png")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-import stapeskit as sk
+import legacy.stapeskit as sk
 
 results = Path(sys.argv[1] if len(sys.argv) > 1 else "results")
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "principal_inertia.png")

@@ -6,8 +6,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DAMPING_PRINTED, PAPER_MASS, PAPER_STIFFNESS
-from fitting.model.model import state_matrix
+from legacy.fitting.examples.paper import (
+    PAPER_DAMPING_CORRECTED,
+    PAPER_DAMPING_PRINTED,
+    PAPER_MASS,
+    PAPER_STIFFNESS,
+)
+from legacy.fitting.model.model import state_matrix
 
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "printed_damping.png")
 

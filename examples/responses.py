@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-import stapeskit as sk
+import legacy.stapeskit as sk
 
 results = Path(sys.argv[1] if len(sys.argv) > 1 else "results")
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "responses.png")

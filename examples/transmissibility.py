@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from stapeskit.records.motion_files import read_motion
+from legacy.stapeskit.records.motion_files import read_motion
 
 results = Path(sys.argv[1] if len(sys.argv) > 1 else "results")
 picture = Path(sys.argv[2] if len(sys.argv) > 2 else "transmissibility.png")

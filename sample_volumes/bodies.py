@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.surface.surface import Surface, read_surface
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.surface.surface import Surface, read_surface
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 
 Array = NDArray[np.float64]
 OPENEAR_STAPES = Path(__file__).parent / "openear_stapes.ply"

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.mass.mass_properties import MassProperties
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.mass.mass_properties import MassProperties
+from legacy.ct_inertia.surface.surface import Surface
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from legacy.stapeskit.frames import RigidTransform
 from sample_volumes import bodies
 from sample_volumes.bodies import Solid
-from stapeskit.frames import RigidTransform
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from legacy.stapeskit.frames import rotation_from_vector
 from sample_volumes.vibrometer import Recording
-from stapeskit.frames import rotation_from_vector
 
 Array = NDArray[np.float64]
 KINDS = ("gain", "sign", "direction", "position", "label_swap", "noise", "drift", "zeros", "conjugate")

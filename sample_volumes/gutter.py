@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface.surface import Surface, write_surface
+from legacy.ct_inertia.surface.surface import Surface, write_surface
 from sample_volumes.analytic import HEAD_MM, capsule, footplate, solid_of
 
 Array = NDArray[np.float64]

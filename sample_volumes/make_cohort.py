@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface.surface import Surface, read_surface, write_surface
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.ct_inertia.surface.surface import Surface, read_surface, write_surface
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from sample_volumes import bodies
 from sample_volumes.mesh_ear import DENSITY, write_mesh_ear
 from sample_volumes.vibrometer import Vibrometry

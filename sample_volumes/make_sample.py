@@ -19,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.stapeskit.frames import RigidTransform
+from legacy.stapeskit.page.quantities import MASS
 from sample_volumes import bodies
 from sample_volumes.analytic import write_analytic_stapes
 from sample_volumes.exports import write_exports
@@ -27,8 +29,6 @@ from sample_volumes.gutter import write_gutter_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.scanner import DTYPES, stored_levels
 from sample_volumes.vibrometer import Recording, Vibrometry, record
-from stapeskit.frames import RigidTransform
-from stapeskit.page.quantities import MASS
 
 HERE = Path(__file__).parent
 DENSITY_SD = 0.01

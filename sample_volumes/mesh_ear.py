@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.surface.surface import Surface, write_surface
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from legacy.ct_inertia.surface.surface import Surface, write_surface
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.option_values import toml
 from sample_volumes.make_sample import write_recording
 from sample_volumes.vibrometer import Vibrometry, record
-from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.option_values import toml
 
 Array = NDArray[np.float64]
 DENSITY = 1382.4

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.frames.plate_frame import positive_sense
-from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from legacy.ct_inertia.frames.plate_frame import positive_sense
+from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from sample_volumes import bodies
 from sample_volumes.bodies import Solid
 from sample_volumes.density import graded_mass
 from sample_volumes.ear import Ear, Scene
 from sample_volumes.rendering import Renderer, render, write_scan
 from sample_volumes.scanner import stored_levels
-from stapeskit.frames import RigidTransform, rotation_from_vector
 
 __all__ = ["Ear", "Renderer", "Scene", "render", "scene", "truth", "write_scan"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from fitting.model.damping import VISCOUS, DampingLaw
-from fitting.model.model import simulate
-from fitting.model.point_layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
-from stapeskit.arrays import Array, ComplexArray
-from stapeskit.records.motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES, DOF_UNITS
+from legacy.fitting.model.damping import VISCOUS, DampingLaw
+from legacy.fitting.model.model import simulate
+from legacy.fitting.model.point_layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
+from legacy.stapeskit.arrays import Array, ComplexArray
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.spatial import DOF_NAMES, DOF_UNITS
 
 
 def simulated_motion(

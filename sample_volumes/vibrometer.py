@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from sample_volumes import bodies
 from sample_volumes.phantom import BONE_HIGH
-from stapeskit.frames import RigidTransform, rotation_from_vector
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -34,11 +34,15 @@ def pytest_collection_finish():
 @cache
 def drawings():
     """Every function that draws for a report, in each module that knows it."""
-    rooms = [import_module(f"{room}.report") for room in ("ct_inertia", "kinematics", "fitting")]
+    rooms = [import_module(f"legacy.{room}.report") for room in ("ct_inertia", "kinematics", "fitting")]
     names = [
         module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")
     ]
-    names += ["fitting.plan.plan_page", "pipeline.cohort.cohort_page", "pipeline.cohort.law_page"]
+    names += [
+        "legacy.fitting.plan.plan_page",
+        "legacy.pipeline.cohort.cohort_page",
+        "legacy.pipeline.cohort.law_page",
+    ]
     return [
         (module, name)
         for module in map(import_module, names)
@@ -55,10 +59,10 @@ def leave_drawing(patch):
     def captioned(_drawing, caption, *_, **__):
         return Markup("<figure><figcaption>{}</figcaption></figure>").format(caption)
 
-    patch.setattr("stapeskit.page.page.figure", captioned)
+    patch.setattr("legacy.stapeskit.page.page.figure", captioned)
     for module, name in drawings():
         patch.setattr(module, name, lambda *_, **__: None)
-    patch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
+    patch.setattr("legacy.ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
 
 
 @pytest.fixture
@@ -70,8 +74,8 @@ def undrawn(monkeypatch):
 @pytest.fixture(scope="module")
 def found_once():
     """Find the bodies of a scan and the frame of a surface once, for tests of what comes after them."""
-    from ct_inertia import ct2mass, frames_and_mass
-    from stapeskit.input_changes import InputStates
+    from legacy.ct_inertia import ct2mass, frames_and_mass
+    from legacy.stapeskit.input_changes import InputStates
 
     find_bodies, find_frame = ct2mass._bodies, frames_and_mass.footplate_frame
     known = {}

@@ -33,7 +33,7 @@ def test_each_way_measures_a_box(way):
 
 
 def test_exact_moments_have_no_error_and_a_wrong_frame_has():
-    from ct_inertia.surface.surface import Surface
+    from legacy.ct_inertia.surface.surface import Surface
     from sample_volumes.bodies import moved, stapes_in_footplate
     from sample_volumes.phantom import Solid
 
@@ -51,7 +51,7 @@ def test_exact_moments_have_no_error_and_a_wrong_frame_has():
 
 def test_the_watershed_parts_two_boxes_and_sums_the_one_of_the_true_volume():
     from benchmarks.peers.watershed import watershed_integral
-    from ct_inertia.volume.grid_operations import gaussian
+    from legacy.ct_inertia.volume.grid_operations import gaussian
 
     grey = np.zeros((40, 50, 60), dtype=np.float32)
     grey[10:30, 10:40, 10:30] = 1.0

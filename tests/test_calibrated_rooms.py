@@ -13,7 +13,7 @@ ROOMS = ("ct_inertia", "kinematics", "fitting")
 def room(request):
     """A room's folder and its calibrated numbers."""
     folder = Path(import_module(request.param).__file__).parent
-    return folder, import_module(f"{request.param}.calibrated").calibrated
+    return folder, import_module(f"legacy.{request.param}.calibrated").calibrated
 
 
 def test_rooms_with_calibrated_numbers_are_all_here():

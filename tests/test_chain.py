@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from fitting.fit_kd import fit_kd
-from fitting.options import KDOptions
-from kinematics.points2dof import points2dof
-from kinematics.registration.fiducials import read_fiducials
-from kinematics.registration.placement import place
-from kinematics.tidy.ldv_csv import read_ldv
-from sample_volumes.make_sample import make_study
-from sample_volumes.phantom import Ear
-from sample_volumes.vibrometer import Vibrometry
-from stapeskit.frames import RigidTransform
-from stapeskit.records.mass_record import (
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.options import KDOptions
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.fiducials import read_fiducials
+from legacy.kinematics.registration.placement import place
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.frames import RigidTransform
+from legacy.stapeskit.records.mass_record import (
     FRAME_SOURCE,
     MassMatrix,
     MassRecord,
     frame_derivative,
 )
+from sample_volumes.make_sample import make_study
+from sample_volumes.phantom import Ear
+from sample_volumes.vibrometer import Vibrometry
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_volumes"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from stapeskit.spatial import matrix_from_parameters
+from legacy.stapeskit.spatial import matrix_from_parameters
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "mathematics.md"
 ZERO3 = sp.zeros(3, 3)

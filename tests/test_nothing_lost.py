@@ -12,26 +12,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import stapeskit as api
-from ct_inertia.cli import work as ct2mass
-from ct_inertia.options import MassOptions
-from fitting.cli import work as dof2kd
-from fitting.options import KDFiles, KDOptions
-from kinematics.cli import work as points2dof
-from kinematics.options import LdvOptions, PointsFiles
-from pipeline.cli import work as scan2kd
-from pipeline.runners.child_process import run_child
-from pipeline.runners.study_process import End
-from pipeline.sample_study import FILES as SAMPLE
-from pipeline.scan2kd import output_set
-from pipeline.stapeskit_command import work as stapeskit
-from pipeline.study import TABLES, read_study
-from stapeskit.faults import StapeskitError
-from stapeskit.option_values import toml
-from stapeskit.options import declared
-from stapeskit.own_files import RECORDS, OutputSet
-from stapeskit.page import page
-from stapeskit.records.motion_files import write_motion
+import legacy.stapeskit as api
+from legacy.ct_inertia.cli import work as ct2mass
+from legacy.ct_inertia.options import MassOptions
+from legacy.fitting.cli import work as dof2kd
+from legacy.fitting.options import KDFiles, KDOptions
+from legacy.kinematics.cli import work as points2dof
+from legacy.kinematics.options import LdvOptions, PointsFiles
+from legacy.pipeline.cli import work as scan2kd
+from legacy.pipeline.runners.child_process import run_child
+from legacy.pipeline.runners.study_process import End
+from legacy.pipeline.sample_study import FILES as SAMPLE
+from legacy.pipeline.scan2kd import output_set
+from legacy.pipeline.stapeskit_command import work as stapeskit
+from legacy.pipeline.study import TABLES, read_study
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.option_values import toml
+from legacy.stapeskit.options import declared
+from legacy.stapeskit.own_files import RECORDS, OutputSet
+from legacy.stapeskit.page import page
+from legacy.stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion
 from tests.pipeline.conftest import undraw
 from tests.pipeline.ears import make_ear
@@ -163,7 +163,7 @@ def laid_out(inputs: Path, folder: Path, words: tuple[str, ...]) -> None:
 def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     undraw(monkeypatch)
-    monkeypatch.setattr("pipeline.several_studies.runner_of", lambda _address: in_this_process)
+    monkeypatch.setattr("legacy.pipeline.several_studies.runner_of", lambda _address: in_this_process)
 
 
 def contents(folder: Path) -> dict[Path, bytes]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-import stapeskit as sk
+import legacy.stapeskit as sk
 from tests.fitting.cases import K
 
 COUPLED = [6.142e-6, -3.679e-6, -6.756e-12]  # yalpha, ygamma, alphagamma

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.plan.plan_options import PLAN_EXAMPLE
-from pipeline.sample_study import FILES, copy_sample
-from pipeline.stapeskit_command import COMMANDS
+from legacy.fitting.plan.plan_options import PLAN_EXAMPLE
+from legacy.pipeline.sample_study import FILES, copy_sample
+from legacy.pipeline.stapeskit_command import COMMANDS
 from sample_volumes.make_sample import make_study
 from sample_volumes.phantom import Ear
 from sample_volumes.vibrometer import Vibrometry
@@ -194,7 +194,7 @@ def test_the_website_has_every_page():
 
 
 def test_version_and_citation_agree():
-    import stapeskit
+    from legacy import stapeskit
 
     version = PROJECT["version"]
     assert stapeskit.__version__ == version

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.cli import work as ct2mass
-from fitting.cli import work as dof2kd
-from kinematics.cli import work as points2dof
-from pipeline.cli import work as scan2kd
+from legacy.ct_inertia.cli import work as ct2mass
+from legacy.fitting.cli import work as dof2kd
+from legacy.kinematics.cli import work as points2dof
+from legacy.pipeline.cli import work as scan2kd
 from tests.pipeline.conftest import undraw
 from tests.pipeline.ears import make_ear
 

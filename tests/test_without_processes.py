@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stapeskit.records.motion_files import write_motion
+from legacy.stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import K, M, paper_motion
 from tests.kinematics.records import write_record
 
@@ -31,8 +31,8 @@ def unsupported(*_words, **_more):
 
 threading.Thread.start = os.fork = missing
 ctypes.CDLL = subprocess.Popen.__init__ = unsupported
-import stapeskit as sk
-from stapeskit import guard
+import legacy.stapeskit as sk
+from legacy.stapeskit import guard
 
 guard.sys = types.SimpleNamespace(platform="emscripten")
 

@@ -10,12 +10,12 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from ct_inertia import export_formats as mass_formats
-from ct_inertia.exports import units_of
-from ct_inertia.readers import formats as scan_formats
-from fitting import export_formats as fit_formats
-from kinematics.readers import formats as vibrometer_formats
-from stapeskit.records.motion import ROW_COLUMNS
+from legacy.ct_inertia import export_formats as mass_formats
+from legacy.ct_inertia.exports import units_of
+from legacy.ct_inertia.readers import formats as scan_formats
+from legacy.fitting import export_formats as fit_formats
+from legacy.kinematics.readers import formats as vibrometer_formats
+from legacy.stapeskit.records.motion import ROW_COLUMNS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 _BLOCK = re.compile(r"(<!-- table (.+?) -->\n).*?(<!-- end -->)", re.DOTALL)

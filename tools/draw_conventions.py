@@ -6,7 +6,7 @@ from pathlib import Path
 
 from svg import BEAM, BLUE, EDGE, GREEN, INK, PLASTIC, RED, SOFT, Drawing, stapes
 
-from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
+from legacy.ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "conventions.svg"
 

@@ -12,16 +12,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import savgol_filter
 
-from ct_inertia.report.drawn_body import Body
-from ct_inertia.report.pictures import Scene, render_scenes
-from ct_inertia.surface.surface import read_surface
-from fitting.fit_kd import fit_kd
-from fitting.report.responses import responses
-from stapeskit.frames import RigidTransform
-from stapeskit.page.quantities import MASS, diagonal_unit
-from stapeskit.records.mass_record import read_mass_record
-from stapeskit.records.motion_files import read_motion
-from stapeskit.spatial import DOF_NAMES
+from legacy.ct_inertia.report.drawn_body import Body
+from legacy.ct_inertia.report.pictures import Scene, render_scenes
+from legacy.ct_inertia.surface.surface import read_surface
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.report.responses import responses
+from legacy.stapeskit.frames import RigidTransform
+from legacy.stapeskit.page.quantities import MASS, diagonal_unit
+from legacy.stapeskit.records.mass_record import read_mass_record
+from legacy.stapeskit.records.motion_files import read_motion
+from legacy.stapeskit.spatial import DOF_NAMES
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "overview.png"
 NAMES = {"y": "y, piston", "alpha": "alpha, about x", "gamma": "gamma, about z"}

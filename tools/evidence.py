@@ -24,7 +24,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from stapeskit.page.numbers import printed  # noqa: E402
+from legacy.stapeskit.page.numbers import printed  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"
 BLOCK = re.compile(r"<!-- python (benchmarks/\w+\.py[^\n]*?) -->\n(.*?)<!-- end -->", re.DOTALL)

@@ -37,5 +37,5 @@ fi
 # one (a package may hold templates that are no Python), and matplotlib's list of fonts. Not the packages' own tests,
 # which are 40 % of them.
 .venv/bin/python -m compileall -qq -j 0 -x 'site-packages/.*/tests/' .venv/lib || true
-.venv/bin/python -m compileall -q stapeskit kinematics ct_inertia fitting pipeline
+.venv/bin/python -m compileall -q legacy
 .venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure' 2>/dev/null || true

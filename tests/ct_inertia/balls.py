@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import erf, ndtr
 
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.volume import Volume
 
 AIR, BONE = 1000.0, 11000.0
 

@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.volume.volume import Volume
 
 from .solids import (
     box_surface,

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.surface.surface import Surface
 
 # Where the parts of the named stapes lie in its own axes: x anterior, y lateral, z superior; mm.
 PARTS = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.volume.volume import Volume
 
 
 def box_surface(lengths, centre=(0.0, 0.0, 0.0)):

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from ct_inertia.cli import work
-from stapeskit.process import run
+from legacy.ct_inertia.cli import work
+from legacy.stapeskit.process import run
 from tests.ct_inertia.ears import ear
 
 
@@ -72,7 +72,7 @@ def test_a_bad_scan_is_told_in_one_sentence(name, tmp_path, monkeypatch, capsys)
     tifffile.imwrite(tmp_path / "s.tif", voxels, photometric="rgb" if name == "coloured" else "minisblack")
     words = ["ct2mass", str(tmp_path / "s.tif"), "--density", "1900", "--out", str(tmp_path / "deep" / "out")]
     monkeypatch.setattr(sys, "argv", words + ([] if spacing is None else ["--spacing", spacing]))
-    monkeypatch.setattr("stapeskit.process.listen", lambda _prog: None)
+    monkeypatch.setattr("legacy.stapeskit.process.listen", lambda _prog: None)
     with pytest.raises(SystemExit) as ended:
         run("ct2mass", work)
     printed = capsys.readouterr()

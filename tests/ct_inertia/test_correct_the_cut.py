@@ -10,8 +10,8 @@ import pytest
 import SimpleITK as sitk
 import tifffile
 
-from ct_inertia.cli import work
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.cli import work
+from legacy.ct_inertia.read_scan import read_volume
 from tests.ct_inertia.ears import ear
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -8,18 +8,18 @@ import shutil
 import numpy as np
 import pytest
 
-from ct_inertia.cli import parser, work
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.exports.mass_json import mass_json
-from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.surface import read_surface, write_surface
-from stapeskit.command import show
-from stapeskit.faults import StapeskitError
-from stapeskit.page.quantities import MASS
-from stapeskit.provenance import content_hash
-from stapeskit.records.mass_record import read_mass_record
+from legacy.ct_inertia.cli import parser, work
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.exports.mass_json import mass_json
+from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.surface import read_surface, write_surface
+from legacy.stapeskit.command import show
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.page.quantities import MASS
+from legacy.stapeskit.provenance import content_hash
+from legacy.stapeskit.records.mass_record import read_mass_record
 from tests.ct_inertia.shapes import box, stapes
 
 pytestmark = pytest.mark.usefixtures("found_once", "undrawn")

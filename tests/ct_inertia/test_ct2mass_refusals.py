@@ -9,9 +9,9 @@ import time
 import numpy as np
 import pytest
 
-from ct_inertia.cli import output_folder, parser
-from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import StapeskitError
+from legacy.ct_inertia.cli import output_folder, parser
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.stapeskit.faults import StapeskitError
 from tests.ct_inertia.shapes import stapes
 from tests.ct_inertia.test_ct2mass import mesh, run
 

@@ -10,7 +10,7 @@ from tests.ct_inertia.ears import ear
 HEAVY = ("matplotlib", "pyvista", "pymeshlab", "jinja2", "SimpleITK", "trimesh", "pandas", "rich", "networkx")
 CODE = f"""
 import sys
-from ct_inertia.cli import work
+from legacy.ct_inertia.cli import work
 work(sys.argv[1:])
 print([name for name in {HEAVY!r} if name in sys.modules])
 """

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ct_inertia.cli import parser
-from stapeskit.faults import StapeskitError
+from legacy.ct_inertia.cli import parser
+from legacy.stapeskit.faults import StapeskitError
 
 
 @pytest.mark.parametrize("size", ["2.5e-5", "25", "0.025,0.025,25"])

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from stapeskit.faults import StapeskitError
-from stapeskit.own_files import check_whole
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.own_files import check_whole
 from tests.faults.workloads import Workload, start, told
 
 Found = Iterator[tuple[str, str]]

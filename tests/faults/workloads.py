@@ -50,7 +50,7 @@ class Workload:
 
 WORKLOADS = {
     "ct2mass": Workload(
-        "ct_inertia.cli",
+        "legacy.ct_inertia.cli",
         ("stapes.ply", "--no-report", "--quiet", "--export", "mat"),
         ("--density", "1900", "--side", "left"),
         ("--density", "2000", "--side", "right"),
@@ -58,7 +58,7 @@ WORKLOADS = {
         ("mass.json", "mass.mat"),
     ),
     "points2dof": Workload(
-        "kinematics.cli",
+        "legacy.kinematics.cli",
         ("ldv.csv", "--points", "points.csv", "--quiet"),
         (),
         ("--robust", "huber"),
@@ -67,7 +67,7 @@ WORKLOADS = {
         "dof.csv",
     ),
     "dof2kd": Workload(
-        "fitting.cli",
+        "legacy.fitting.cli",
         ("dof.csv", "--mass", "M.csv", "--bands", "0", "--estimator", "pinv", "--quiet"),
         (),
         ("--band", "500,4000"),
@@ -76,7 +76,7 @@ WORKLOADS = {
         "kd.json",
     ),
     "scan2kd": Workload(
-        "pipeline.cli",
+        "legacy.pipeline.cli",
         ("--quiet",),
         ("study.toml",),
         ("second.toml",),
@@ -91,7 +91,7 @@ def make_inputs(folder: Path) -> None:
     """Write the inputs of every workload."""
     import numpy as np
 
-    from stapeskit.records.motion_files import write_motion
+    from legacy.stapeskit.records.motion_files import write_motion
     from tests.fitting.cases import M, paper_motion
     from tests.pipeline.ears import make_ear
 
@@ -114,9 +114,7 @@ def undrawn() -> None:
     """Leave the drawing away, which takes most of the time and is no matter here."""
     from markupsafe import Markup
 
-    import ct_inertia.report.pictures
-    import kinematics.report.sections
-    import stapeskit.page.page
+    from legacy import ct_inertia, kinematics, stapeskit
 
     ct_inertia.report.pictures.render_scenes = lambda scenes: [b"png" for _ in scenes]
     stapeskit.page.page.figure = lambda *_, **__: Markup("<figure></figure>")  # type: ignore[assignment]

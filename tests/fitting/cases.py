@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.model.damping import VISCOUS, DampingLaw
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from legacy.fitting.model.damping import VISCOUS, DampingLaw
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.spatial import DOF_NAMES, matrix_from_parameters
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.records.motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES, matrix_from_parameters
 
 K, D, M, DOF = PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_MASS, PAPER_DOF
 FREQ = np.linspace(400.0, 5000.0, 200)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.budget import without_rounding
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.options import KDOptions
-from fitting.uncertainty.covariance import NOISE
+from legacy.fitting.budget import without_rounding
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.options import KDOptions
+from legacy.fitting.uncertainty.covariance import NOISE
+from legacy.stapeskit.records.mass_record import MassMatrix
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.mass_record import MassMatrix
 from tests.fitting.cases import six_dof_parameters
 
 MASS, STIFFNESS, DAMPING, DENSITY_SD = float(six_dof_parameters()[0]), 1500.0, 0.02, 0.03

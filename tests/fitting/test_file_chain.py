@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.api import dof2kd
-from fitting.errors import FittingError
-from fitting.file_chain import check_chain
-from stapeskit.frames import RigidTransform
-from stapeskit.provenance import FRAMES_HASH, frames_hash, input_record
-from stapeskit.records.mass_record import MassRecord
-from stapeskit.warnings import Notice
+from legacy.fitting.api import dof2kd
+from legacy.fitting.errors import FittingError
+from legacy.fitting.file_chain import check_chain
+from legacy.stapeskit.frames import RigidTransform
+from legacy.stapeskit.provenance import FRAMES_HASH, frames_hash, input_record
+from legacy.stapeskit.records.mass_record import MassRecord
+from legacy.stapeskit.warnings import Notice
 from tests.fitting.cases import paper_motion, six_dof_mass, six_dof_motion
 
 WARNING = Notice("touches_border", "The stapes touches the border.")

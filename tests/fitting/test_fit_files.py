@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.cli import work
-from fitting.errors import FittingError
-from fitting.fit_files import fit_files
-from fitting.fit_kd import fit_kd
-from fitting.model.mass_file import read_mass
-from fitting.options import KDOptions
-from fitting.recorded_fit import footplate_outline
-from fitting.report.at_a_glance import summary_rows
-from fitting.report.kd_json import kd_json
-from fitting.report.sections import kd_page, kd_sections, source_words
-from stapeskit.faults import StapeskitError
-from stapeskit.records.motion_files import write_motion
-from stapeskit.spatial import dof_indices
+from legacy.fitting.cli import work
+from legacy.fitting.errors import FittingError
+from legacy.fitting.fit_files import fit_files
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.mass_file import read_mass
+from legacy.fitting.options import KDOptions
+from legacy.fitting.recorded_fit import footplate_outline
+from legacy.fitting.report.at_a_glance import summary_rows
+from legacy.fitting.report.kd_json import kd_json
+from legacy.fitting.report.sections import kd_page, kd_sections, source_words
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records.motion_files import write_motion
+from legacy.stapeskit.spatial import dof_indices
 from tests.fitting.cases import DOF, D, K, M, paper_motion, six_dof_mass, six_dof_motion
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -280,8 +280,8 @@ def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
 
 
 def test_page_of_six_degrees_of_freedom_several_runs_and_all_sources() -> None:
-    from fitting.options import KDOptions as Options
-    from stapeskit.spatial import DOF_NAMES
+    from legacy.fitting.options import KDOptions as Options
+    from legacy.stapeskit.spatial import DOF_NAMES
     from tests.fitting.cases import six_dof_parameters
 
     parameters = six_dof_parameters()

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fitting.errors import FittingError
-from fitting.examples.paper import PAPER_DAMPING_PRINTED
-from fitting.fit_kd import fit_kd
-from fitting.inplane_load import choose_inplane_load
-from fitting.model.damping import DampingLaw
-from fitting.model.laws import LAWS
-from fitting.model.parameter_vector import entry_names, entry_units, join, split
-from fitting.model.principal_axes import principal_axes
-from fitting.options import KDOptions
-from fitting.report.sections import kd_page
+from legacy.fitting.errors import FittingError
+from legacy.fitting.examples.paper import PAPER_DAMPING_PRINTED
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.inplane_load import choose_inplane_load
+from legacy.fitting.model.damping import DampingLaw
+from legacy.fitting.model.laws import LAWS
+from legacy.fitting.model.parameter_vector import entry_names, entry_units, join, split
+from legacy.fitting.model.principal_axes import principal_axes
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.sections import kd_page
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.spatial import DOF_NAMES
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.records.motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import (
     DOF,
     FREQ,
@@ -329,8 +329,8 @@ def test_outliers_are_told() -> None:
 
 
 def test_principal_axes_undo_a_shift_and_a_rotation() -> None:
-    from stapeskit.frames import rotation_from_vector
-    from stapeskit.spatial import twist_transfer
+    from legacy.stapeskit.frames import rotation_from_vector
+    from legacy.stapeskit.spatial import twist_transfer
 
     diagonal = np.zeros((6, 6))
     diagonal[1, 1], diagonal[3, 3], diagonal[5, 5] = 1500.0, 1.2e-3, 3.1e-3

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.errors import FittingError
-from fitting.estimators import ESTIMATORS, estimator
-from fitting.fit_kd import fit_kd
-from fitting.model.laws import LAWS
-from fitting.model.range_checks import check_result
-from fitting.options import KDOptions
-from stapeskit.faults import StapeskitError
-from stapeskit.spatial import DOF_NAMES
+from legacy.fitting.errors import FittingError
+from legacy.fitting.estimators import ESTIMATORS, estimator
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.laws import LAWS
+from legacy.fitting.model.range_checks import check_result
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
 
 
@@ -139,7 +139,7 @@ def test_every_fault_is_one_of_the_users() -> None:
 @pytest.mark.parametrize("plain", ["M.csv", "bounds"])
 def test_dof_in_another_order_is_refused_where_entries_are_counted_by_it(plain, tmp_path) -> None:
     """A matrix written in the order that was given would be read in the fixed one."""
-    from fitting.cli import work
+    from legacy.fitting.cli import work
 
     arguments = ["dof.csv", "--mass", str(tmp_path / ("M.csv" if plain == "M.csv" else "mass.json"))]
     arguments += ["--dof", "y,gamma,alpha"]
@@ -183,7 +183,7 @@ def test_equations_without_a_finite_solution_are_told(monkeypatch) -> None:
     def never(*_given: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("fitting.fit_kd.choose_inplane_load", never)
+    monkeypatch.setattr("legacy.fitting.fit_kd.choose_inplane_load", never)
     with pytest.raises(FittingError, match="got equations without a finite solution"):
         fit_kd(paper_motion(), M)
 

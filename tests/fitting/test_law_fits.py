@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.fit_kd import fit_kd
-from fitting.model.damping import DampingLaw
-from fitting.model.laws import law_of
-from fitting.options import KDOptions
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.damping import DampingLaw
+from legacy.fitting.model.laws import law_of
+from legacy.fitting.options import KDOptions
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
 

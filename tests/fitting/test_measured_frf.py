@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.fit_kd import KDFit, fit_kd
-from fitting.options import KDOptions
-from stapeskit.records.motion import RigidMotion
+from legacy.fitting.fit_kd import KDFit, fit_kd
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.records.motion import RigidMotion
 
 FILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "frf" / "case1.mat"
 BAND = (208.0, 217.0)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.cli import work
-from fitting.fit_kd import fit_kd
-from fitting.montecarlo import monte_carlo
-from fitting.options import KDOptions
-from stapeskit.faults import StapeskitError
-from stapeskit.records.mass_record import frame_derivative
-from stapeskit.records.motion_files import write_motion
+from legacy.fitting.cli import work
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.montecarlo import monte_carlo
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records.mass_record import frame_derivative
+from legacy.stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
 from tests.fitting.uncertainty.test_uncertainty import with_frame_errors
 

@@ -34,10 +34,10 @@ def prepare() -> None:
 @cache
 def sound() -> dict[str, bytes]:
     """Make the records of a finished stage and of a command."""
-    from pipeline.stage_records import StageRecord, StageReport, write_record, write_stage_report
-    from stapeskit.own_files import OutputSet
-    from stapeskit.page import page
-    from stapeskit.warnings import Notice
+    from legacy.pipeline.stage_records import StageRecord, StageReport, write_record, write_stage_report
+    from legacy.stapeskit.own_files import OutputSet
+    from legacy.stapeskit.page import page
+    from legacy.stapeskit.warnings import Notice
 
     with TemporaryDirectory() as name:
         folder = Path(name)

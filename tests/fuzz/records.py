@@ -41,12 +41,12 @@ def cases(rng: random.Random) -> Iterator[Case]:
 @cache
 def sound() -> dict[str, bytes]:
     """Make one sound record of every kind."""
-    from ct_inertia.cli import work
-    from ct_inertia.surface.surface import write_surface
-    from fitting.plan.plan_options import PLAN_EXAMPLE
-    from pipeline.template import TEMPLATE
+    from legacy.ct_inertia.cli import work
+    from legacy.ct_inertia.surface.surface import write_surface
+    from legacy.fitting.plan.plan_options import PLAN_EXAMPLE
+    from legacy.pipeline.template import TEMPLATE
+    from legacy.stapeskit.records.motion_files import write_motion
     from sample_volumes.bodies import stapes_in_footplate
-    from stapeskit.records.motion_files import write_motion
     from tests.fitting.cases import M, paper_motion
 
     with tempfile.TemporaryDirectory() as name:
@@ -239,7 +239,7 @@ def _names(module: str) -> Callable[[], list[str]]:
     def names() -> list[str]:
         import importlib
 
-        made = importlib.import_module(f"{module}.cli").parser()
+        made = importlib.import_module(f"legacy.{module}.cli").parser()
         return [name for name in made.declared if name != "help"]
 
     return names

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.readers.formats import format_of
+from legacy.ct_inertia.readers.formats import format_of
 from tests.ct_inertia.readers import writers as w
 from tests.ct_inertia.readers.contract import CASES
 from tests.fuzz.case import Case

@@ -27,8 +27,8 @@ def preload() -> None:
 
 
 def _scan(path: str, *_: str) -> None:
-    from ct_inertia.read_scan import read_volume
-    from ct_inertia.readers.companions import with_data_files
+    from legacy.ct_inertia.read_scan import read_volume
+    from legacy.ct_inertia.readers.companions import with_data_files
 
     with_data_files({"scan": Path(path)})
     volume = read_volume(path, SPACING_MM)
@@ -37,76 +37,76 @@ def _scan(path: str, *_: str) -> None:
 
 
 def _labels(path: str, *_: str) -> None:
-    from ct_inertia.read_scan import read_labels
+    from legacy.ct_inertia.read_scan import read_labels
 
     read_labels(path, SPACING_MM)
 
 
 def _mesh(path: str, *_: str) -> None:
-    from ct_inertia.surface.surface import read_surface
+    from legacy.ct_inertia.surface.surface import read_surface
 
     read_surface(path)
 
 
 def _landmarks(path: str, *_: str) -> None:
-    from ct_inertia.frames.landmarks import read_landmarks
+    from legacy.ct_inertia.frames.landmarks import read_landmarks
 
     read_landmarks(Path(path))
 
 
 def _calibration(path: str, *_: str) -> None:
-    from ct_inertia.mass.calibration import read_calibration
+    from legacy.ct_inertia.mass.calibration import read_calibration
 
     read_calibration(Path(path))
 
 
 def _ldv(*words: str) -> None:
     """Read vibrometer files by the words that points2dof takes, without fitting."""
-    from kinematics.cli import parser
-    from kinematics.measure_motion import motion_inputs
-    from kinematics.options import LdvOptions
+    from legacy.kinematics.cli import parser
+    from legacy.kinematics.measure_motion import motion_inputs
+    from legacy.kinematics.options import LdvOptions
 
     options = parser().parse(list(words)).make(LdvOptions)
-    from kinematics.measure_motion import read_inputs
+    from legacy.kinematics.measure_motion import read_inputs
 
     read_inputs(motion_inputs(options))
 
 
 def _motion(path: str, *_: str) -> None:
-    from stapeskit.records.motion_files import read_motion
+    from legacy.stapeskit.records.motion_files import read_motion
 
     read_motion(Path(path))
 
 
 def _mass(path: str, *_: str) -> None:
-    from stapeskit.records.mass_record import read_mass_record
+    from legacy.stapeskit.records.mass_record import read_mass_record
 
     read_mass_record(Path(path))
 
 
 def _study(path: str, *_: str) -> None:
-    from pipeline.study import read_study
+    from legacy.pipeline.study import read_study
 
     read_study(Path(path))
 
 
 def _plan(path: str, *_: str) -> None:
-    from fitting.plan.plan_file import read_plan
+    from legacy.fitting.plan.plan_file import read_plan
 
     read_plan(Path(path))
 
 
 def _surface(path: str, *_: str) -> None:
     """Read a surface or the labels beside mass.json."""
-    from kinematics.registration.scan_surfaces import read_labels, read_mesh
+    from legacy.kinematics.registration.scan_surfaces import read_labels, read_mesh
 
     (read_labels(Path(path)) if path.endswith("nrrd") else read_mesh(Path(path), "stapes"))
 
 
 def _own(stage: str) -> None:
     """Read what the program keeps beside outputs."""
-    from pipeline.stage_records import read_record, read_stage_report, stage_report_name
-    from stapeskit.own_files import OutputSet, unfinished
+    from legacy.pipeline.stage_records import read_record, read_stage_report, stage_report_name
+    from legacy.stapeskit.own_files import OutputSet, unfinished
 
     folder = Path()
     read_record(folder, stage)
@@ -116,7 +116,7 @@ def _own(stage: str) -> None:
 
 
 def _truth(path: str, *_: str) -> None:
-    from pipeline.report import read_truth
+    from legacy.pipeline.report import read_truth
 
     read_truth(Path(path))
 
@@ -149,12 +149,12 @@ TARGETS: dict[str, Callable[..., None]] = {
     "read_own": _own,
     "read_beside_mass": _surface,
     "read_truth": _truth,
-    "parse_ct2mass": _parse("ct_inertia.cli"),
-    "parse_points2dof": _parse("kinematics.cli"),
-    "parse_dof2kd": _parse("fitting.cli"),
-    "ct2mass": _command("ct_inertia.cli"),
-    "points2dof": _command("kinematics.cli"),
-    "dof2kd": _command("fitting.cli"),
-    "scan2kd": _command("pipeline.cli"),
-    "stapeskit": _command("pipeline.stapeskit_command"),
+    "parse_ct2mass": _parse("legacy.ct_inertia.cli"),
+    "parse_points2dof": _parse("legacy.kinematics.cli"),
+    "parse_dof2kd": _parse("legacy.fitting.cli"),
+    "ct2mass": _command("legacy.ct_inertia.cli"),
+    "points2dof": _command("legacy.kinematics.cli"),
+    "dof2kd": _command("legacy.fitting.cli"),
+    "scan2kd": _command("legacy.pipeline.cli"),
+    "stapeskit": _command("legacy.pipeline.stapeskit_command"),
 }

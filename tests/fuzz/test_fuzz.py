@@ -6,10 +6,10 @@ import random
 
 import pytest
 
-from kinematics.readers.formats import FORMATS
-from kinematics.readers.recognise_format import format_of
-from stapeskit import guard
-from stapeskit.faults import Fault, StapeskitError
+from legacy.kinematics.readers.formats import FORMATS
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.stapeskit import guard
+from legacy.stapeskit.faults import Fault, StapeskitError
 from tests.fuzz import targets
 from tests.fuzz.case import Case
 from tests.fuzz.corpus import saved

@@ -190,7 +190,7 @@ def _written(write: Any) -> bytes:
 
 
 def _own_h5(path: Path) -> None:
-    from kinematics.readers.hdf5 import write_hdf5
+    from legacy.kinematics.readers.hdf5 import write_hdf5
 
     write_hdf5(
         path,

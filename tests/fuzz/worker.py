@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from stapeskit.faults import LONGEST, StapeskitError
+from legacy.stapeskit.faults import LONGEST, StapeskitError
 from tests.fuzz.case import Case
 from tests.fuzz.targets import TARGETS
 

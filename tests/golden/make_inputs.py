@@ -178,9 +178,9 @@ def _surfaces(folder: Path) -> None:
 
 def _motions(folder: Path) -> None:
     """Motions as points2dof writes them, with the mass they belong to."""
-    from fitting.model.damping import DampingLaw
-    from pipeline.scan2kd import run_study
-    from stapeskit.records.motion_files import write_motion
+    from legacy.fitting.model.damping import DampingLaw
+    from legacy.pipeline.scan2kd import run_study
+    from legacy.stapeskit.records.motion_files import write_motion
     from tests.fitting.cases import M, paper_motion, six_dof_matrices, six_dof_motion
 
     made = folder / "motions"

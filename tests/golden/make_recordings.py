@@ -9,10 +9,10 @@ import numpy as np
 
 
 def recording_of(lines: int = 30, seed: int = 3, **how: object) -> tuple[object, object]:
-    from fitting.examples.paper import PAPER_MASS
+    from legacy.fitting.examples.paper import PAPER_MASS
+    from legacy.stapeskit.frames import RigidTransform
     from sample_volumes import bodies
     from sample_volumes.vibrometer import Vibrometry, record
-    from stapeskit.frames import RigidTransform
 
     chosen = Vibrometry(lines=lines, seed=seed, stapes_points=8, bone_points=6, **how)
     mass = np.diag([3.2e-6, 3.2e-6, 3.2e-6, 9e-12, 4e-12, 9e-12])
@@ -72,8 +72,8 @@ def exports(folder: Path) -> None:
     """One measurement in every file of a vibrometer, along x, y, z."""
     from scipy.io import savemat
 
-    from kinematics.readers.hdf5 import write_hdf5
-    from kinematics.tidy.ldv_csv import read_ldv
+    from legacy.kinematics.readers.hdf5 import write_hdf5
+    from legacy.kinematics.tidy.ldv_csv import read_ldv
     from sample_volumes.make_sample import write_recording
     from tests.kinematics import written_uff as uff
     from tests.kinematics.readers.test_matlab import usd

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.measurement import BodyChannels, Measurement
 from tests.kinematics.simulated import readings, stapes_points, three_beams
 
 FREE = [1, 3, 5]

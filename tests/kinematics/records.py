@@ -7,8 +7,8 @@ import json
 
 import numpy as np
 
-from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, matrix_from_parameters, parameter_basis
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, matrix_from_parameters, parameter_basis
 
 SCAN_FROM_FOOTPLATE = RigidTransform.from_parts(
     rotation_from_vector([0.4, -0.7, 1.1]), [3.0, -2.0, 5.0], "scan", "footplate"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from sample_volumes.vibrometer import base_motion, stapes_motion
 
 MASS = np.diag([3.2e-6, 3.2e-6, 3.2e-6, 5e-12, 4e-12, 5e-12])

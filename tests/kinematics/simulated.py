@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinematics.measurement import BodyChannels, Measurement
-from stapeskit.frames import rotation_from_vector
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.stapeskit.frames import rotation_from_vector
 
 RESONANCES = ((1753.0, 0.12), (2783.0, 0.14), (3862.0, 0.16))
 FAULTS = ("gain", "sign", "direction", "position", "noise", "label_swap", "drift", "flexible")

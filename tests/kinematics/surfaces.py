@@ -6,7 +6,7 @@ import gzip
 
 import numpy as np
 
-from kinematics.registration.mesh_distance import TriangleSurface
+from legacy.kinematics.registration.mesh_distance import TriangleSurface
 
 _QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 

@@ -8,12 +8,12 @@ import tomllib
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from kinematics.errors import KinematicsError
-from kinematics.exclude_channels import without_channels
-from kinematics.measurement import from_arrays
-from kinematics.options import LdvOptions
-from stapeskit.options import read_table
+from legacy.kinematics.cli import work
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.exclude_channels import without_channels
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.options import LdvOptions
+from legacy.stapeskit.options import read_table
 from tests.kinematics.simulated import HEADER, csv_rows, scene
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.faults import diagnose
-from kinematics.fit_options import Options
-from kinematics.points2dof import points2dof
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults import diagnose
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ct_inertia.cli import parser as ct_parser
-from fitting.api import dof2kd
-from kinematics.cli import parser, work
-from kinematics.measure_motion import motion_inputs, read_inputs
-from kinematics.options import LdvOptions
+from legacy.ct_inertia.cli import parser as ct_parser
+from legacy.fitting.api import dof2kd
+from legacy.kinematics.cli import parser, work
+from legacy.kinematics.measure_motion import motion_inputs, read_inputs
+from legacy.kinematics.options import LdvOptions
 from tests.kinematics.records import write_record
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def test_the_commands_of_the_guide_run_on_the_exports_of_the_sample(tmp_path, mo
     (notebook,) = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
     names: dict[str, Any] = {}
     monkeypatch.setattr(
-        "stapeskit.dof2kd", partial(dof2kd, band_hz=(400.0, 1000.0))
+        "legacy.stapeskit.dof2kd", partial(dof2kd, band_hz=(400.0, 1000.0))
     )  # few lines: soon fitted
     exec(compile(notebook, "export_from_psv.md", "exec"), names)
     assert names["wrong"] == []

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinematics.measure_motion import MotionInputs
-from kinematics.options import LdvOptions
+from legacy.kinematics.measure_motion import MotionInputs
+from legacy.kinematics.options import LdvOptions
 
 
 def test_every_option_that_names_a_file_is_an_input():

@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from kinematics.points2dof import points2dof
-from kinematics.registration.fiducials import read_fiducials
-from kinematics.registration.placement import place
-from kinematics.tidy.ldv_csv import read_ldv
+from legacy.kinematics.cli import work
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.fiducials import read_fiducials
+from legacy.kinematics.registration.placement import place
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records.mass_record import read_mass_record
+from legacy.stapeskit.records.motion_files import read_motion, standard_deviation
+from legacy.stapeskit.spatial import matrix_from_parameters
 from sample_volumes.faults import Fault, faulty
 from sample_volumes.make_sample import write_recording
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
-from stapeskit.faults import StapeskitError
-from stapeskit.records.mass_record import read_mass_record
-from stapeskit.records.motion_files import read_motion, standard_deviation
-from stapeskit.spatial import matrix_from_parameters
 from tests.kinematics.records import PARAMETERS, SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.simulated import HEADER, csv_rows, scene
 
@@ -69,7 +69,7 @@ def test_the_true_motion_is_found_within_its_uncertainty(tmp_path):
     motion = read_motion(tmp_path / "out" / "dof.csv")
     assert motion.bodies == ("stapes", "base")
     base = base_motion(motion.freq_hz, "y")
-    from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+    from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 
     stapes = stapes_motion(
         motion.freq_hz, base, matrix_from_parameters(PARAMETERS), PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.fit_options import Options
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.registration.laser_errors import LaserPriors
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.laser_errors import LaserPriors
+from legacy.stapeskit.spatial import DOF_NAMES
 
 # Accelerometers have no lasers whose gains could differ.
 EXACT = LaserPriors(0.0, 0.0, 0.0)

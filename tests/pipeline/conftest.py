@@ -4,21 +4,21 @@ import shutil
 
 import pytest
 
-from pipeline.scan2kd import run_study
+from legacy.pipeline.scan2kd import run_study
 from tests.conftest import leave_drawing
 from tests.pipeline.ears import make_ear
 
 
 def settle(patch):
     """Draw by matplotlib, the same on every machine, and take the code as one that nobody edits meanwhile."""
-    patch.setattr("pipeline.stage_records.code_hash", lambda rooms: "code of " + " ".join(rooms))
+    patch.setattr("legacy.pipeline.stage_records.code_hash", lambda rooms: "code of " + " ".join(rooms))
 
 
 def undraw(patch):
     """Settle a test that looks at what is written, and leave drawings and the page of the motion away."""
     settle(patch)
     leave_drawing(patch)
-    patch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
+    patch.setattr("legacy.kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 
 @pytest.fixture(autouse=True)

@@ -3,8 +3,8 @@
 import json
 import sys
 
-from pipeline import stage_records
-from pipeline.runners.child_process import run_child
+from legacy.pipeline import stage_records
+from legacy.pipeline.runners.child_process import run_child
 
 if __name__ == "__main__":
     stage_records.code_hash = lambda rooms: "code of " + " ".join(rooms)

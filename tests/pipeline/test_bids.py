@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from kinematics.readers import recognise_format
-from kinematics.readers.formats import Format
-from pipeline import cli
-from pipeline.bids import derivatives, read_dataset, write_dataset
-from pipeline.errors import PipelineError
-from pipeline.several_studies import folder_names
-from pipeline.study import read_study
+from legacy.kinematics.readers import recognise_format
+from legacy.kinematics.readers.formats import Format
+from legacy.pipeline import cli
+from legacy.pipeline.bids import derivatives, read_dataset, write_dataset
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.several_studies import folder_names
+from legacy.pipeline.study import read_study
 
 STUDY = """[study]
 subject = "TB-12"
@@ -173,7 +173,7 @@ def test_a_dataset_is_written_whole_and_through_no_link(studies, tmp_path, monke
         return copyfile(source, target)
 
     copyfile = shutil.copyfile
-    monkeypatch.setattr("pipeline.bids.shutil.copyfile", fail)
+    monkeypatch.setattr("legacy.pipeline.bids.shutil.copyfile", fail)
     with pytest.raises(KeyboardInterrupt):
         write_dataset(studies, tmp_path / "bids")
     assert sorted(tmp_path.rglob("*")) == before
@@ -181,7 +181,9 @@ def test_a_dataset_is_written_whole_and_through_no_link(studies, tmp_path, monke
 
 def test_the_command_runs_the_dataset(studies, tmp_path, monkeypatch):
     called = []
-    monkeypatch.setattr("pipeline.several_studies.run_studies", lambda *given: called.append(given) or 1 / 0)
+    monkeypatch.setattr(
+        "legacy.pipeline.several_studies.run_studies", lambda *given: called.append(given) or 1 / 0
+    )
     for words in ([*map(str, studies), "--bids", str(tmp_path / "bids")], ["--bids", str(tmp_path / "bids")]):
         with pytest.raises(ZeroDivisionError):
             cli.work(words)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import cli
-from pipeline.stage_progress import Progress
-from pipeline.template import TEMPLATE
-from stapeskit.faults import StapeskitError
+from legacy.pipeline import cli
+from legacy.pipeline.stage_progress import Progress
+from legacy.pipeline.template import TEMPLATE
+from legacy.stapeskit.faults import StapeskitError
 
 ROOT = Path(__file__).parents[2]
 HEAVY = (
@@ -23,7 +23,11 @@ HEAVY = (
 
 def call(*words):
     return subprocess.run(
-        [sys.executable, "-m", "pipeline.cli", *words], capture_output=True, text=True, cwd=ROOT, check=False
+        [sys.executable, "-m", "legacy.pipeline.cli", *words],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
     )
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pipeline.figure_files import write_figures
-from pipeline.figure_pdf import figure_pdf, replayed
-from stapeskit.faults import StapeskitError
-from stapeskit.page import page
+from legacy.pipeline.figure_files import write_figures
+from legacy.pipeline.figure_pdf import figure_pdf, replayed
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.page import page
 
 EXPONENTIAL = (
     b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:x="http://www.w3.org/1999/xlink" viewBox="0 0 9 9"><defs>'

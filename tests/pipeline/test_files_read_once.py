@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.scan2kd import run_study
-from pipeline.stages import STAGES, run_stage
-from stapeskit.provenance import content_hash
+from legacy.pipeline.scan2kd import run_study
+from legacy.pipeline.stages import STAGES, run_stage
+from legacy.stapeskit.provenance import content_hash
 from tests.pipeline.ears import make_ear
 
 PARSED_AND_HASHED = 2

@@ -20,14 +20,14 @@ import SimpleITK as sitk
 import yaml
 from scipy.io import loadmat
 
-from ct_inertia.options import MassOptions
-from fitting.cli import work as dof2kd
-from fitting.export_formats import exported
-from fitting.fit_kd import fit_kd
-from fitting.options import KDOptions
-from stapeskit.options import declared
-from stapeskit.records.mass_record import read_mass_record
-from stapeskit.records.motion_files import read_motion
+from legacy.ct_inertia.options import MassOptions
+from legacy.fitting.cli import work as dof2kd
+from legacy.fitting.export_formats import exported
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.options import declared
+from legacy.stapeskit.records.mass_record import read_mass_record
+from legacy.stapeskit.records.motion_files import read_motion
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"

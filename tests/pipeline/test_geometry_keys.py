@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from kinematics.fit_options import fit_options
-from pipeline.errors import PipelineError
-from pipeline.study import parse_study
+from legacy.kinematics.fit_options import fit_options
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.study import parse_study
 
 STUDY = """
 [scan]

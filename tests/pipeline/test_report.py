@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
-from pipeline.errors import PipelineError
-from pipeline.report import ordered, read_truth
-from pipeline.stage_records import StageReport
-from stapeskit.page.page import Section
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.report import ordered, read_truth
+from legacy.pipeline.stage_records import StageReport
+from legacy.stapeskit.page.page import Section
 
 HEADINGS = (
     "This ear",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pipeline.scan2kd import run_study
+from legacy.pipeline.scan2kd import run_study
 from tests.conftest import leave_drawing
 
 SAMPLE = Path(__file__).parents[2] / "sample_volumes"

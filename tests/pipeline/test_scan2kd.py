@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from fitting.fit_files import fit_files
-from fitting.options import KDOptions
-from pipeline import scan2kd, stages
-from pipeline.scan2kd import output_set, run_study
-from pipeline.stage_progress import Progress
-from pipeline.stage_records import StageReport
-from pipeline.study import read_study
-from stapeskit.faults import StapeskitError
-from stapeskit.provenance import content_hash
-from stapeskit.records.motion_files import read_motion
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.fit_files import fit_files
+from legacy.fitting.options import KDOptions
+from legacy.pipeline import scan2kd, stages
+from legacy.pipeline.scan2kd import output_set, run_study
+from legacy.pipeline.stage_progress import Progress
+from legacy.pipeline.stage_records import StageReport
+from legacy.pipeline.study import read_study
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.provenance import content_hash
+from legacy.stapeskit.records.motion_files import read_motion
 
 pytestmark = pytest.mark.usefixtures("found_once")
 
@@ -73,7 +73,7 @@ def test_every_result_names_the_calibrated_numbers_of_its_room(finished):
         "fitting": json.loads((out / "kd.json").read_text(encoding="utf-8"))["provenance"],
     }
     for room, provenance in blocks.items():
-        numbers = import_module(f"{room}.calibrated").calibrated
+        numbers = import_module(f"legacy.{room}.calibrated").calibrated
         assert numbers.version().items() <= provenance["versions"].items()
 
 

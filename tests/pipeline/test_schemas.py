@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from fitting.estimators import ESTIMATORS
+from legacy.fitting.estimators import ESTIMATORS
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
 
@@ -31,7 +31,7 @@ def test_the_schema_names_every_estimator():
 
 
 def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):
-    from fitting.fit_files import plan_files
+    from legacy.fitting.fit_files import plan_files
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plan.toml").write_text("lines = 40\n", encoding="utf-8")
@@ -45,7 +45,7 @@ def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("count", [2, 8])
 def test_a_cohort_obeys_its_schema(count):
-    from pipeline.cohort.cohort_laws import cohort_laws
+    from legacy.pipeline.cohort.cohort_laws import cohort_laws
     from tests.pipeline.cohort.simulated_ears import ear
 
     rng = np.random.default_rng(4)

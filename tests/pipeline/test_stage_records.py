@@ -2,9 +2,9 @@
 
 import pytest
 
-from ct_inertia.readers.companions import with_data_files
-from pipeline import stage_records
-from stapeskit.provenance import Hashes
+from legacy.ct_inertia.readers.companions import with_data_files
+from legacy.pipeline import stage_records
+from legacy.stapeskit.provenance import Hashes
 
 CODE = stage_records.code_hash
 

@@ -4,8 +4,8 @@ import subprocess
 
 import pytest
 
-from pipeline.stapeskit_command import COMMANDS, work
-from stapeskit.faults import StapeskitError
+from legacy.pipeline.stapeskit_command import COMMANDS, work
+from legacy.stapeskit.faults import StapeskitError
 
 WORDS = ("sample", "figures", "completion")
 

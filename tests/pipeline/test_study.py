@@ -5,10 +5,10 @@ import tomllib
 
 import pytest
 
-from pipeline.errors import PipelineError
-from pipeline.study import TABLES, parse_study, read_study
-from pipeline.template import TEMPLATE
-from stapeskit.options import declared
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.study import TABLES, parse_study, read_study
+from legacy.pipeline.template import TEMPLATE
+from legacy.stapeskit.options import declared
 
 GOOD = """
 [scan]

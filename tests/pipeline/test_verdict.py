@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.verdict import _TOGETHER, BELIEVE, CHECK, DO_NOT_USE, verdict
-from stapeskit.warnings import VERDICTS, Notice, table
+from legacy.pipeline.verdict import _TOGETHER, BELIEVE, CHECK, DO_NOT_USE, verdict
+from legacy.stapeskit.warnings import VERDICTS, Notice, table
 
 KD = {
     "dof": ["y"],

@@ -7,14 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.fit_options import fit_options
-from kinematics.measure_motion import motion_inputs
-from kinematics.readers.from_options import input_options
-from kinematics.tidy.ldv_csv import read_ldv
-from pipeline.errors import PipelineError
-from pipeline.scan2kd import run_study
-from pipeline.study import parse_study
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.fit_options import fit_options
+from legacy.kinematics.measure_motion import motion_inputs
+from legacy.kinematics.readers.from_options import input_options
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.scan2kd import run_study
+from legacy.pipeline.study import parse_study
 from tests.kinematics.rewritten import write_three_ways
 from tests.pipeline.ears import make_ear
 

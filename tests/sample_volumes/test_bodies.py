@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.surface.surface import Surface
 from sample_volumes import bodies
 from sample_volumes.analytic import analytic_stapes, write_analytic_stapes
 from sample_volumes.phantom import Ear, Renderer, scene, truth

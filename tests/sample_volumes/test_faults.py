@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from legacy.stapeskit.frames import RigidTransform
 from sample_volumes import bodies
 from sample_volumes.faults import KINDS, Fault, faulty
 from sample_volumes.phantom import Ear, scene, truth
 from sample_volumes.vibrometer import Vibrometry, laser_directions, record, visible_points
-from stapeskit.frames import RigidTransform
 
 
 @pytest.fixture(scope="module")

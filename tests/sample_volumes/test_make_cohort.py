@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fitting.examples.paper import PAPER_STIFFNESS
-from pipeline.study import read_study
+from legacy.fitting.examples.paper import PAPER_STIFFNESS
+from legacy.pipeline.study import read_study
 from sample_volumes.make_cohort import REFERENCE_KG, Population, compare, make_cohort
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.read_scan import read_volume
-from kinematics.tidy.ldv_csv import read_ldv
-from pipeline.study import read_study
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.pipeline.study import read_study
 from sample_volumes.make_sample import main, reseeded, study_text
 from sample_volumes.phantom import Ear, scene
 from sample_volumes.vibrometer import Vibrometry

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from legacy.stapeskit.spatial import check_inertia
 from sample_volumes import bodies
 from sample_volumes.coverage import crossings
 from sample_volumes.phantom import Ear, Renderer, render, scene, truth, write_scan
-from stapeskit.spatial import check_inertia
 
 COARSE = Ear(voxel_mm=(0.06, 0.06, 0.06))
 ALONE = replace(COARSE, bone=False, plate=False, noise=0.0)

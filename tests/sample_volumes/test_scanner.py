@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.read_scan import read_volume
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.stapeskit.spatial import check_inertia
 from sample_volumes import bodies
 from sample_volumes.density import graded_mass
 from sample_volumes.make_sample import main
 from sample_volumes.phantom import Ear, Renderer, render, scene, truth
 from sample_volumes.scanner import add_noise, cup
-from stapeskit.spatial import check_inertia
 
 COARSE = Ear(voxel_mm=(0.06, 0.06, 0.06))
 ALONE = replace(COARSE, bone=False, plate=False, noise=0.0)

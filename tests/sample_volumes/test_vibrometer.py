@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from legacy.stapeskit.frames import RigidTransform
 from sample_volumes.make_sample import make_study
 from sample_volumes.phantom import Ear, scene, truth
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
-from stapeskit.frames import RigidTransform
 
 EAR = Ear(voxel_mm=(0.1, 0.1, 0.1))
 

@@ -8,10 +8,10 @@ import weakref
 import numpy as np
 import pytest
 
-from stapeskit.background import Later
-from stapeskit.faults import StapeskitError
-from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
-from stapeskit.option_names import as_keyword, named, use_vocabulary
+from legacy.stapeskit.background import Later
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
+from legacy.stapeskit.option_names import as_keyword, named, use_vocabulary
 
 
 def test_options_are_named_as_the_caller_names_them():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from stapeskit.calibrated import CalibratedNumbers
-from stapeskit.provenance import content_hash
+from legacy.stapeskit.calibrated import CalibratedNumbers
+from legacy.stapeskit.provenance import content_hash
 
 TEXT = """
 [default]

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from stapeskit.command import Outcome, show
-from stapeskit.faults import StapeskitError
-from stapeskit.process import run
-from stapeskit.warnings import Notice
+from legacy.stapeskit.command import Outcome, show
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.process import run
+from legacy.stapeskit.warnings import Notice
 
 
 def leave(capsys, work, monkeypatch, arguments=()):
     monkeypatch.setattr("sys.argv", ["tool", *arguments])
-    monkeypatch.setattr("stapeskit.process.listen", lambda _prog: None)
+    monkeypatch.setattr("legacy.stapeskit.process.listen", lambda _prog: None)
     with pytest.raises(SystemExit) as caught:
         run("tool", work)
     return caught.value.code, capsys.readouterr()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stapeskit.faults import (
+from legacy.stapeskit.faults import (
     FEW,
     LONGEST,
     Fault,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import (
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import (
     RigidTransform,
     axes_matrix,
     axis_vector,

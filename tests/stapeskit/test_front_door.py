@@ -9,9 +9,9 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-import stapeskit as sk
-from kinematics.options import LdvOptions
-from stapeskit.provenance import content_hash
+import legacy.stapeskit as sk
+from legacy.kinematics.options import LdvOptions
+from legacy.stapeskit.provenance import content_hash
 from tests.conftest import leave_drawing
 from tests.pipeline.ears import make_ear
 

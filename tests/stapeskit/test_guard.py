@@ -15,12 +15,12 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.readers.hdf5 import read
-from stapeskit import guard
-from stapeskit.faults import Fault, StapeskitError
-from stapeskit.guard import read_apart
-from stapeskit.records.motion_files import read_motion, write_motion
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.readers.hdf5 import read
+from legacy.stapeskit import guard
+from legacy.stapeskit.faults import Fault, StapeskitError
+from legacy.stapeskit.guard import read_apart
+from legacy.stapeskit.records.motion_files import read_motion, write_motion
 from tests.fitting.cases import paper_motion
 
 

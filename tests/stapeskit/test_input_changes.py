@@ -2,8 +2,8 @@
 
 import pytest
 
-from stapeskit.faults import StapeskitError
-from stapeskit.input_changes import refuse_changes
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.input_changes import refuse_changes
 
 
 @pytest.mark.parametrize("change", ["12", ""])

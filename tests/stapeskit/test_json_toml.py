@@ -2,7 +2,7 @@
 
 import pytest
 
-from stapeskit.json_toml import parse_toml
+from legacy.stapeskit.json_toml import parse_toml
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 _CHILD = """
 import resource, sys
 import numpy, scipy.linalg.blas
-from stapeskit.memory import take_algebra_buffers
+from legacy.stapeskit.memory import take_algebra_buffers
 
 def address_space():
     return int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-import stapeskit
-from pipeline.study import words
-from stapeskit.faults import Fault, StapeskitError, translate_option_names
-from stapeskit.option_names import as_command, as_keyword, named, use_vocabulary, written
+from legacy import stapeskit
+from legacy.pipeline.study import words
+from legacy.stapeskit.faults import Fault, StapeskitError, translate_option_names
+from legacy.stapeskit.option_names import as_command, as_keyword, named, use_vocabulary, written
 
 
 def test_an_option_is_named_as_on_the_command_line_unless_an_edge_says_otherwise():

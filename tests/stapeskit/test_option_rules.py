@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from stapeskit.option_declaration import Option
-from stapeskit.option_kinds import FLAG, NUMBER
-from stapeskit.option_rules import Rule, Values, excludes, needs
+from legacy.stapeskit.option_declaration import Option
+from legacy.stapeskit.option_kinds import FLAG, NUMBER
+from legacy.stapeskit.option_rules import Rule, Values, excludes, needs
 
 OPTIONS = (
     Option("box_mm", "box", "scan", "box_mm", NUMBER, "a box"),

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from ct_inertia.cli import parser as ct2mass
-from fitting.cli import parser as dof2kd
-from kinematics.cli import parser as points2dof
-from pipeline.cli import parser as scan2kd
-from pipeline.options_page import COMMANDS, options_page
-from pipeline.study import TABLES
-from pipeline.template import TEMPLATE
-from stapeskit.faults import StapeskitError
-from stapeskit.option_docs import example_of
-from stapeskit.option_values import toml
-from stapeskit.options import declared
+from legacy.ct_inertia.cli import parser as ct2mass
+from legacy.fitting.cli import parser as dof2kd
+from legacy.kinematics.cli import parser as points2dof
+from legacy.pipeline.cli import parser as scan2kd
+from legacy.pipeline.options_page import COMMANDS, options_page
+from legacy.pipeline.study import TABLES
+from legacy.pipeline.template import TEMPLATE
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.option_docs import example_of
+from legacy.stapeskit.option_values import toml
+from legacy.stapeskit.options import declared
 
 ROOT = Path(__file__).parents[2]
 PARSERS = {"ct2mass": ct2mass, "points2dof": points2dof, "dof2kd": dof2kd, "scan2kd": scan2kd}

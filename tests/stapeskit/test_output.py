@@ -8,9 +8,9 @@ from importlib import metadata
 
 import pytest
 
-from stapeskit.faults import StapeskitError
-from stapeskit.outputs import stage_outputs
-from stapeskit.provenance import Hashes, content_hash, input_record, record, versions
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.outputs import stage_outputs
+from legacy.stapeskit.provenance import Hashes, content_hash, input_record, record, versions
 
 
 def test_outputs_replace_old_ones_at_once(tmp_path):

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from stapeskit.faults import StapeskitError
-from stapeskit.own_files import FOREIGN_FILE_KEPT, RECORDS, OutputSet
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.own_files import FOREIGN_FILE_KEPT, RECORDS, OutputSet
 
 
 def outputs(folder, **more):

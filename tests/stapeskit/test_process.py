@@ -25,7 +25,7 @@ while True:
 """
 STAGED = """
 from pathlib import Path
-from stapeskit.outputs import stage_outputs
+from legacy.stapeskit.outputs import stage_outputs
 with stage_outputs(Path('out')) as stage:
     (stage / 'half').write_text('half')
     print('at work', flush=True)
@@ -52,13 +52,14 @@ del last
 __import__('time').sleep(30)
 """
 THREAD = """
-from stapeskit.background import Later
+from legacy.stapeskit.background import Later
 Later(__import__('time').sleep, 30)
 print('at work', flush=True)
 __import__('time').sleep(30)
 """
 STARVED = """
-import stapeskit.process
+import legacy.stapeskit.process
+from legacy import stapeskit
 def starved(_fault):
     raise MemoryError
 stapeskit.process._sentence = starved
@@ -66,8 +67,8 @@ raise MemoryError
 """
 HASHED = """
 from pathlib import Path
-from stapeskit.faults import Fault, StapeskitError
-from stapeskit.provenance import Hashes
+from legacy.stapeskit.faults import Fault, StapeskitError
+from legacy.stapeskit.provenance import Hashes
 with open('large', 'wb') as stream:
     stream.truncate(1 << 42)
 hashes = Hashes([Path('large')])
@@ -76,7 +77,7 @@ raise StapeskitError(Fault('it', 'sound', 'damaged'))
 PLACING = """
 import os, signal
 from pathlib import Path
-from stapeskit.outputs import stage_outputs
+from legacy.stapeskit.outputs import stage_outputs
 replace = os.replace
 def slow(source, target):
     if target.name == 'b':
@@ -173,7 +174,7 @@ def test_closed_streams_are_no_fault(closed, tmp_path):
 def test_a_full_standard_output_is_a_fault_of_the_system(tmp_path):
     body = """
 from argparse import Namespace
-from stapeskit.command import Outcome
+from legacy.stapeskit.command import Outcome
 return Namespace(quiet=False, json=False), Outcome('title', [])
 """
     with open("/dev/full", "w") as full:
@@ -250,7 +251,7 @@ def test_a_style_of_the_working_folder_counts_for_nothing(tmp_path):
     body = """
 import matplotlib
 read = matplotlib.rcParams['text.usetex']
-from stapeskit.page.page import new_figure
+from legacy.stapeskit.page.page import new_figure
 new_figure(1.0, 1.0)
 print(read, matplotlib.rcParams['text.usetex'], matplotlib.rcParams['lines.linewidth'])
 """

@@ -6,10 +6,10 @@ import io
 
 import pytest
 
-from ct_inertia.cli import work
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.options import MassOptions
-from stapeskit.progress import stage_on_terminal
+from legacy.ct_inertia.cli import work
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.options import MassOptions
+from legacy.stapeskit.progress import stage_on_terminal
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.shapes import stapes
 
@@ -44,7 +44,7 @@ def test_stages_are_told_in_order(tmp_path):
 
 @pytest.mark.parametrize(("words", "shown"), [("", True), ("--quiet", False), ("--json", False)])
 def test_the_command_shows_them_on_a_terminal(monkeypatch, tmp_path, words, shown):
-    from ct_inertia.surface.surface import write_surface
+    from legacy.ct_inertia.surface.surface import write_surface
 
     write_surface(tmp_path / "s.ply", stapes(0.08))
     made = terminal(monkeypatch)

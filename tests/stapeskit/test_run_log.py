@@ -6,11 +6,11 @@ import os
 
 import pytest
 
-from stapeskit import run_log
-from stapeskit.command import Outcome, show
-from stapeskit.faults import StapeskitError
-from stapeskit.option_parser import Parser
-from stapeskit.warnings import Notice
+from legacy.stapeskit import run_log
+from legacy.stapeskit.command import Outcome, show
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.option_parser import Parser
+from legacy.stapeskit.warnings import Notice
 
 
 def test_runs_are_appended_with_what_they_said(tmp_path, capsys):

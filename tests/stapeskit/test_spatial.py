@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import rotation_from_vector
-from stapeskit.spatial import (
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.spatial import (
     DOF_NAMES,
     central_tensor,
     check_inertia,

@@ -10,14 +10,14 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from stapeskit.outputs import stage_outputs
-from stapeskit.provenance import content_hash
-from stapeskit.temporary_folders import _open, files_within, scratch
+from legacy.stapeskit.outputs import stage_outputs
+from legacy.stapeskit.provenance import content_hash
+from legacy.stapeskit.temporary_folders import _open, files_within, scratch
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
 from pathlib import Path
-from stapeskit.temporary_folders import scratch
+from legacy.stapeskit.temporary_folders import scratch
 with scratch(Path('.')) as folder:
     (folder / 'half').write_text('half')
     print('at work', flush=True)
@@ -112,7 +112,7 @@ def test_a_folder_whose_removal_was_cut_short_is_removed(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("stapeskit.temporary_folders.shutil.rmtree", killed)
+        patch.setattr("legacy.stapeskit.temporary_folders.shutil.rmtree", killed)
         with suppress(KeyboardInterrupt), scratch(tmp_path) as folder:
             (folder / "half").write_text("half")
     (left,) = tmp_path.iterdir()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stapeskit.units import unit_of
+from legacy.stapeskit.units import unit_of
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stapeskit.warnings import ROOMS, Notice, from_json, page, table, unique
+from legacy.stapeskit.warnings import ROOMS, Notice, from_json, page, table, unique
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")

@@ -22,8 +22,8 @@ def read_mass(path: str) -> list[Layer]:
     """Return layers: labels and surfaces, all mm in scan coordinates, axes z, y, x as napari has them."""
     import numpy as np
 
-    from kinematics.registration.scan_surfaces import ScanSurfaces, read_labels
-    from stapeskit.records.measured_mass import measured_mass
+    from legacy.kinematics.registration.scan_surfaces import ScanSurfaces, read_labels
+    from legacy.stapeskit.records.measured_mass import measured_mass
 
     folder = Path(path).parent
     layers: list[Layer] = []

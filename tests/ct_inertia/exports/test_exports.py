@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.export_formats import EXPORTS
-from ct_inertia.exports import FORMATS, export, parse_formats, units_of
-from ct_inertia.exports.body import body_of, quaternion, roll_pitch_yaw
-from ct_inertia.exports.export import _module
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.surface import read_surface, write_surface
-from stapeskit.frames import RigidTransform
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.export_formats import EXPORTS
+from legacy.ct_inertia.exports import FORMATS, export, parse_formats, units_of
+from legacy.ct_inertia.exports.body import body_of, quaternion, roll_pitch_yaw
+from legacy.ct_inertia.exports.export import _module
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.surface import read_surface, write_surface
+from legacy.stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import box, moved, stapes
 
 TURN = Rotation.from_euler("xyz", [40, -65, 110], degrees=True).as_matrix()

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks import foreign_shapes as shapes
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
-from ct_inertia.surface.isosurface import iso_surface
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
+from legacy.ct_inertia.surface.isosurface import iso_surface
+from legacy.ct_inertia.surface.surface import Surface
 
 VOXEL_MM = 0.06
 # A side of such a body can be as large as the face of its footplate.

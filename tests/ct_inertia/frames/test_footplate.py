@@ -10,12 +10,12 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame, footplate_pose
-from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
-from ct_inertia.surface.surface import Surface
-from stapeskit.frames import rotation_from_vector, vector_from_rotation
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame, footplate_pose
+from legacy.ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import PARTS, box, moved, outward, signed_permutations, stapes
 
 

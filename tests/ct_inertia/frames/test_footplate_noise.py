@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.frames.footplate_noise import height_covariance, height_noise, rim_influence
-from ct_inertia.frames.footplate_search import face_candidates, sphere
-from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch
+from legacy.ct_inertia.frames.footplate_noise import height_covariance, height_noise, rim_influence
+from legacy.ct_inertia.frames.footplate_search import face_candidates, sphere
+from legacy.ct_inertia.surface.surface_field import Diffusion, Mesh, Patch
 from tests.ct_inertia.shapes import box
 
 EDGE = 0.03

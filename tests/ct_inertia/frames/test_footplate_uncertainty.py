@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame, footplate_pose
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame, footplate_pose
 from tests.ct_inertia.shapes import stapes
 
 HINTS = AnatomyHints(np.array([1.0, 0.0, 0.0]), {}, None)

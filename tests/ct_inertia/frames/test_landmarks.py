@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.landmarks import read_landmarks
-from stapeskit.faults import StapeskitError
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.landmarks import read_landmarks
+from legacy.stapeskit.faults import StapeskitError
 
 POINT = [1.25, -2.5, 3.0]
 IN_RAS = [-1.25, 2.5, 3.0]

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.surface.isosurface import iso_surface
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.surface.isosurface import iso_surface
+from legacy.stapeskit.frames import vector_from_rotation
 from sample_volumes import phantom
-from stapeskit.frames import vector_from_rotation
 
 
 @pytest.mark.parametrize(("voxel", "pose"), [(0.04, 2), (0.03, 5)])

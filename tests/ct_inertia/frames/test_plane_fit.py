@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.frames.plane_faces import PlaneFace, large_faces
-from ct_inertia.frames.plane_fit import _is_covered, fit_to_grey_values
-from ct_inertia.frames.plate_frame import plate_frame
-from ct_inertia.surface.isosurface import iso_surface
-from ct_inertia.volume.volume import Volume
-from stapeskit.frames import rotation_from_vector, vector_from_rotation
+from legacy.ct_inertia.frames.plane_faces import PlaneFace, large_faces
+from legacy.ct_inertia.frames.plane_fit import _is_covered, fit_to_grey_values
+from legacy.ct_inertia.frames.plate_frame import plate_frame
+from legacy.ct_inertia.surface.isosurface import iso_surface
+from legacy.ct_inertia.volume.volume import Volume
+from legacy.stapeskit.frames import rotation_from_vector, vector_from_rotation
 
 HALF = np.array([1.6, 0.25, 1.1])
 VOXEL, SIGMA = 0.025, 0.031

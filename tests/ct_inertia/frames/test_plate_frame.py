@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.plate_fiducials import plate_frame_from_fiducials, read_plate_fiducials
-from ct_inertia.frames.plate_frame import plate_frame, positive_sense
-from ct_inertia.surface.surface import Surface
-from ct_inertia.surface.surface_field import Mesh, refine_edges
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import rotation_from_vector, vector_from_rotation
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.plate_fiducials import plate_frame_from_fiducials, read_plate_fiducials
+from legacy.ct_inertia.frames.plate_frame import plate_frame, positive_sense
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.surface.surface_field import Mesh, refine_edges
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import box, moved, outward
 
 SIZE = (4.0, 1.0, 3.0)

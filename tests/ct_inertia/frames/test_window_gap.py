@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.bodies import WindowWall
-from ct_inertia.frames.window_gap import window_gap
-from ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, frame_surface, straightened
-from ct_inertia.surface.contours import contoured
-from stapeskit.frames import RigidTransform
+from legacy.ct_inertia.bodies import WindowWall
+from legacy.ct_inertia.frames.window_gap import window_gap
+from legacy.ct_inertia.grey.frame_surface import blur_on_grid, coarse_share, frame_surface, straightened
+from legacy.ct_inertia.surface.contours import contoured
+from legacy.stapeskit.frames import RigidTransform
 
 RADIUS, HALF, ROUND = 0.7, 0.12, 0.08
 

@@ -5,17 +5,17 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from ct_inertia.bodies import PlateFace
-from ct_inertia.grey import level_fit
-from ct_inertia.grey.air_level import Air, Surroundings, air_shell, measure_air, unclipped
-from ct_inertia.grey.bone_level import measure_bone
-from ct_inertia.grey.level_fit import body_share, fit_bodies, grow_mask
-from ct_inertia.grey.plate_face import displaced_share
-from ct_inertia.grey.psf import edge_sigma
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.bodies import PlateFace
+from legacy.ct_inertia.grey import level_fit
+from legacy.ct_inertia.grey.air_level import Air, Surroundings, air_shell, measure_air, unclipped
+from legacy.ct_inertia.grey.bone_level import measure_bone
+from legacy.ct_inertia.grey.level_fit import body_share, fit_bodies, grow_mask
+from legacy.ct_inertia.grey.plate_face import displaced_share
+from legacy.ct_inertia.grey.psf import edge_sigma
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 H = 0.04

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ct_inertia.bodies import STAPES
-from ct_inertia.grey.bone_shape import shape_moments
-from ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.bodies import STAPES
+from legacy.ct_inertia.grey.bone_shape import shape_moments
+from legacy.ct_inertia.surface.moments import Moments
 from tests.ct_inertia.balls import AIR, BONE, ball, places, volume_of
 from tests.ct_inertia.grey.test_thin_walls import surface_of
 from tests.oracles import ellipsoid_moments

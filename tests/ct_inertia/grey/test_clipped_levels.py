@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.air_level import Air, Surroundings
-from ct_inertia.grey.clipped_levels import clipped_levels, undo_storing
-from ct_inertia.volume.normal_distribution import normal_cdf
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.grey.air_level import Air, Surroundings
+from legacy.ct_inertia.grey.clipped_levels import clipped_levels, undo_storing
+from legacy.ct_inertia.volume.normal_distribution import normal_cdf
 
 SPACING, SIGMA, BONE, NOISE = np.full(3, 0.03), 0.036, 180.0, 8.0
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ct_inertia.grey.cupping import deep_cupping_notice, find_cupping
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.grey.cupping import deep_cupping_notice, find_cupping
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.grey.edge_departure import PLACES, Profiles, long_tails, skewness
-from ct_inertia.grey.edge_shape import edge_shape
-from ct_inertia.grey.grey_scale import bend_of_scale
-from ct_inertia.volume.grid_operations import gaussian
+from legacy.ct_inertia.grey.edge_departure import PLACES, Profiles, long_tails, skewness
+from legacy.ct_inertia.grey.edge_shape import edge_shape
+from legacy.ct_inertia.grey.grey_scale import bend_of_scale
+from legacy.ct_inertia.volume.grid_operations import gaussian
 
 H = 0.025
 SHAPE = (56, 60, 64)

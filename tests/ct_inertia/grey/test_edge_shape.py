@@ -6,11 +6,11 @@ from scipy.ndimage import gaussian_filter, laplace
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from ct_inertia.grey import edge_shape as edge_shape_module
-from ct_inertia.grey.edge_departure import long_tails
-from ct_inertia.grey.edge_shape import _Fit as Fitted
-from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
-from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
+from legacy.ct_inertia.grey import edge_shape as edge_shape_module
+from legacy.ct_inertia.grey.edge_departure import long_tails
+from legacy.ct_inertia.grey.edge_shape import _Fit as Fitted
+from legacy.ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
+from legacy.ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 
 H = 0.025
 SHAPE = (56, 60, 64)

@@ -9,14 +9,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.frames.footplate_face import correct_blur
-from ct_inertia.grey.frame_surface import frame_surface, height_noise_of
-from ct_inertia.surface.surface import enclosed_volume
-from ct_inertia.surface.surface_field import Diffusion, Mesh
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.frames.footplate_face import correct_blur
+from legacy.ct_inertia.grey.frame_surface import frame_surface, height_noise_of
+from legacy.ct_inertia.surface.surface import enclosed_volume
+from legacy.ct_inertia.surface.surface_field import Diffusion, Mesh
+from legacy.stapeskit.frames import vector_from_rotation
 from sample_volumes import phantom
-from stapeskit.frames import vector_from_rotation
 
 RADIUS = 0.5
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.grey.grey_scale import bend_of_scale
+from legacy.ct_inertia.grey.grey_scale import bend_of_scale
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.15])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.air_level import Guess
-from ct_inertia.grey.measure_stapes import measure_stapes
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.grey.air_level import Guess
+from legacy.ct_inertia.grey.measure_stapes import measure_stapes
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, volume_of
 from tests.oracles import ellipsoid_moments
 

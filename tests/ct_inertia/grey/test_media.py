@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.grey.air_level import Air
-from ct_inertia.grey.neighbours import away_from_others, neighbour_share, separate_from_neighbours
-from ct_inertia.grey.soft_tissue import soft_tissue_covariance, subtract_soft_tissue, taken_off
-from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.grey.air_level import Air
+from legacy.ct_inertia.grey.neighbours import away_from_others, neighbour_share, separate_from_neighbours
+from legacy.ct_inertia.grey.soft_tissue import soft_tissue_covariance, subtract_soft_tissue, taken_off
+from legacy.ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.volume.distance import capped_distance
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, plate, volume_of
 from tests.oracles import ellipsoid_moments
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.grey.neighbours import separate_from_neighbours
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.segment.touching_bones import flood_from_markers
-from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.normal_distribution import normal_cdf
+from legacy.ct_inertia.grey.neighbours import separate_from_neighbours
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.segment.touching_bones import flood_from_markers
+from legacy.ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.volume.normal_distribution import normal_cdf
 
 LENGTH, WALL, SIGMA = 0.7, 0.6, 0.043
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from ct_inertia.grey.partial_volume import Share, as_vector, partial_volume_moments, with_voxel_size
-from ct_inertia.grey.psf import edge_sigma
-from ct_inertia.labelling.from_labels import voxel_moments
-from ct_inertia.surface.moments import Moments
-from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.grey.partial_volume import Share, as_vector, partial_volume_moments, with_voxel_size
+from legacy.ct_inertia.grey.psf import edge_sigma
+from legacy.ct_inertia.labelling.from_labels import voxel_moments
+from legacy.ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.volume.volume import Volume
 from tests.ct_inertia.solids import filled, imaged, implicit_surface, moved, random_rotation
 
 AXES = np.array([0.62, 0.45, 0.3])

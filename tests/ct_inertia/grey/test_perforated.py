@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.volume.volume import Volume
 from sample_volumes import phantom
 from sample_volumes.analytic import write_analytic_stapes
 

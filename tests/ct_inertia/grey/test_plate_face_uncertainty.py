@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.bodies import PlateFace
-from ct_inertia.grey.plate_face import FaceFit, plate_share
-from ct_inertia.grey.plate_face_uncertainty import face_doubt
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.bodies import PlateFace
+from legacy.ct_inertia.grey.plate_face import FaceFit, plate_share
+from legacy.ct_inertia.grey.plate_face_uncertainty import face_doubt
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.volume import Volume
 
 H, CONTRAST = 0.04, 20000.0
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
+from legacy.ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 
 SPACING = np.array([0.02, 0.03, 0.04])
 

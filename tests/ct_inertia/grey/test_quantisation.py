@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.grey.quantisation import Quantisation, level_of, quantisation_of
+from legacy.ct_inertia.grey.quantisation import Quantisation, level_of, quantisation_of
 
 COUNT = 40_000
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.bodies import Levels
-from ct_inertia.grey.ring_artefacts import ring_notices
-from ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.bodies import Levels
+from legacy.ct_inertia.grey.ring_artefacts import ring_notices
+from legacy.ct_inertia.segment.extract_stapes import Cut
 
 AIR, BONE, NOISE, H = 2000.0, 20000.0, 200.0, 0.025
 LEVELS = Levels(AIR, BONE, None, NOISE, 1.0, 1.0)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.exports.mass_json import mass_json
-from ct_inertia.grey.scan_border import border_notices, cut_layers
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.options import MassOptions
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.exports.mass_json import mass_json
+from legacy.ct_inertia.grey.scan_border import border_notices, cut_layers
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.volume import Volume
 from tests.ct_inertia.ears import ear
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.grey.air_level import Air
-from ct_inertia.grey.bone_level import Bone
-from ct_inertia.grey.partial_volume import Share, partial_volume_moments
-from ct_inertia.grey.shading import air_slope_covariance, as_shares, slope_effect, unweighted_centre
+from legacy.ct_inertia.grey.air_level import Air
+from legacy.ct_inertia.grey.bone_level import Bone
+from legacy.ct_inertia.grey.partial_volume import Share, partial_volume_moments
+from legacy.ct_inertia.grey.shading import air_slope_covariance, as_shares, slope_effect, unweighted_centre
 from tests.ct_inertia.balls import AIR, BONE, ball, cut_of, places, volume_of
 from tests.oracles import ellipsoid_moments
 

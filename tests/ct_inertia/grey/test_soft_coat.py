@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from benchmarks.population import row_named, score
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.soft_coat import Coat, coat_image, stated_coat
-from ct_inertia.options import MassOptions
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.grid_operations import gaussian
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.grey.soft_coat import Coat, coat_image, stated_coat
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.grid_operations import gaussian
 
 H, RADIUS, THICK, GREY, AIR, BONE = 0.02, 0.4, 0.035, 0.15, 200.0, 1200.0
 

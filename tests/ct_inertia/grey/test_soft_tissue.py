@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.frames.covered_plate import covered_face
-from ct_inertia.frames.plane_faces import PlaneFace
-from ct_inertia.grey.air_level import Air, Surroundings
-from ct_inertia.grey.edge_shape import edge_shape
-from ct_inertia.grey.level_fit import BodyFit
-from ct_inertia.grey.soft_tissue import subtract_soft_tissue, taken_off
-from ct_inertia.grey.thin_bone import thin_bone
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.normal_distribution import normal_cdf
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.frames.covered_plate import covered_face
+from legacy.ct_inertia.frames.plane_faces import PlaneFace
+from legacy.ct_inertia.grey.air_level import Air, Surroundings
+from legacy.ct_inertia.grey.edge_shape import edge_shape
+from legacy.ct_inertia.grey.level_fit import BodyFit
+from legacy.ct_inertia.grey.soft_tissue import subtract_soft_tissue, taken_off
+from legacy.ct_inertia.grey.thin_bone import thin_bone
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.volume.normal_distribution import normal_cdf
+from legacy.ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 H = 0.04

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from ct_inertia.grey.thin_walls import smoothed, thin_wall_shift, vertex_normals
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.grey.thin_walls import smoothed, thin_wall_shift, vertex_normals
+from legacy.ct_inertia.surface.surface import Surface
 from tests.ct_inertia.balls import ball, places, plate
 
 SPACING, SIGMA = 0.02, 0.024

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ct_inertia.grey.thresholded import is_thresholded, with_threshold
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.grey.thresholded import is_thresholded, with_threshold
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.surface.moments import Moments
 from tests.ct_inertia.ears import AIR, BONE, ear
 from tests.ct_inertia.solids import implicit_surface
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ct_inertia.grey.air_level import Air
-from ct_inertia.grey.voids import closed_voids, empty_voids, void_notices
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.grey.air_level import Air
+from legacy.ct_inertia.grey.voids import closed_voids, empty_voids, void_notices
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.volume.volume import Volume
 
 H, NOISE = 0.03, 0.015
 SHAPE = (30, 44, 44)

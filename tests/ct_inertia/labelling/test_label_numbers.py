@@ -9,13 +9,13 @@ import pytest
 
 from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.labelling.label_numbers import body_numbers, without_islands
-from ct_inertia.options import MassOptions
-from ct_inertia.read_scan import read_labels, read_volume
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.labelling.label_numbers import body_numbers, without_islands
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.read_scan import read_labels, read_volume
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.volume.volume import Volume
 
 
 def labelled(names, array=None):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ct_inertia.mass.budget import budget
-from ct_inertia.mass.mass_estimates import MassByWay, disagreements
-from ct_inertia.mass.mass_properties import MassProperties
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix, twist_transfer
+from legacy.ct_inertia.mass.budget import budget
+from legacy.ct_inertia.mass.mass_estimates import MassByWay, disagreements
+from legacy.ct_inertia.mass.mass_properties import MassProperties
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.spatial import matrix_from_parameters, parameters_from_matrix, twist_transfer
 
 MASS, CENTRE = 3e-6, np.array([0.1e-3, 0.9e-3, -0.2e-3])
 ABOUT_CENTRE = np.diag([MASS, MASS, MASS, 2e-12, 1.5e-12, 3e-12])

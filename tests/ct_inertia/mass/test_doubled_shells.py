@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass.plausibility import check_mesh, repeated_faces
-from ct_inertia.surface.surface import Surface, read_surface
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.mass.plausibility import check_mesh, repeated_faces
+from legacy.ct_inertia.surface.surface import Surface, read_surface
 
 
 @pytest.mark.parametrize("seed", range(3))

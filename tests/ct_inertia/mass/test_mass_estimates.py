@@ -7,13 +7,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from ct_inertia.cli import work
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.exports.body import body_of
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.surface import write_surface
-from stapeskit.spatial import matrix_from_parameters
+from legacy.ct_inertia.cli import work
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.exports.body import body_of
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.surface import write_surface
+from legacy.stapeskit.spatial import matrix_from_parameters
 from tests.ct_inertia.ears import AIR, BONE
 from tests.ct_inertia.shapes import box, stapes
 from tests.ct_inertia.solids import filled, grey_volume, imaged, random_rotation, stapes_surface

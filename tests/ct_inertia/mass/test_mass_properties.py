@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.mass.calibration import Calibration, from_calibration, read_calibration
-from ct_inertia.mass.mass_properties import (
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.anatomy import AnatomyHints
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.mass.calibration import Calibration, from_calibration, read_calibration
+from legacy.ct_inertia.mass.mass_properties import (
     PointMass,
     footplate_mass_matrix,
     from_density,
@@ -19,8 +19,8 @@ from ct_inertia.mass.mass_properties import (
     plate_axes_mass_matrix,
     with_added,
 )
-from ct_inertia.surface.moments import Moments
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.ct_inertia.surface.moments import Moments
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.ct_inertia.shapes import box, moved, stapes
 
 SIDES = np.array([3.0, 0.4, 1.4])

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.ct2mass import _bodies, ct2mass
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.mass.plausibility import body_volumes, check_mesh, implausible
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.surface import Surface, write_surface
-from ct_inertia.volume.coarse_view import coarse_scan, material_levels
-from ct_inertia.volume.volume import Volume
-from stapeskit.progress import silent
+from legacy.ct_inertia.ct2mass import _bodies, ct2mass
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.mass.plausibility import body_volumes, check_mesh, implausible
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.surface import Surface, write_surface
+from legacy.ct_inertia.volume.coarse_view import coarse_scan, material_levels
+from legacy.ct_inertia.volume.volume import Volume
+from legacy.stapeskit.progress import silent
 from tests.ct_inertia.shapes import box, stapes
 
 GREY = (1394.0, 14.0)
@@ -93,7 +93,7 @@ def bodies_of_cut(cut):
 
 @pytest.mark.parametrize("anterior", [None, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
 def test_the_border_is_named_before_any_hint(cut, bodies_of_cut, anterior, monkeypatch):
-    monkeypatch.setattr("ct_inertia.ct2mass._bodies", lambda *_: bodies_of_cut)
+    monkeypatch.setattr("legacy.ct_inertia.ct2mass._bodies", lambda *_: bodies_of_cut)
     with pytest.raises(
         CtInertiaError, match=r"no object that can be a stapes: .*touches the border of the scan"
     ):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ct_inertia.mass.published_sizes import CODE, NAMES, PUBLISHED, comparisons, unusual_notice
+from legacy.ct_inertia.mass.published_sizes import CODE, NAMES, PUBLISHED, comparisons, unusual_notice
 
 USUAL = {
     "volume_mm3": 1.4,

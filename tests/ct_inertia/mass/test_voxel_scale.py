@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.ball_diameter import ball_diameter
-from ct_inertia.mass.mass_properties import (
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.grey.ball_diameter import ball_diameter
+from legacy.ct_inertia.mass.mass_properties import (
     PointMass,
     footplate_mass_matrix,
     from_density,
@@ -15,12 +15,12 @@ from ct_inertia.mass.mass_properties import (
     scaled,
     with_added,
 )
-from ct_inertia.mass.voxel_scale import SCANNER_SD, voxel_scale
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.surface import Surface
-from ct_inertia.volume.grid_operations import gaussian
-from ct_inertia.volume.volume import Volume
-from stapeskit.frames import RigidTransform
+from legacy.ct_inertia.mass.voxel_scale import SCANNER_SD, voxel_scale
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.volume.grid_operations import gaussian
+from legacy.ct_inertia.volume.volume import Volume
+from legacy.stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import stapes
 
 H = 0.02
@@ -64,7 +64,7 @@ def test_a_ball_is_measured_to_a_tenth_of_a_percent():
 
 
 def test_a_ball_alone_gives_its_ratio_and_the_sd_of_a_ratio(monkeypatch):
-    monkeypatch.setattr("ct_inertia.grey.ball_diameter.ball_diameter", lambda *_: (0.5, 3e-4))
+    monkeypatch.setattr("legacy.ct_inertia.grey.ball_diameter.ball_diameter", lambda *_: (0.5, 3e-4))
     volume = Volume(np.zeros((2, 2, 2), np.float32), np.full(3, H), np.zeros(3), np.eye(3))
     known = options(scale_ball=[(0.0, 0.0, 0.0, 0.51, 4e-4)], voxel_size_sd_percent=20.0)
     found = voxel_scale(known, volume)

@@ -8,10 +8,10 @@ import pytest
 import SimpleITK as sitk
 import tifffile
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
-from ct_inertia.readers.checks import check_size
-from ct_inertia.readers.raw_layout import RawLayout
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.readers.checks import check_size
+from legacy.ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import picture

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.ct2mass import _check_inputs
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.native import compiled
-from ct_inertia.readers import memory_mapping
-from ct_inertia.readers.memory_mapping import lost_pages, mapped
-from stapeskit.faults import StapeskitError
-from stapeskit.input_changes import InputStates
+from legacy.ct_inertia.ct2mass import _check_inputs
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.native import compiled
+from legacy.ct_inertia.readers import memory_mapping
+from legacy.ct_inertia.readers.memory_mapping import lost_pages, mapped
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.input_changes import InputStates
 
 SHAPE = (64, 128, 128)
 
@@ -99,9 +99,9 @@ def test_a_disk_that_fails_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_scan_that_is_rewritten_while_it_is_measured_is_refused(tmp_path, monkeypatch):
-    import ct_inertia.read_scan
-    from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.options import MassOptions
+    from legacy import ct_inertia
+    from legacy.ct_inertia.ct2mass import ct2mass
+    from legacy.ct_inertia.options import MassOptions
     from tests.ct_inertia.readers import writers as w
 
     path = w.nrrd(tmp_path / "a.nrrd", w.picture())

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.cli import main, parser
-from ct_inertia.options import MassOptions
-from stapeskit.faults import StapeskitError
+from legacy.ct_inertia.cli import main, parser
+from legacy.ct_inertia.options import MassOptions
+from legacy.stapeskit.faults import StapeskitError
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
@@ -22,7 +22,7 @@ RAW = ["--dtype", "uint16", "--byte-order", "big", "--header-bytes", "77"]
 def through_the_command(monkeypatch, capsys, *arguments):
     """Run the command and return its exit code, what it printed, and what it complained of."""
     monkeypatch.setattr(sys, "argv", ["ct2mass", *map(str, arguments)])
-    monkeypatch.setattr("stapeskit.process.listen", lambda _prog: None)
+    monkeypatch.setattr("legacy.stapeskit.process.listen", lambda _prog: None)
     with pytest.raises(SystemExit) as left:
         main()
     told = capsys.readouterr()

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
 from tests.ct_inertia.readers.contract import CASES
 from tests.ct_inertia.readers.writers import picture
 

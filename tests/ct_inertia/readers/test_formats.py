@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import ct_inertia.readers
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
-from ct_inertia.readers.companions import data_files, with_data_files
-from ct_inertia.readers.formats import FORMATS, RAW, Format, ReadOptions, format_of
-from ct_inertia.readers.raw_layout import RawLayout
+from legacy import ct_inertia
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.readers.companions import data_files, with_data_files
+from legacy.ct_inertia.readers.formats import FORMATS, RAW, Format, ReadOptions, format_of
+from legacy.ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.contract import CASES
@@ -48,7 +48,7 @@ def scans_of(entry, written):
 
 @EVERY
 def test_a_module_has_what_the_table_promises(entry):
-    code = importlib.import_module(f"ct_inertia.readers.{entry.module}")
+    code = importlib.import_module(f"legacy.ct_inertia.readers.{entry.module}")
     assert list(inspect.signature(code.read).parameters)[1:] == ["options"]
     assert bool(entry.sniffs) is hasattr(code, "recognises")
     assert set(entry.headers) <= set(entry.suffixes)
@@ -131,11 +131,12 @@ def test_a_new_format_needs_a_line_alone(tmp_path, monkeypatch):
     import sys
     import types
 
-    module = types.ModuleType("ct_inertia.readers.invented")
+    module = types.ModuleType("legacy.ct_inertia.readers.invented")
     module.read = lambda path, options: (path, options)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(
-        "ct_inertia.readers.formats.FORMATS", (Format("new", "invented", "all of it", (".new",)), *FORMATS)
+        "legacy.ct_inertia.readers.formats.FORMATS",
+        (Format("new", "invented", "all of it", (".new",)), *FORMATS),
     )
     path, options = tmp_path / "a.new", ReadOptions(mirror="x")
     assert format_of(path).read(path, options) == (path, options)
@@ -146,7 +147,7 @@ def test_a_damaged_header_names_no_companions(tmp_path, monkeypatch):
     def fails(_path):
         raise ValueError
 
-    monkeypatch.setattr("ct_inertia.readers.metaimage.companion_files", fails)
+    monkeypatch.setattr("legacy.ct_inertia.readers.metaimage.companion_files", fails)
     assert data_files(f.itk(tmp_path / "a.mhd", picture(np.int16))) == []
 
 

@@ -14,11 +14,11 @@ import pytest
 import tifffile
 from PIL import Image
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_labels, read_volume
-from ct_inertia.readers import checks
-from ct_inertia.readers.decompression import CODECS, unpack
-from ct_inertia.readers.dicom_lengths import dicom_size
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_labels, read_volume
+from legacy.ct_inertia.readers import checks
+from legacy.ct_inertia.readers.decompression import CODECS, unpack
+from legacy.ct_inertia.readers.dicom_lengths import dicom_size
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as w
 from tests.ct_inertia.readers.writers import picture
@@ -258,7 +258,7 @@ def test_what_does_not_fit_into_memory_is_refused(tmp_path, monkeypatch):
 
 
 def test_the_limit_on_memory_is_seen(monkeypatch):
-    from stapeskit.memory import available_memory
+    from legacy.stapeskit.memory import available_memory
 
     whole = available_memory()
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 62, 1 << 62))
@@ -288,8 +288,8 @@ def test_unreadable_files(tmp_path, monkeypatch):
 
 
 def test_names_that_are_no_utf8_are_written(tmp_path, monkeypatch):
-    from ct_inertia.cli import work
-    from ct_inertia.surface.surface import write_surface
+    from legacy.ct_inertia.cli import work
+    from legacy.ct_inertia.surface.surface import write_surface
     from tests.ct_inertia.shapes import stapes
 
     write_surface(tmp_path / "a.ply", stapes(0.15))

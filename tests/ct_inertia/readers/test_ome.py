@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
-from ct_inertia.readers.companions import data_files
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.readers.companions import data_files
 from tests.ct_inertia.readers.writers import SPACING, picture
 
 

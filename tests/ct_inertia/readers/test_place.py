@@ -9,9 +9,9 @@ import SimpleITK as sitk
 import tifffile
 from scipy.spatial.transform import Rotation
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_labels, read_volume
-from ct_inertia.readers.raw_layout import RawLayout
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_labels, read_volume
+from legacy.ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.read_scan import read_labels, read_volume
-from ct_inertia.readers.raw_layout import RawLayout
-from ct_inertia.volume.lazy_arrays import BlockArray, sampled
+from legacy.ct_inertia.read_scan import read_labels, read_volume
+from legacy.ct_inertia.readers.raw_layout import RawLayout
+from legacy.ct_inertia.volume.lazy_arrays import BlockArray, sampled
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.contract import CASES
@@ -63,7 +63,7 @@ def test_mirror_works_alike_in_every_format(tmp_path, name, axis):
 
 LARGE = """
 import sys, tracemalloc, numpy as np, imagecodecs
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.read_scan import read_volume
 tracemalloc.start()
 volume = read_volume(sys.argv[1], 0.02)
 part = volume.array[::50, ::10, ::10]
@@ -153,7 +153,7 @@ def test_real_files_of_one_scan_agree():
 
 @pytest.mark.shared
 def test_real_folder_of_slices():
-    from ct_inertia.errors import CtInertiaError
+    from legacy.ct_inertia.errors import CtInertiaError
 
     with pytest.raises(CtInertiaError, match="--spacing"):
         read_volume(SHARED / "lhdl_bone")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import picture
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.read_scan import read_volume
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.test_place import TURN
 from tests.ct_inertia.readers.writers import SPACING, picture

@@ -13,9 +13,9 @@ import tifffile
 import zarr
 from PIL import Image
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_labels, read_volume
-from stapeskit.provenance import content_hash
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_labels, read_volume
+from legacy.stapeskit.provenance import content_hash
 from tests.ct_inertia.readers import scanner_writers as scanners
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.read_scan import read_labels, read_volume
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.read_scan import read_labels, read_volume
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.readers.writers import picture
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
 
 LIMIT_S = 10.0  # of processor time, as in tests/fuzz
 KINDS = [(2, "."), (2, "/"), (3, "."), (3, "/")]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from ct_inertia.report.colours import AXIS_COLOURS, BODY_COLOURS
+from legacy.ct_inertia.report.colours import AXIS_COLOURS, BODY_COLOURS
 
 # Machado, Oliveira and Fernandes 2009, doi:10.1109/TVCG.2009.113: deuteranopia, linear RGB.
 DEUTERANOPIA = np.array(

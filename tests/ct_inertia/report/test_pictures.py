@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.report.pictures import (
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.report.pictures import (
     VIEWS,
     Body,
     Scene,
@@ -15,8 +15,8 @@ from ct_inertia.report.pictures import (
     _picture_from_scan,
     render_scenes,
 )
-from ct_inertia.report.rasterise import rasterise
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.ct_inertia.report.rasterise import rasterise
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 
 
 def box(low, high):

@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from ct_inertia.cli import work
-from ct_inertia.report.segmentation_sections import evidence_rows
-from ct_inertia.surface.surface import write_surface
-from stapeskit.page.numbers import plus_minus
-from stapeskit.page.quantities import MASS
+from legacy.ct_inertia.cli import work
+from legacy.ct_inertia.report.segmentation_sections import evidence_rows
+from legacy.ct_inertia.surface.surface import write_surface
+from legacy.stapeskit.page.numbers import plus_minus
+from legacy.stapeskit.page.quantities import MASS
 from tests.ct_inertia.shapes import stapes
 
 TOLD = {

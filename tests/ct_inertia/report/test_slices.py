@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ct_inertia.report.slices_figure import _largest_sections
+from legacy.ct_inertia.report.slices_figure import _largest_sections
 
 
 def test_slices_go_through_the_largest_area_and_not_through_the_foramen():

@@ -9,10 +9,10 @@ from scipy.ndimage import gaussian_filter
 from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
 from benchmarks.population import row_named, score
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.cropped_neighbours import cropped_separation
-from ct_inertia.segment.find_stapes import find_stapes
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.segment.cropped_neighbours import cropped_separation
+from legacy.ct_inertia.segment.find_stapes import find_stapes
 
 STEP = 0.025
 FIRST_Z = (np.array([False, False, True]), np.zeros(3, dtype=bool))

@@ -11,10 +11,10 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from benchmarks import foreign_shapes as shapes
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.find_stapes import find_stapes
-from ct_inertia.segment.necks import necks
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.segment.find_stapes import find_stapes
+from legacy.ct_inertia.segment.necks import necks
 from sample_volumes.bodies import OPENEAR_STAPES
 from sample_volumes.phantom import Ear, scene, write_scan
 

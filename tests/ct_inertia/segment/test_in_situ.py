@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ct_inertia.frames.footplate import footplate_frame
-from ct_inertia.frames.window_gap import window_gap
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.frames.footplate import footplate_frame
+from legacy.ct_inertia.frames.window_gap import window_gap
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 

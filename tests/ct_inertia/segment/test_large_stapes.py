@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.find_stapes import find_stapes
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.segment.find_stapes import find_stapes
 
 
 @pytest.mark.parametrize("seed", [1, 4, 6, 8, 11, 12, 13, 15])

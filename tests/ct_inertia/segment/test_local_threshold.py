@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ct_inertia.segment.local_threshold import takes_soft_for_bone
+from legacy.ct_inertia.segment.local_threshold import takes_soft_for_bone
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.labelling.from_scan import find_bodies
 from tests.ct_inertia.ears import scan_of, window
 from tests.ct_inertia.solids import implicit_surface, moved, random_rotation, stapes_surface
 

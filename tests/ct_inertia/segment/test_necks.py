@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.segment.candidates import labelled_pieces, surrounded
-from ct_inertia.segment.necks import necks
+from legacy.ct_inertia.segment.candidates import labelled_pieces, surrounded
+from legacy.ct_inertia.segment.necks import necks
 
 
 def test_the_neck_between_two_balls_is_the_plane_where_they_meet():

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ct_inertia.segment.candidates import labelled_pieces
-from ct_inertia.segment.find_stapes import _shows_more_bone
+from legacy.ct_inertia.segment.candidates import labelled_pieces
+from legacy.ct_inertia.segment.find_stapes import _shows_more_bone
 
 SPACING = np.full(3, 0.05)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.segment.candidates import labelled_pieces, with_holes_of, within_hull
+from legacy.ct_inertia.segment.candidates import labelled_pieces, with_holes_of, within_hull
 
 STEP = 0.05
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.frames.plate_surface import _first
-from ct_inertia.segment.plate_region import _box_of, _mean_inside, thinned
+from legacy.ct_inertia.frames.plate_surface import _first
+from legacy.ct_inertia.segment.plate_region import _box_of, _mean_inside, thinned
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])

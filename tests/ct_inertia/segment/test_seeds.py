@@ -7,11 +7,11 @@ import pytest
 
 from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.segment.find_stapes import find_stapes
-from ct_inertia.volume.coarse_view import coarse_overview
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.segment.find_stapes import find_stapes
+from legacy.ct_inertia.volume.coarse_view import coarse_overview
 
 
 def own_voxels(sight):

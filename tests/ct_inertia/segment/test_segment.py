@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.frames.footplate_face import correct_blur
-from ct_inertia.grey.partial_volume import as_vector
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.ambiguity import refuse_rivals
-from ct_inertia.segment.candidates import Piece
-from ct_inertia.segment.coarse_segmentation import SearchOptions
-from ct_inertia.surface.surface import enclosed_volume
-from ct_inertia.surface.surface_field import Diffusion, Mesh
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.frames.footplate_face import correct_blur
+from legacy.ct_inertia.grey.partial_volume import as_vector
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.ambiguity import refuse_rivals
+from legacy.ct_inertia.segment.candidates import Piece
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.surface.surface import enclosed_volume
+from legacy.ct_inertia.surface.surface_field import Diffusion, Mesh
+from legacy.ct_inertia.volume.volume import Volume
 from tests.ct_inertia.ears import AIR, BONE, ear, errors
 
 

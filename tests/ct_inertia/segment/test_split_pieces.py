@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.segment.candidates import labelled_pieces
-from ct_inertia.segment.split_pieces import CoarseGrid, neck_separations, split_piece
+from legacy.ct_inertia.segment.candidates import labelled_pieces
+from legacy.ct_inertia.segment.split_pieces import CoarseGrid, neck_separations, split_piece
 from tests.ct_inertia.balls import AIR, BONE, places, volume_of
 from tests.ct_inertia.segment.test_touching_bones import blocks
 

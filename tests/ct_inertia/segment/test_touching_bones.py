@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.segment.touching_bones import flood_from_markers, narrow_gaps, relabel, separate_bones
+from legacy.ct_inertia.segment.touching_bones import flood_from_markers, narrow_gaps, relabel, separate_bones
 from tests.ct_inertia.balls import places, plate
 
 SPACING, SIGMA = 0.03, 0.036

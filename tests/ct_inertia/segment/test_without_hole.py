@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.segment.coarse_segmentation import SearchOptions
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.segment.coarse_segmentation import SearchOptions
 from tests.ct_inertia.ears import scan_of, window
 from tests.ct_inertia.solids import implicit_surface, moved, random_rotation
 

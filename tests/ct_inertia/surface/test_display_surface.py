@@ -7,14 +7,14 @@ import sys
 import numpy as np
 import pytest
 
-from ct_inertia.cli import work
-from ct_inertia.ct2mass import ct2mass
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.options import MassOptions
-from ct_inertia.surface.display_surface import check_request, display_mesh
-from ct_inertia.surface.surface import read_surface, write_surface
-from stapeskit.frames import RigidTransform
+from legacy.ct_inertia.cli import work
+from legacy.ct_inertia.ct2mass import ct2mass
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from legacy.ct_inertia.options import MassOptions
+from legacy.ct_inertia.surface.display_surface import check_request, display_mesh
+from legacy.ct_inertia.surface.surface import read_surface, write_surface
+from legacy.stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import moved, stapes
 
 FAR = (40.0, -25.0, 60.0)

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from ct_inertia.surface.meshlab_check import second_opinion
-from ct_inertia.surface.surface import Surface
+from legacy.ct_inertia.surface.meshlab_check import second_opinion
+from legacy.ct_inertia.surface.surface import Surface
 from sample_volumes import bodies
 
 

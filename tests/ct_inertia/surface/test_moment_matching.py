@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ct_inertia.surface.isosurface import iso_surface
-from ct_inertia.surface.moment_matching import moment_matched
-from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.grid_operations import gaussian
+from legacy.ct_inertia.surface.isosurface import iso_surface
+from legacy.ct_inertia.surface.moment_matching import moment_matched
+from legacy.ct_inertia.surface.moments import Moments
+from legacy.ct_inertia.volume.grid_operations import gaussian
 from tests.ct_inertia.solids import stapes_field, stapes_surface
 
 LOW, HIGH = np.array([-1.7, -0.4, -0.9]) - 0.2, np.array([1.7, 3.4, 0.9]) + 0.2

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.surface.surface import Surface, count_open_edges, read_surface, write_surface
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.surface.surface import Surface, count_open_edges, read_surface, write_surface
 from tests.ct_inertia.solids import (
     box_surface,
     implicit_surface,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from ct_inertia.bodies import LabelledVolume
-from ct_inertia.read_scan import read_labels
-from ct_inertia.volume.label_file import packed_labels
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.bodies import LabelledVolume
+from legacy.ct_inertia.read_scan import read_labels
+from legacy.ct_inertia.volume.label_file import packed_labels
+from legacy.ct_inertia.volume.volume import Volume
 
 
 def labelled(values, first=(0, 0, 0)):

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.grey.level_fit import grow_mask
-from ct_inertia.grey.partial_volume import Share, partial_volume_moments
-from ct_inertia.grey.psf import edge_sigma
-from ct_inertia.surface.contours import contoured
-from ct_inertia.surface.isosurface import largest_part
-from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grid_operations import (
+from hatch_build import system_compiler
+from legacy.ct_inertia.grey.level_fit import grow_mask
+from legacy.ct_inertia.grey.partial_volume import Share, partial_volume_moments
+from legacy.ct_inertia.grey.psf import edge_sigma
+from legacy.ct_inertia.surface.contours import contoured
+from legacy.ct_inertia.surface.isosurface import largest_part
+from legacy.ct_inertia.volume.distance import capped_distance
+from legacy.ct_inertia.volume.grid_operations import (
     boxes_and_sizes,
     dilated,
     eroded,
@@ -27,8 +28,8 @@ from ct_inertia.volume.grid_operations import (
     used_box,
     watershed,
 )
-from ct_inertia.volume.interior_histogram import interior
-from ct_inertia.volume.mask_statistics import (
+from legacy.ct_inertia.volume.interior_histogram import interior
+from legacy.ct_inertia.volume.mask_statistics import (
     deviation,
     every_nth,
     gather_voxels,
@@ -37,12 +38,11 @@ from ct_inertia.volume.mask_statistics import (
     places_between,
     sums,
 )
-from ct_inertia.volume.mesh_graphs import graph_pieces, in_hull, solver
-from ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
-from ct_inertia.volume.volume import Volume
-from ct_inertia.volume.working_copy import working_box
-from hatch_build import system_compiler
-from stapeskit.compiled_kernels import SWITCH, built_library, library_name, load
+from legacy.ct_inertia.volume.mesh_graphs import graph_pieces, in_hull, solver
+from legacy.ct_inertia.volume.normal_distribution import normal_cdf, normal_quantile
+from legacy.ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.volume.working_copy import working_box
+from legacy.stapeskit.compiled_kernels import SWITCH, built_library, library_name, load
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -286,7 +286,7 @@ def test_the_normal_distribution(monkeypatch):
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16"])
 def test_labels_of_regions(monkeypatch, dtype):
-    from ct_inertia.labelling.label_box import _labels, _Region
+    from legacy.ct_inertia.labelling.label_box import _labels, _Region
 
     rng = np.random.default_rng(11)
     array = rng.integers(0, 120, (33, 41, 52)).astype(dtype)
@@ -339,7 +339,7 @@ def test_a_damaged_library_is_not_loaded(tmp_path):
 
 
 def test_a_whole_ear_weighs_the_same_without_the_kernels(monkeypatch):
-    from ct_inertia.labelling.from_scan import find_bodies
+    from legacy.ct_inertia.labelling.from_scan import find_bodies
     from tests.ct_inertia.ears import ear
 
     volume = ear(h=0.04, seed=3).volume

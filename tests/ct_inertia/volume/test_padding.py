@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.volume.coarse_view import coarse_overview
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.volume.coarse_view import coarse_overview
+from legacy.ct_inertia.volume.volume import Volume
 
 AIR, BONE, NOISE = 0.0, 1000.0, 30.0
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.volume.volume import Volume
 from tests.ct_inertia.solids import random_rotation
 
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from ct_inertia.bodies import LabelledVolume
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.grey.air_level import Surroundings, air_shell, measure_air, unclipped
-from ct_inertia.grey.scan_border import border_notices
-from ct_inertia.labelling.from_scan import find_bodies
-from ct_inertia.read_scan import read_volume
-from ct_inertia.segment.extract_stapes import Cut
-from ct_inertia.volume.coarse_view import coarse_scan, material_levels, noise_of
-from ct_inertia.volume.interior_histogram import interior
-from ct_inertia.volume.volume import Volume
-from ct_inertia.volume.working_copy import block_for, working_box
+from legacy.ct_inertia.bodies import LabelledVolume
+from legacy.ct_inertia.errors import CtInertiaError
+from legacy.ct_inertia.grey.air_level import Surroundings, air_shell, measure_air, unclipped
+from legacy.ct_inertia.grey.scan_border import border_notices
+from legacy.ct_inertia.labelling.from_scan import find_bodies
+from legacy.ct_inertia.read_scan import read_volume
+from legacy.ct_inertia.segment.extract_stapes import Cut
+from legacy.ct_inertia.volume.coarse_view import coarse_scan, material_levels, noise_of
+from legacy.ct_inertia.volume.interior_histogram import interior
+from legacy.ct_inertia.volume.volume import Volume
+from legacy.ct_inertia.volume.working_copy import block_for, working_box
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.solids import random_rotation
 

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import BRANCHES, ERRORS, PISTON, EarSettings, ear
-from fitting.budget import MODEL_ERROR
-from fitting.causes.catalogue import CAUSES, places_of, term_of
-from fitting.causes.chi2_differences import difference_sd
-from fitting.causes.diagnosis import setting_of, with_refits
-from fitting.causes.mass_errors import HEAD_PLACE
-from fitting.causes.refits import Refit
-from fitting.errors import FittingError
-from fitting.fit_kd import fit_kd
-from fitting.fluid_mass import decide_on_fluid
-from fitting.kd_fit import KDFit
-from fitting.ligament.equations import operator_of
-from fitting.model.parameter_vector import join
-from fitting.options import CORRECT, KDOptions
-from fitting.report.causes import unseen
-from fitting.report.kd_json import kd_json
-from fitting.report.sections import kd_page
+from legacy.fitting.budget import MODEL_ERROR
+from legacy.fitting.causes.catalogue import CAUSES, places_of, term_of
+from legacy.fitting.causes.chi2_differences import difference_sd
+from legacy.fitting.causes.diagnosis import setting_of, with_refits
+from legacy.fitting.causes.mass_errors import HEAD_PLACE
+from legacy.fitting.causes.refits import Refit
+from legacy.fitting.errors import FittingError
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.fluid_mass import decide_on_fluid
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.ligament.equations import operator_of
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import CORRECT, KDOptions
+from legacy.fitting.report.causes import unseen
+from legacy.fitting.report.kd_json import kd_json
+from legacy.fitting.report.sections import kd_page
 from tests.fitting.cases import M, paper_motion
 
 BARE = KDOptions(bands=0)

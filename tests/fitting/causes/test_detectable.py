@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.causes.detectable import POWER_80, detectable_size
+from legacy.fitting.causes.detectable import POWER_80, detectable_size
 
 
 def test_without_nuisances_it_is_the_minimal_detectable_bias() -> None:

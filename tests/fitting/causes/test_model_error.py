@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import PISTON, EarSettings, SimulatedEar, ear
-from fitting.budget import MODEL_ERROR
-from fitting.causes.diagnosis import Refit
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
-from fitting.report.kd_json import kd_json
+from legacy.fitting.budget import MODEL_ERROR
+from legacy.fitting.causes.diagnosis import Refit
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.kd_json import kd_json
 
 BLOCK = np.ix_(PISTON, PISTON)
 

@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 PROGRAM = """
-from stapeskit.page import quantities
+from legacy.stapeskit.page import quantities
 quantities.MASS = quantities.ShownUnit("ug", 1e9)
-from fitting.causes.catalogue import CAUSES, shown_unit
+from legacy.fitting.causes.catalogue import CAUSES, shown_unit
 print(*(f"{CAUSES[name].unit} {CAUSES[name].per_unit:g}" for name in ("fluid", "head_mass")))
 print(shown_unit("mg").text(1.5), shown_unit("us").text(2.0))
 """

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.errors import FittingError
-from fitting.estimators import constrained, pinv
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import nearest_inside, smallest_eigenvalues
-from fitting.estimators.stability import MARGIN, wall_height, wall_slopes
-from fitting.model.model import modes
-from fitting.model.parameter_vector import split
-from fitting.model.scaled_lines import (
+from legacy.fitting.errors import FittingError
+from legacy.fitting.estimators import constrained, pinv
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.semidefinite_roots import nearest_inside, smallest_eigenvalues
+from legacy.fitting.estimators.stability import MARGIN, wall_height, wall_slopes
+from legacy.fitting.model.model import modes
+from legacy.fitting.model.parameter_vector import split
+from legacy.fitting.model.scaled_lines import (
     Lines,
 )
 from tests.fitting.cases import DOF, K, M, paper_motion
@@ -53,7 +53,7 @@ def test_constrained_finds_one_optimum_with_stability_active() -> None:
 
 def printed_damping_lines(noise: float, seed: int | None, dof: tuple[str, ...] = DOF) -> Lines:
     """Data of a truth that is unstable and not passive: the paper's M and K with D as printed."""
-    from fitting.examples.paper import PAPER_DAMPING_PRINTED
+    from legacy.fitting.examples.paper import PAPER_DAMPING_PRINTED
     from sample_volumes.shaken_stapes import driven_base, simulated_motion
 
     freq = np.linspace(400.0, 5000.0, 60)

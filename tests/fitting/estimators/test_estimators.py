@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.errors import FittingError
-from fitting.estimators import ESTIMATORS, estimator, ml, pinv
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import is_positive_definite, nearest_inside
-from fitting.model.damping import VISCOUS, DampingLaw
-from fitting.model.model import modes, passive
-from fitting.model.observation import observe
-from fitting.model.parameter_vector import join, split
-from fitting.model.scaled_lines import (
+from legacy.fitting.errors import FittingError
+from legacy.fitting.estimators import ESTIMATORS, estimator, ml, pinv
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.semidefinite_roots import is_positive_definite, nearest_inside
+from legacy.fitting.model.damping import VISCOUS, DampingLaw
+from legacy.fitting.model.model import modes, passive
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.parameter_vector import join, split
+from legacy.fitting.model.scaled_lines import (
     Lines,
     Scale,
     assemble,
@@ -24,8 +24,8 @@ from fitting.model.scaled_lines import (
     real_rows,
     regressor,
 )
-from stapeskit.records.motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, D, K, M, damping_for, paper_motion, six_dof_matrices, six_dof_motion
 
 OPTIONS = EstimatorOptions()

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from fitting.estimators import ml
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.semidefinite_roots import (
+from legacy.fitting.estimators import ml
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.semidefinite_roots import (
     is_positive_definite,
     minimise,
     minimise_near,
     smallest_eigenvalues,
 )
-from fitting.model.damping import DampingLaw
-from fitting.model.parameter_vector import basis, join, pairs, split
-from fitting.model.scaled_lines import Lines
+from legacy.fitting.model.damping import DampingLaw
+from legacy.fitting.model.parameter_vector import basis, join, pairs, split
+from legacy.fitting.model.scaled_lines import Lines
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
 from tests.fitting.cases import DOF, K, M
 from tests.fitting.estimators.test_estimators import lines_of

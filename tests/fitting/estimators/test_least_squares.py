@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.estimators.base import least_squares, solve_symmetric
+from legacy.fitting.estimators.base import least_squares, solve_symmetric
 
 
 def test_singular_systems_get_the_least_norm_answer() -> None:

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimators import ml
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.multistart import improve, with_fluid
-from fitting.estimators.problem import Problem
-from fitting.model.damping import VISCOUS
-from fitting.model.inertia import inertia_of
-from fitting.model.observation import observe
-from fitting.model.parameter_vector import join
-from fitting.model.scaled_lines import Scale
+from legacy.fitting.estimators import ml
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.multistart import improve, with_fluid
+from legacy.fitting.estimators.problem import Problem
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.model.scaled_lines import Scale
 from tests.fitting.cases import DOF, D, K, M, paper_motion
 
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting import native
-from fitting.estimators import irls, ml
-from fitting.estimators.base import EstimatorOptions, gram, transposed_times
-from fitting.estimators.likelihood_kernel import CORRECTED, DISTANCES, EQUAL, MEASURED, expanded
-from fitting.estimators.problem import Problem
-from fitting.model.damping import VISCOUS
-from fitting.model.inertia import inertia_of
-from fitting.model.observation import observe
-from fitting.model.scaled_lines import Lines, Scale, cholesky, evaluate, forward, real_rows, regressor
+from legacy.fitting import native
+from legacy.fitting.estimators import irls, ml
+from legacy.fitting.estimators.base import EstimatorOptions, gram, transposed_times
+from legacy.fitting.estimators.likelihood_kernel import CORRECTED, DISTANCES, EQUAL, MEASURED, expanded
+from legacy.fitting.estimators.problem import Problem
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.scaled_lines import Lines, Scale, cholesky, evaluate, forward, real_rows, regressor
 from tests.fitting.cases import DOF, M, paper_motion
 
 OPTIONS = EstimatorOptions()
@@ -112,6 +112,6 @@ def test_fits_are_the_same_without_the_kernels(monkeypatch):
         return [start, *(ml.estimate(lines, one).parameters for one in (OPTIONS, robust))]
 
     compiled = fits()
-    monkeypatch.setattr("fitting.estimators.likelihood_kernel.compiled", lambda: None)
+    monkeypatch.setattr("legacy.fitting.estimators.likelihood_kernel.compiled", lambda: None)
     for one, other in zip(compiled, fits(), strict=True):
         close(one, other, 1e-9)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.estimators.semidefinite import nearest
-from fitting.model.parameter_vector import join, pairs, split
+from legacy.fitting.estimators.semidefinite import nearest
+from legacy.fitting.model.parameter_vector import join, pairs, split
 
 N = 3
 # Squared Frobenius norm of both matrices: entries off the diagonal count twice.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.cli import parser
-from fitting.estimators import ESTIMATORS, estimator
-from fitting.estimators.base import Method
-from fitting.fit_kd import KDOptions, fit_kd
-from fitting.model.damping import DampingLaw
-from fitting.model.laws import LAWS, law_of
+from legacy.fitting.cli import parser
+from legacy.fitting.estimators import ESTIMATORS, estimator
+from legacy.fitting.estimators.base import Method
+from legacy.fitting.fit_kd import KDOptions, fit_kd
+from legacy.fitting.model.damping import DampingLaw
+from legacy.fitting.model.laws import LAWS, law_of
 from tests.fitting.cases import K, M, damping_for, paper_motion
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.examples.beam import (
+from legacy.fitting.examples.beam import (
     Beam,
     deviations_percent,
     difference,
@@ -13,7 +13,7 @@ from fitting.examples.beam import (
     element_stiffness,
     transport_to_tip,
 )
-from fitting.examples.paper import TABLE_1_THEORY
+from legacy.fitting.examples.paper import TABLE_1_THEORY
 
 
 def clamped_chain(beam: Beam, elements: int) -> tuple[np.ndarray, np.ndarray]:

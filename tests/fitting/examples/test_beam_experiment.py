@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.examples import beam_page
-from fitting.examples.beam import Beam, transport_to_tip
-from fitting.examples.beam_experiment import (
+from legacy.fitting.examples import beam_page
+from legacy.fitting.examples.beam import Beam, transport_to_tip
+from legacy.fitting.examples.beam_experiment import (
     Setup,
     coefficients,
     cube_mass,
@@ -20,7 +20,7 @@ from fitting.examples.beam_experiment import (
     measured,
     tip_motion,
 )
-from fitting.examples.paper import TABLE_1_THEORY
+from legacy.fitting.examples.paper import TABLE_1_THEORY
 
 MASSLESS = Setup(beam_has_mass=False)
 FULL = Setup()

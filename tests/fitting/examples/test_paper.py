@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.examples import paper
-from fitting.examples.paper_page import main, paper_page
-from fitting.model.model import modes, passive, simulate
-from fitting.model.principal_axes import principal_axes
+from legacy.fitting.examples import paper
+from legacy.fitting.examples.paper_page import main, paper_page
+from legacy.fitting.model.model import modes, passive, simulate
+from legacy.fitting.model.principal_axes import principal_axes
 
 
 def test_printed_damping_is_unstable_and_not_passive() -> None:

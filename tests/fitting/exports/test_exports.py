@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from fitting.errors import FittingError
-from fitting.export_formats import EXPORTS, exported, file_name
-from fitting.exports.inp import mass_points, spring_points
-from fitting.exports.joint import joint_parameters
-from fitting.fit_kd import fit_kd
-from fitting.options import KDOptions
-from fitting.recorded_fit import kd_of
-from stapeskit.spatial import matrix_from_parameters
+from legacy.fitting.errors import FittingError
+from legacy.fitting.export_formats import EXPORTS, exported, file_name
+from legacy.fitting.exports.inp import mass_points, spring_points
+from legacy.fitting.exports.joint import joint_parameters
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.options import KDOptions
+from legacy.fitting.recorded_fit import kd_of
+from legacy.stapeskit.spatial import matrix_from_parameters
 from tests.fitting.cases import K, M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
 
 

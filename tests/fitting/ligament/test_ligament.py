@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import PISTON, EarSettings, SimulatedEar, ear, frame_change
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.ligament.inplane_stiffness import INPLANE_DOF
-from fitting.ligament.joint_covariance import joint_covariance
-from fitting.ligament.joint_fit import equation_error_start, expand
-from fitting.ligament.joint_lines import _maps, joint_lines
-from fitting.model.observation import observe_both
-from fitting.model.parameter_vector import join
-from fitting.montecarlo import monte_carlo
-from fitting.options import KDOptions
-from fitting.report.kd_json import kd_json
-from fitting.report.sections import kd_page
-from stapeskit.records.mass_record import MassMatrix
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.ligament.inplane_stiffness import INPLANE_DOF
+from legacy.fitting.ligament.joint_covariance import joint_covariance
+from legacy.fitting.ligament.joint_fit import equation_error_start, expand
+from legacy.fitting.ligament.joint_lines import _maps, joint_lines
+from legacy.fitting.model.observation import observe_both
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.montecarlo import monte_carlo
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.kd_json import kd_json
+from legacy.fitting.report.sections import kd_page
+from legacy.stapeskit.records.mass_record import MassMatrix
 
 BLOCK = np.ix_(PISTON, PISTON)
 INPLANE = np.ix_((0, 2, 4), (0, 2, 4))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import EarSettings, ear
-from fitting.fit_kd import fit_kd
-from fitting.ligament.ligament_fit import LigamentFit, coupling_units
-from fitting.ligament.plane_transfer import slopes_of_transfer
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.ligament.ligament_fit import LigamentFit, coupling_units
+from legacy.fitting.ligament.plane_transfer import slopes_of_transfer
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
 
 
 @pytest.fixture(scope="module")

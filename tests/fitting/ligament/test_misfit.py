@@ -10,11 +10,11 @@ import pytest
 from scipy.special import chdtri
 
 from benchmarks.ring_ears import PISTON, EarSettings, ear
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.ligament.joint_fit import fit_joint
-from fitting.ligament.misfit import descend, explained_limit, fit_any, fit_with_noise
-from fitting.options import KDOptions
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.ligament.joint_fit import fit_joint
+from legacy.fitting.ligament.misfit import descend, explained_limit, fit_any, fit_with_noise
+from legacy.fitting.options import KDOptions
 
 PISTON_STIFFNESS = PISTON[0], PISTON[0]
 

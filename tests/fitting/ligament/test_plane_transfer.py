@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.ligament.inplane_stiffness import InplaneStiffness
-from fitting.ligament.plane_transfer import curvature_of_transfer, slopes_of_transfer
-from fitting.model.parameter_vector import join, split
+from legacy.fitting.ligament.inplane_stiffness import InplaneStiffness
+from legacy.fitting.ligament.plane_transfer import curvature_of_transfer, slopes_of_transfer
+from legacy.fitting.model.parameter_vector import join, split
 
 
 def inplane_of(rng: np.random.Generator, covariance: np.ndarray) -> InplaneStiffness:

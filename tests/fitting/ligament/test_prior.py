@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fitting.ligament.prior import Prior
+from legacy.fitting.ligament.prior import Prior
 
 
 def test_parameters_without_a_prior_are_counted():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.ring_ears import PISTON, EarSettings, ear
-from fitting.fit_kd import fit_kd
-from fitting.ligament.profile_spread import profile_spread
-from fitting.options import KDOptions
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.ligament.profile_spread import profile_spread
+from legacy.fitting.options import KDOptions
 
 
 def test_nothing_is_added_where_the_data_determine_k() -> None:

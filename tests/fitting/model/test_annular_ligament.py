@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.ring_ears import PIECES, PISTON, ring
-from fitting.examples.paper import PAPER_STIFFNESS
-from fitting.examples.paper_page import FOOTPLATE_MM
-from fitting.fit_kd import fit_kd
-from fitting.model.annular_ligament import Value, ellipse_mm, ring_stiffness, ring_test
-from fitting.options import KDOptions
-from fitting.recorded_fit import window_gap
-from fitting.report.ring_section import ring_json, ring_of, ring_parts
+from legacy.fitting.examples.paper import PAPER_STIFFNESS
+from legacy.fitting.examples.paper_page import FOOTPLATE_MM
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.annular_ligament import Value, ellipse_mm, ring_stiffness, ring_test
+from legacy.fitting.options import KDOptions
+from legacy.fitting.recorded_fit import window_gap
+from legacy.fitting.report.ring_section import ring_json, ring_of, ring_parts
 from tests.fitting.cases import M, paper_motion
 
 

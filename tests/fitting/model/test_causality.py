@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.model.causality import causal_rise
-from fitting.model.damping import DampingLaw
-from fitting.model.laws import LAWS
+from legacy.fitting.model.causality import causal_rise
+from legacy.fitting.model.damping import DampingLaw
+from legacy.fitting.model.laws import LAWS
 
 BAND = (400.0, 5000.0)
 

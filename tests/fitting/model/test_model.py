@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.errors import FittingError
-from fitting.model.damping import VISCOUS, DampingLaw
-from fitting.model.model import dynamic_stiffness, modes, passive, simulate, state_matrix
+from legacy.fitting.errors import FittingError
+from legacy.fitting.model.damping import VISCOUS, DampingLaw
+from legacy.fitting.model.model import dynamic_stiffness, modes, passive, simulate, state_matrix
 from tests.fitting.cases import FREQ, D, K, M, damping_for
 
 

@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fitting.cli import parser, work
-from fitting.errors import FittingError
-from fitting.estimators import ml
-from fitting.estimators.base import EstimatorOptions
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.model.damping import VISCOUS
-from fitting.model.observation import observe
-from fitting.model.point_layout import Layout
-from fitting.model.scaled_lines import Scale, assemble
-from fitting.options import KDOptions
-from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
-from fitting.plan.plan_file import read_plan
-from fitting.plan.plan_options import PLAN_EXAMPLE
-from fitting.plan.planned_errors import PlannedErrors, shared_errors
-from stapeskit.faults import StapeskitError
-from stapeskit.spatial import DOF_NAMES
+from legacy.fitting.cli import parser, work
+from legacy.fitting.errors import FittingError
+from legacy.fitting.estimators import ml
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.point_layout import Layout
+from legacy.fitting.model.scaled_lines import Scale, assemble
+from legacy.fitting.options import KDOptions
+from legacy.fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
+from legacy.fitting.plan.plan_file import read_plan
+from legacy.fitting.plan.plan_options import PLAN_EXAMPLE
+from legacy.fitting.plan.planned_errors import PlannedErrors, shared_errors
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, M, six_dof_mass, six_dof_matrices
 
 # Places of DOF among x, y, z, alpha, beta, gamma.
@@ -206,7 +206,7 @@ def test_halves_of_stated_errors_stand_among_the_changes() -> None:
 
 
 def test_errors_of_lasers_are_those_of_points2dof() -> None:
-    from kinematics.registration.laser_errors import LaserPriors
+    from legacy.kinematics.registration.laser_errors import LaserPriors
 
     defaults = {error.name: error.default for error in fields(PlannedErrors)}
     for name in ("gain_sd_percent", "phase_sd_deg", "delay_sd_us"):

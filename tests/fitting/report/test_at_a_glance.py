@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.options import KDOptions
-from fitting.report.at_a_glance import summary_rows
-from stapeskit.warnings import Notice
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.at_a_glance import summary_rows
+from legacy.stapeskit.warnings import Notice
 from tests.fitting.cases import M, paper_motion
 
 

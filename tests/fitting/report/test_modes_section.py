@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.fit_kd import fit_kd
-from fitting.kd_fit import KDFit
-from fitting.model.annular_ligament import ellipse_mm
-from fitting.model.model import modes
-from fitting.options import KDOptions
-from fitting.report.figures import correlation_figure
-from fitting.report.mode_shapes import shape_figure
-from fitting.report.modes_section import modes_section
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.kd_fit import KDFit
+from legacy.fitting.model.annular_ligament import ellipse_mm
+from legacy.fitting.model.model import modes
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.figures import correlation_figure
+from legacy.fitting.report.mode_shapes import shape_figure
+from legacy.fitting.report.modes_section import modes_section
 from tests.fitting.cases import M, paper_motion
 
 

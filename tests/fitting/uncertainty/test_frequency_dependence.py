@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.errors import FittingError
-from fitting.examples.paper import PAPER_DAMPING_CORRECTED
-from fitting.fit_kd import fit_kd
-from fitting.model.model import simulate
-from fitting.options import USUAL_BANDS, KDOptions
-from fitting.uncertainty.frequency_dependence import fewer_bands, frequency_dependence
+from legacy.fitting.errors import FittingError
+from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.model import simulate
+from legacy.fitting.options import USUAL_BANDS, KDOptions
+from legacy.fitting.uncertainty.frequency_dependence import fewer_bands, frequency_dependence
+from legacy.stapeskit.records.mass_record import MassMatrix
+from legacy.stapeskit.spatial import dof_indices, matrix_from_parameters
 from sample_volumes.shaken_stapes import driven_base
-from stapeskit.records.mass_record import MassMatrix
-from stapeskit.spatial import dof_indices, matrix_from_parameters
 from tests.fitting.cases import DOF, FREQ, K, M, paper_motion, six_dof_parameters
 
 

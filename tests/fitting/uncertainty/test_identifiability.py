@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.fit_kd import fit_kd
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
-from fitting.uncertainty.identifiability import Identifiability, identifiability, relative_sizes
-from stapeskit.records.motion import RigidMotion
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
+from legacy.fitting.uncertainty.identifiability import Identifiability, identifiability, relative_sizes
+from legacy.stapeskit.records.motion import RigidMotion
 from tests.fitting.cases import D, K, M, paper_motion
 
 

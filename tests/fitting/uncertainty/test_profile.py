@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.fit_kd import fit_kd
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
-from fitting.report.sections import kd_sections
-from fitting.uncertainty.covariance import chi2, known_and_spread
-from fitting.uncertainty.profile import QUANTILE_95, profile_intervals
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
+from legacy.fitting.report.sections import kd_sections
+from legacy.fitting.uncertainty.covariance import chi2, known_and_spread
+from legacy.fitting.uncertainty.profile import QUANTILE_95, profile_intervals
 from tests.fitting.cases import D, K, M, paper_motion
 
 TRUTH = join(K, D)

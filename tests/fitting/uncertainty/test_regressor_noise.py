@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimators import ml
-from fitting.estimators.regressor_noise import information, regressor_noise
-from fitting.fit_kd import fit_kd
-from fitting.model.parameter_vector import join
-from fitting.options import KDOptions
-from stapeskit.records.motion import RigidMotion
+from legacy.fitting.estimators import ml
+from legacy.fitting.estimators.regressor_noise import information, regressor_noise
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.parameter_vector import join
+from legacy.fitting.options import KDOptions
+from legacy.stapeskit.records.motion import RigidMotion
 from tests.fitting.cases import DOF, D, K, M, paper_motion
 
 
@@ -45,7 +45,7 @@ def test_the_noise_of_the_motion_is_what_the_hessian_has_too_much() -> None:
 
 
 def _observed(problem, motion):
-    from fitting.model.observation import observe
+    from legacy.fitting.model.observation import observe
 
     kept = problem.observation
     made = observe(motion, DOF, with_load=False)

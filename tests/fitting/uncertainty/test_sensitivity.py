@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.problem import Problem
-from fitting.model.damping import VISCOUS
-from fitting.model.inertia import inertia_of
-from fitting.model.observation import observe
-from fitting.model.scaled_lines import Scale
-from fitting.uncertainty.sensitivity import contract, slope_by_motion
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.estimators.problem import Problem
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.inertia import inertia_of
+from legacy.fitting.model.observation import observe
+from legacy.fitting.model.scaled_lines import Scale
+from legacy.fitting.uncertainty.sensitivity import contract, slope_by_motion
 from tests.fitting.cases import DOF, six_dof_mass, six_dof_motion
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.fit_kd import fit_kd
-from fitting.options import KDOptions
-from fitting.uncertainty.shared_misfit import chi2_with_shared_errors
-from stapeskit.records.motion import SharedErrors
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.options import KDOptions
+from legacy.fitting.uncertainty.shared_misfit import chi2_with_shared_errors
+from legacy.stapeskit.records.motion import SharedErrors
 from tests.fitting.cases import M, paper_motion
 
 

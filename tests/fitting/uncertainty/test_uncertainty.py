@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimators import ml
-from fitting.estimators.base import EstimatorOptions
-from fitting.fit_kd import fit_kd
-from fitting.model.damping import VISCOUS
-from fitting.model.model import simulate
-from fitting.model.observation import Observation, observe
-from fitting.model.parameter_vector import join, split, vector
-from fitting.model.scaled_lines import Scale, assemble
-from fitting.options import KDOptions
-from fitting.uncertainty.covariance import invert
+from legacy.fitting.estimators import ml
+from legacy.fitting.estimators.base import EstimatorOptions
+from legacy.fitting.fit_kd import fit_kd
+from legacy.fitting.model.damping import VISCOUS
+from legacy.fitting.model.model import simulate
+from legacy.fitting.model.observation import Observation, observe
+from legacy.fitting.model.parameter_vector import join, split, vector
+from legacy.fitting.model.scaled_lines import Scale, assemble
+from legacy.fitting.options import KDOptions
+from legacy.fitting.uncertainty.covariance import invert
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.records.mass_record import frame_derivative
+from legacy.stapeskit.records.motion import RigidMotion, SharedErrors
+from legacy.stapeskit.spatial import DOF_NAMES, matrix_from_parameters, twist_transfer
 from sample_volumes.shaken_stapes import driven_base, simulated_motion
-from stapeskit.frames import rotation_from_vector
-from stapeskit.records.mass_record import frame_derivative
-from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.spatial import DOF_NAMES, matrix_from_parameters, twist_transfer
 from tests.fitting.cases import (
     DOF,
     FREQ,
@@ -278,7 +278,7 @@ def test_several_runs_narrow_the_intervals() -> None:
 
 
 def test_simulation_of_the_truth_is_within_its_band() -> None:
-    from fitting.report.responses import responses
+    from legacy.fitting.report.responses import responses
 
     fit = fit_kd(paper_motion(0.05, 6), M)
     found = responses(fit)

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import stapeskit
 from benchmarks.corrections import EXACT, errors, fitted
 from benchmarks.fault_bodies import draw
-from kinematics.errors import KinematicsError
-from kinematics.faults.adaptation import CORRECTED, LEFT_OUT, RAISED
-from kinematics.fit_options import Options
-from kinematics.measurement import Measurement
-from kinematics.options import LdvOptions
-from kinematics.points2dof import points2dof
+from legacy import stapeskit
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.faults.adaptation import CORRECTED, LEFT_OUT, RAISED
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import Measurement
+from legacy.kinematics.options import LdvOptions
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.simulated import HEADER, body, csv_rows, scene
 
 FIVE = "shell, 5 points, 3 heads"

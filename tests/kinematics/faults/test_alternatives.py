@@ -11,18 +11,18 @@ import pytest
 from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene
 from benchmarks.two_bodies import shaken
-from kinematics.faults.alternatives import ALTERNATIVES, proposed
-from kinematics.faults.catalogue import ADVICE
-from kinematics.faults.proposals.clean_motion import fit_clean_motion
-from kinematics.faults.proposals.exchanges import Layout
-from kinematics.faults.proposals.misfitting_body import MisfittingBody
-from kinematics.faults.proposals.outliers import with_far_values
-from kinematics.faults.proposals.row_places import Rows
-from kinematics.fit.beams import beam_set
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from stapeskit.spatial import DOF_NAMES
-from stapeskit.warnings import table
+from legacy.kinematics.faults.alternatives import ALTERNATIVES, proposed
+from legacy.kinematics.faults.catalogue import ADVICE
+from legacy.kinematics.faults.proposals.clean_motion import fit_clean_motion
+from legacy.kinematics.faults.proposals.exchanges import Layout
+from legacy.kinematics.faults.proposals.misfitting_body import MisfittingBody
+from legacy.kinematics.faults.proposals.outliers import with_far_values
+from legacy.kinematics.faults.proposals.row_places import Rows
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.spatial import DOF_NAMES
+from legacy.stapeskit.warnings import table
 from tests.kinematics.faults.test_catalogue import data_of
 from tests.kinematics.faults.test_causes import SPOILED, STAPES, hum
 from tests.kinematics.faults.test_unit_slips import SLIPS, changed, right

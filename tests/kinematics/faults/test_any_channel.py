@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.points2dof import points2dof
-from kinematics.report.fault_sections import groups_of, verdict_section
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.frames import RigidTransform
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.fault_sections import groups_of, verdict_section
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.frames import RigidTransform
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_volumes"
@@ -37,7 +37,7 @@ def sample():
 @pytest.fixture(autouse=True)
 def without_detectable(monkeypatch):
     """Leave out how large an error would have to be to show, which takes a tenth of the time."""
-    monkeypatch.setattr("kinematics.report.fault_sections.detectable_blocks", lambda *_: [])
+    monkeypatch.setattr("legacy.kinematics.report.fault_sections.detectable_blocks", lambda *_: [])
 
 
 def spoiled(channels, channel, kind):

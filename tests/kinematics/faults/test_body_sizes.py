@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.two_bodies import resized, shaken
-from kinematics.faults.judges.phase_convention import phase_notice, rms_would_show, size_notices
-from kinematics.points2dof import points2dof
-from kinematics.report.detectable_sections import detectable_blocks
+from legacy.kinematics.faults.judges.phase_convention import phase_notice, rms_would_show, size_notices
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.detectable_sections import detectable_blocks
 from tests.kinematics.ligament import study
 
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.alternatives import proposed
-from kinematics.faults.catalogue import ADVICE, KINDS, Fault
-from kinematics.faults.findings import Finding
-from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
-from kinematics.faults.packed_readings import Source, initial, packed
-from kinematics.faults.proposals.exchanges import Layout
-from kinematics.faults.refit import Refit
-from kinematics.faults.score_information import State, model_of
-from kinematics.faults.score_tests import score_tests
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from stapeskit.spatial import DOF_NAMES
-from stapeskit.warnings import table
+from legacy.kinematics.faults.alternatives import proposed
+from legacy.kinematics.faults.catalogue import ADVICE, KINDS, Fault
+from legacy.kinematics.faults.findings import Finding
+from legacy.kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
+from legacy.kinematics.faults.packed_readings import Source, initial, packed
+from legacy.kinematics.faults.proposals.exchanges import Layout
+from legacy.kinematics.faults.refit import Refit
+from legacy.kinematics.faults.score_information import State, model_of
+from legacy.kinematics.faults.score_tests import score_tests
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.stapeskit.spatial import DOF_NAMES
+from legacy.stapeskit.warnings import table
 from tests.kinematics.simulated import body, scene
 
 PLACES = [(name, owner) for name, kind in KINDS.items() for owner in kind.owners]

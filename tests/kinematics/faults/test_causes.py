@@ -11,9 +11,9 @@ from benchmarks.corrections import errors, fitted
 from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene
 from benchmarks.points_faults import judged
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
 
 STAPES = "stapes, 10 points 3D"
 CAUSES = {

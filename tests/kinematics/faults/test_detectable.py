@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncx2
 
-from kinematics.faults.detectable import POWER, detectable, invisible
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.points2dof import points2dof
-from kinematics.report.detectable_sections import size_of
-from kinematics.report.fault_sections import verdict_section
-from stapeskit.frames import rotation_from_vector
+from legacy.kinematics.faults.detectable import POWER, detectable, invisible
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.detectable_sections import size_of
+from legacy.kinematics.report.fault_sections import verdict_section
+from legacy.stapeskit.frames import rotation_from_vector
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 ALARM = 1e-4

@@ -7,10 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from kinematics.report.fault_sections import clean_words
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.fault_sections import clean_words
 from tests.kinematics.simulated import FAULTS, body, measurement, scene
 
 
@@ -86,7 +86,7 @@ def test_two_culprits_are_both_named():
 
 
 def test_turned_beam_axes_are_told_of_the_whole_body():
-    from stapeskit.frames import rotation_from_vector
+    from legacy.stapeskit.frames import rotation_from_vector
 
     made = scene(7)
     made.directions = made.directions @ rotation_from_vector(np.radians([0.0, 2.0, 1.0]))

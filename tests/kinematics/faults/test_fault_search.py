@@ -11,7 +11,7 @@ from benchmarks.fault_bounds import bound
 from benchmarks.fault_scenes import measured, two_faults
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.points2dof import points2dof
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.faults.test_diagnose import driven
 from tests.kinematics.simulated import body, measurement, scene
 

@@ -9,13 +9,13 @@ from benchmarks.corrections import fitted
 from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import scene
 from benchmarks.points_faults import judged
-from kinematics.faults.noise_size import common_level
-from kinematics.faults.nuisance import Nuisance
-from kinematics.faults.packed_readings import Source, initial
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.measurement import BodyChannels
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults.noise_size import common_level
+from legacy.kinematics.faults.nuisance import Nuisance
+from legacy.kinematics.faults.packed_readings import Source, initial
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.measurement import BodyChannels
+from legacy.stapeskit.spatial import DOF_NAMES
 
 STAPES = "stapes, 10 points 3D"
 

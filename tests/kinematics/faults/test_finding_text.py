@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.fault_scenes import measured, scene
-from kinematics.faults.catalogue import Fault
-from kinematics.faults.findings import Finding, describe
-from kinematics.faults.sentences import with_sd
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from kinematics.registration.placement import Placement
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.kinematics.faults.catalogue import Fault
+from legacy.kinematics.faults.findings import Finding, describe
+from legacy.kinematics.faults.sentences import with_sd
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.placement import Placement
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 
 STAPES = "stapes, 10 points 3D"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.faults.packed_readings import packed
-from kinematics.faults.score_information import State
+from legacy.kinematics.faults.packed_readings import packed
+from legacy.kinematics.faults.score_information import State
 from tests.kinematics.faults.test_catalogue import data_of
 from tests.kinematics.simulated import scene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.faults.nuisance import likeliest_size
+from legacy.kinematics.faults.nuisance import likeliest_size
 
 SIZES = np.geomspace(1e-4, 1.0, 4001)
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.judges.line_order import (
+from legacy.kinematics.faults.judges.line_order import (
     Reordered,
     put_in_order,
     rate_ratio,
     reordered_bodies,
 )
-from kinematics.faults.proposals.line_orders import sorted_as_text
-from kinematics.fit_options import Options
-from kinematics.points2dof import points2dof
+from legacy.kinematics.faults.proposals.line_orders import sorted_as_text
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.faults.test_phase_convention import moved
 from tests.kinematics.ligament import study, with_lines
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.judges.row_labels import label_findings
-from kinematics.faults.proposals.clean_motion import chosen_lines, fit_clean_motion
-from kinematics.points2dof import points2dof
+from legacy.kinematics.faults.judges.row_labels import label_findings
+from legacy.kinematics.faults.proposals.clean_motion import chosen_lines, fit_clean_motion
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted, study, with_lines
 
 

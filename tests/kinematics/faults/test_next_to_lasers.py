@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.fault_bodies import draw
 from benchmarks.faults_gate import judged, scattered
-from kinematics.fit.laser_groups import group_lasers
-from kinematics.points2dof import points2dof
+from legacy.kinematics.fit.laser_groups import group_lasers
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.simulated import body, measurement, scene
 
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.judges.phase_convention import phase_notice
-from kinematics.faults.proposals.two_bodies import Pair
-from kinematics.points2dof import points2dof
-from stapeskit.frames import rotation_from_vector
-from stapeskit.records.motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults.judges.phase_convention import phase_notice
+from legacy.kinematics.faults.proposals.two_bodies import Pair
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.ligament import base_motion, stapes_motion, study, with_lines
 
 FREQ = np.linspace(400.0, 5000.0, 90)

@@ -10,15 +10,15 @@ import pytest
 from benchmarks.fault_bounds import bound
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.faults.nuisance import Marginal, Nuisance
-from kinematics.faults.packed_readings import Source, initial, whitening
-from kinematics.faults.point_noise import by_chance, point_covariance, scaled
-from kinematics.faults.score_information import State
-from kinematics.faults.score_tests import score_tests
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.points2dof import points2dof
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults.nuisance import Marginal, Nuisance
+from legacy.kinematics.faults.packed_readings import Source, initial, whitening
+from legacy.kinematics.faults.point_noise import by_chance, point_covariance, scaled
+from legacy.kinematics.faults.score_information import State
+from legacy.kinematics.faults.score_tests import score_tests
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 
 

@@ -9,16 +9,16 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
-from kinematics.faults.catalogue import Fault
-from kinematics.faults.laser_scatter import LaserScatter
-from kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
-from kinematics.faults.packed_readings import Source, initial
-from kinematics.faults.refit import Refit
-from kinematics.faults.score_information import State, model_of
-from kinematics.faults.search import Search
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.measurement import BodyChannels
+from legacy.kinematics.faults.catalogue import Fault
+from legacy.kinematics.faults.laser_scatter import LaserScatter
+from legacy.kinematics.faults.nuisance import Marginal, Nuisance, estimate_nuisance
+from legacy.kinematics.faults.packed_readings import Source, initial
+from legacy.kinematics.faults.refit import Refit
+from legacy.kinematics.faults.score_information import State, model_of
+from legacy.kinematics.faults.search import Search
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.measurement import BodyChannels
 from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
 from tests.kinematics.simulated import scene
 

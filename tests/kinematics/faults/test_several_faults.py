@@ -9,10 +9,10 @@ import pytest
 
 from benchmarks.fault_bodies import BODIES, FAULTS, draw
 from benchmarks.faults_gate import judged, scattered
-from kinematics.faults.noise_size import channel_noise
-from kinematics.faults.packed_readings import packed
-from kinematics.faults.proposals.drifting_motion import drifting_motion
-from kinematics.faults.score_information import State
+from legacy.kinematics.faults.noise_size import channel_noise
+from legacy.kinematics.faults.packed_readings import packed
+from legacy.kinematics.faults.proposals.drifting_motion import drifting_motion
+from legacy.kinematics.faults.score_information import State
 from tests.kinematics.faults.test_alternatives import suspected
 from tests.kinematics.faults.test_catalogue import data_of
 from tests.kinematics.simulated import scene

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.fault_scenes import measured, scene
-from kinematics.faults.alternatives import slip_notices
-from kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.faults.alternatives import slip_notices
+from legacy.kinematics.measurement import BodyChannels, Measurement
 
 
 def right(seed=1, lines=40):

@@ -9,14 +9,14 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
-from kinematics.faults.estimated_weights import equalise_noise
-from kinematics.faults.noise_size import channel_noise_energy
-from kinematics.faults.nuisance import Nuisance
-from kinematics.faults.packed_readings import Source, initial
-from kinematics.faults.score_information import State
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.faults.estimated_weights import equalise_noise
+from legacy.kinematics.faults.noise_size import channel_noise_energy
+from legacy.kinematics.faults.nuisance import Nuisance
+from legacy.kinematics.faults.packed_readings import Source, initial
+from legacy.kinematics.faults.score_information import State
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 FOOTPLATE = "footplate, 5 points 3D"

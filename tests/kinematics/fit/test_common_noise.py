@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.diagnose import diagnose
-from kinematics.fit.body_noise import fit_with_noise
-from kinematics.fit.reference_noise import bound_record_noise
-from kinematics.fit_options import Options
-from kinematics.measurement import RecordNoise, from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.readers.common_noise import noise_of_records, with_common_noise
-from kinematics.readers.recording import Recording
-from stapeskit.faults import Place, StapeskitError
-from stapeskit.records.motion_files import standard_deviation
-from stapeskit.spatial import point_rows
+from legacy.kinematics.faults.diagnose import diagnose
+from legacy.kinematics.fit.body_noise import fit_with_noise
+from legacy.kinematics.fit.reference_noise import bound_record_noise
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import RecordNoise, from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.readers.common_noise import noise_of_records, with_common_noise
+from legacy.kinematics.readers.recording import Recording
+from legacy.stapeskit.faults import Place, StapeskitError
+from legacy.stapeskit.records.motion_files import standard_deviation
+from legacy.stapeskit.spatial import point_rows
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 FREQ = np.array([100.0, 200.0, 300.0])

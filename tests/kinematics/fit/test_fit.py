@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinematics.fit.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement, from_arrays
-from kinematics.points2dof import points2dof
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import rotation_from_vector
-from stapeskit.records.motion_files import standard_deviation
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement, from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.records.motion_files import standard_deviation
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,
     measurement,

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinematics import native as kernels
-from kinematics.fit import line_kernels
-from kinematics.fit.line_noise import LineNoise
-from kinematics.fit.line_solver import solve
-from kinematics.fit.line_sums import Solution
+from legacy.kinematics import native as kernels
+from legacy.kinematics.fit import line_kernels
+from legacy.kinematics.fit.line_noise import LineNoise
+from legacy.kinematics.fit.line_solver import solve
+from legacy.kinematics.fit.line_sums import Solution
 
 NAMES = ("z", "inverse", "misfit", "explained", "energy", "scaled", "freedom", "weight")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.fit.laser_groups import laser_channels, noise_shares
+from legacy.kinematics.fit.laser_groups import laser_channels, noise_shares
 
 
 def test_lasers_differ_beyond_what_their_channels_scatter():

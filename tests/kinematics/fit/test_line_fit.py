@@ -8,16 +8,16 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from kinematics.fit import symmetric_batches
-from kinematics.fit.beams import beam_set
-from kinematics.fit.body_noise import largest_rate
-from kinematics.fit.line_noise import LineNoise
-from kinematics.fit.rigid_fit import fit_lines, refit
-from kinematics.fit.robust_fit import TOLERANCE, robust_weight
-from kinematics.fit_options import Options
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit import symmetric_batches
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.body_noise import largest_rate
+from legacy.kinematics.fit.line_noise import LineNoise
+from legacy.kinematics.fit.rigid_fit import fit_lines, refit
+from legacy.kinematics.fit.robust_fit import TOLERANCE, robust_weight
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,
     measurement,
@@ -213,7 +213,7 @@ def test_robust_fits_settle_where_their_equations_hold(robust, share, missing):
 
 
 def test_contradicting_channels_are_told_when_a_robust_fit_does_not_settle(monkeypatch):
-    monkeypatch.setattr("kinematics.fit.robust_fit._MOST", 1)
+    monkeypatch.setattr("legacy.kinematics.fit.robust_fit._MOST", 1)
     made = scene(11, lines=20)
     result = points2dof(
         measurement(body("stapes", made), freq_hz=made.freq_hz), options=Options(robust="huber")

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from kinematics.fit import symmetric_batches
-from kinematics.fit.line_gram import determining, each_line, pieces, spans
-from kinematics.fit.line_noise import LineNoise
-from kinematics.fit.line_sums import Solution
+from legacy.kinematics.fit import symmetric_batches
+from legacy.kinematics.fit.line_gram import determining, each_line, pieces, spans
+from legacy.kinematics.fit.line_noise import LineNoise
+from legacy.kinematics.fit.line_sums import Solution
 
 CHANNELS, LINES, SIZE = 9, 37, 4
 

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from kinematics.fit.beams import beam_set, observability
-from kinematics.fit.frf_ratio import per_reference
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit_options import Options
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.registration.shared_errors import position_errors, position_patterns
-from stapeskit.faults import StapeskitError
-from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.cli import work
+from legacy.kinematics.fit.beams import beam_set, observability
+from legacy.kinematics.fit.frf_ratio import per_reference
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.shared_errors import position_errors, position_patterns
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import HEADER, body, csv_rows, measurement, readings, scene, smooth_motion
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -44,7 +44,7 @@ def test_patterns_of_many_points_carry_their_covariance(uneven, monkeypatch):
     fit = fit_lines(beam_set("s", made.positions_mm, made.directions, DOF_NAMES), value, sd)
     single = position_errors({(0, 0): fit}, [data])
     assert len(single.names) == 27
-    monkeypatch.setattr("kinematics.registration.shared_errors._NAMED_BYTES", 0)
+    monkeypatch.setattr("legacy.kinematics.registration.shared_errors._NAMED_BYTES", 0)
     few = position_errors({(0, 0): fit}, [data])
     assert few.names[0] == "position.stapes.pattern_1"
     assert np.all(few.variances == 1.0)

@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from kinematics.fit.beams import beam_set
-from kinematics.fit.neglected_motion import leaks
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.neglected_motion import leaks
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 PAPER_DOF = ("y", "alpha", "gamma")

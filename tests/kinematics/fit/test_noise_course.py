@@ -9,13 +9,13 @@ import pytest
 
 from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene
-from kinematics.fit.beams import beam_set
-from kinematics.fit.noise_spectrum import noise_course
-from kinematics.fit.rigid_fit import LineFit, fit_lines
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.signals.frf import line_spread
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.noise_spectrum import noise_course
+from legacy.kinematics.fit.rigid_fit import LineFit, fit_lines
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.signals.frf import line_spread
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 FREQ = np.linspace(100.0, 4000.0, 60)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.hdf5 import write_hdf5
-from kinematics.readers.input_options import InputOptions, SeriesOptions
-from kinematics.readers.proprietary_formats import COMPOUND
+from legacy.kinematics.readers.hdf5 import write_hdf5
+from legacy.kinematics.readers.input_options import InputOptions, SeriesOptions
+from legacy.kinematics.readers.proprietary_formats import COMPOUND
 from sample_volumes import exports
 from tests.kinematics import written_psv
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.recognise_format import format_of
-from kinematics.readers.recording import Recordings
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.kinematics.readers.recording import Recordings
 
 
 def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:

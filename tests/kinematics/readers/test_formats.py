@@ -11,16 +11,16 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from kinematics.cli import parser
-from kinematics.measure_motion import files_by_role
-from kinematics.readers import recognise_format
-from kinematics.readers.formats import FORMATS, TIDY, Format
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.readers.recognise_format import format_of
-from kinematics.readers.recording import Recording, Recordings
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.faults import Place, StapeskitError
+from legacy.kinematics.cli import parser
+from legacy.kinematics.measure_motion import files_by_role
+from legacy.kinematics.readers import recognise_format
+from legacy.kinematics.readers.formats import FORMATS, TIDY, Format
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.kinematics.readers.recording import Recording, Recordings
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import Place, StapeskitError
 from tests.kinematics.readers.contract import CASES, FREQ_HZ, VELOCITY
 
 

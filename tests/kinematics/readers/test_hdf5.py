@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.readers.hdf5 import read, write_hdf5
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.hdf5 import read, write_hdf5
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 
 RNG = np.random.default_rng(0)

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.cli import parser, work
-from kinematics.measure_motion import motion_inputs, read_inputs
-from kinematics.options import LdvOptions
-from kinematics.points2dof import points2dof
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.faults import StapeskitError
-from stapeskit.option_kinds import BEAM
-from stapeskit.records.motion_files import write_motion
+from legacy.kinematics.cli import parser, work
+from legacy.kinematics.measure_motion import motion_inputs, read_inputs
+from legacy.kinematics.options import LdvOptions
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.option_kinds import BEAM
+from legacy.stapeskit.records.motion_files import write_motion
 from tests.kinematics import written_uff as uff
 from tests.kinematics.readers.test_inputs import PLACES, F, codes, value
 from tests.kinematics.rewritten import write_three_ways

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.options import LdvOptions
-from kinematics.readers.assemble_measurement import assemble
-from kinematics.readers.from_options import input_options
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.recording import Recording, Recordings, scaled
-from kinematics.tidy.points_csv import read_points
-from stapeskit.faults import Place, StapeskitError
+from legacy.kinematics.options import LdvOptions
+from legacy.kinematics.readers.assemble_measurement import assemble
+from legacy.kinematics.readers.from_options import input_options
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.recording import Recording, Recordings, scaled
+from legacy.kinematics.tidy.points_csv import read_points
+from legacy.stapeskit.faults import Place, StapeskitError
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_volumes"

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from kinematics.cli import work
-from kinematics.readers.containers.matlab_file import read_mat
-from kinematics.readers.matlab.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.cli import work
+from legacy.kinematics.readers.containers.matlab_file import read_mat
+from legacy.kinematics.readers.matlab.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.written_mat import write_v73
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from kinematics.readers.containers.matlab_file import read_mat
-from kinematics.readers.matlab.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.containers.matlab_file import read_mat
+from legacy.kinematics.readers.matlab.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.test_matlab import FREQ, LINES, POINTS, VALUE, XYZ, file, usd
 
 __all__ = ["file"]

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.psv import fastscan as psv_fastscan
-from kinematics.readers.psv import per_point as psv_points
-from kinematics.readers.psv.signals import frequency_hz
-from kinematics.readers.psv.text_blocks import fields_of
-from kinematics.readers.recognise_format import format_of
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.psv import fastscan as psv_fastscan
+from legacy.kinematics.readers.psv import per_point as psv_points
+from legacy.kinematics.readers.psv.signals import frequency_hz
+from legacy.kinematics.readers.psv.text_blocks import fields_of
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.written_psv import fastscan, point
 

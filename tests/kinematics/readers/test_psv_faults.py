@@ -8,10 +8,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.readers.recognise_format import format_of
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 from tests.kinematics.readers.test_psv import FREQ, SPECTRUM, pointwise, scanned
 from tests.kinematics.written_psv import fastscan, point

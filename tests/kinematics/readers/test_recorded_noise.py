@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.readers.recording import Recording
-from kinematics.readers.reported_noise import body_noise
-from kinematics.readers.value_checks import in_mm, number_faults, value_faults
-from stapeskit.faults import Place
-from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
+from legacy.kinematics.readers.recording import Recording
+from legacy.kinematics.readers.reported_noise import body_noise
+from legacy.kinematics.readers.value_checks import in_mm, number_faults, value_faults
+from legacy.stapeskit.faults import Place
+from legacy.stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 FREQ = np.linspace(500.0, 2500.0, 5)
 VALUE = np.full(5, 3e-6 - 4e-6j)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.cli import parser, work
-from kinematics.fit_options import Options
-from kinematics.options import LdvOptions
-from kinematics.points2dof import points2dof
-from kinematics.readers.from_options import input_options
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.registration.laser_errors import LaserPriors
-from stapeskit.faults import StapeskitError
-from stapeskit.records.motion_files import read_motion, standard_deviation
+from legacy.kinematics.cli import parser, work
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.options import LdvOptions
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.readers.from_options import input_options
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.registration.laser_errors import LaserPriors
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records.motion_files import read_motion, standard_deviation
 from tests.kinematics import series
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
-from kinematics.options import SeriesOptions
-from kinematics.readers.series.channel_table import read_channels, sensitivity
-from kinematics.readers.series.frequency_responses import read, read_steps
-from kinematics.readers.series.series_files import read_series
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.options import SeriesOptions
+from legacy.kinematics.readers.series.channel_table import read_channels, sensitivity
+from legacy.kinematics.readers.series.frequency_responses import read, read_steps
+from legacy.kinematics.readers.series.series_files import read_series
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 
 RATE, COUNT = 2000.0, 4000
@@ -303,8 +303,8 @@ def test_the_channel_table_of_the_page_is_read(tmp_path):
 
 
 def test_options_that_no_file_is_for_are_refused(tmp_path):
-    from kinematics.readers.input_options import InputOptions
-    from kinematics.readers.measurement_files import read_measurement
+    from legacy.kinematics.readers.input_options import InputOptions
+    from legacy.kinematics.readers.measurement_files import read_measurement
 
     (tmp_path / "channels.csv").write_text(TABLE)
     (tmp_path / "map.toml").write_text("")

@@ -7,9 +7,9 @@ import random
 import numpy as np
 import pytest
 
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.written_psv import fastscan, point
 

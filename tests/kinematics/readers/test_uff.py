@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import pyuff
 
-from kinematics.readers.recognise_format import format_of
-from kinematics.readers.uff.datasets import datasets, looks_like_uff
-from kinematics.readers.uff.functions import read_function
-from kinematics.readers.uff.spectra import read
-from kinematics.readers.unit_labels import MotionUnit, motion_unit
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.kinematics.readers.uff.datasets import datasets, looks_like_uff
+from legacy.kinematics.readers.uff.functions import read_function
+from legacy.kinematics.readers.uff.spectra import read
+from legacy.kinematics.readers.unit_labels import MotionUnit, motion_unit
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.readers.recordings import read_recordings
 
@@ -349,7 +349,7 @@ def test_files_from_measuring_systems():
 
 @pytest.mark.shared
 def test_geometry_from_measuring_systems():
-    from kinematics.readers.uff.geometry import read_geometry
+    from legacy.kinematics.readers.uff.geometry import read_geometry
 
     name = "heat_engine_housing.uff"
     made = read_geometry(datasets((SHARED / name).read_bytes(), name), name, set(range(100)))

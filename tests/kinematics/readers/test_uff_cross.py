@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.readers.uff.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.uff.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 
 F = np.arange(1, 41) * 25.0

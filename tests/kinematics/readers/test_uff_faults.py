@@ -7,8 +7,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from kinematics.readers.uff.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.uff.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.readers.test_uff import X, Y, fault, written
 

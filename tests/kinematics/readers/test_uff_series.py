@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from kinematics.options import SeriesOptions
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.series.frequency_responses import read as read_series
-from kinematics.readers.uff.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.cli import work
+from legacy.kinematics.options import SeriesOptions
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.series.frequency_responses import read as read_series
+from legacy.kinematics.readers.uff.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.readers.recordings import read_recordings
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinematics.readers.unit_labels import length_scale, motion_unit, phase_scale
+from legacy.kinematics.readers.unit_labels import length_scale, motion_unit, phase_scale
 
 
 @pytest.mark.parametrize(

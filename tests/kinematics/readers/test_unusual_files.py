@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from kinematics.measure_motion import MotionInputs
-from kinematics.readers.containers.matlab_file import read_mat
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.readers.series.series_files import read_series
-from kinematics.readers.unit_labels import motion_unit
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.measure_motion import MotionInputs
+from legacy.kinematics.readers.containers.matlab_file import read_mat
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.readers.series.series_files import read_series
+from legacy.kinematics.readers.unit_labels import motion_unit
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 
 FREQ = np.array([100.0, 250.0, 400.0, 800.0])
@@ -134,7 +134,7 @@ def test_the_working_folder_is_a_folder_like_others(tmp_path, monkeypatch):
 
 
 def test_a_folder_of_too_many_files_is_not_searched(tmp_path, monkeypatch):
-    monkeypatch.setattr("kinematics.readers.psv.text_blocks._MOST_FILES", 5)
+    monkeypatch.setattr("legacy.kinematics.readers.psv.text_blocks._MOST_FILES", 5)
     for number in range(6):
         (tmp_path / f"{number}.jpg").touch()
     with pytest.raises(StapeskitError, match="more than 5"):

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.input_options import InputOptions
-from kinematics.readers.measurement_files import read_measurement
-from kinematics.readers.recognise_format import format_of
-from kinematics.readers.wide.columns import meaning
-from kinematics.readers.wide.spectra import read
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.readers.input_options import InputOptions
+from legacy.kinematics.readers.measurement_files import read_measurement
+from legacy.kinematics.readers.recognise_format import format_of
+from legacy.kinematics.readers.wide.columns import meaning
+from legacy.kinematics.readers.wide.spectra import read
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.readers.recordings import read_recordings
 
 EXPORTS = Path(__file__).resolve().parents[3] / "sample_volumes" / "exports"

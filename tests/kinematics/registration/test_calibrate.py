@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from kinematics.registration.calibrate import calibrate
-from kinematics.registration.calibrated_fit import calibration_errors
-from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import rotation_from_vector
-from stapeskit.spatial import DOF_NAMES, point_rows
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.calibrate import calibrate
+from legacy.kinematics.registration.calibrated_fit import calibration_errors
+from legacy.kinematics.registration.geometry_model import GeometryModel, GeometryPriors
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.spatial import DOF_NAMES, point_rows
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 COUNT = 7
@@ -183,7 +183,7 @@ def test_changes_are_the_derivatives_of_the_rows():
 def test_many_parameters_are_kept_as_combinations(monkeypatch):
     measurement, _, _ = ear(1)
     whole = points2dof(measurement, options=Options(calibrate=GeometryPriors()))
-    monkeypatch.setattr("kinematics.registration.calibrated_fit._NAMED_BYTES", 0)
+    monkeypatch.setattr("legacy.kinematics.registration.calibrated_fit._NAMED_BYTES", 0)
     names, covariance, slopes = calibration_errors(whole.calibration, whole.fits, whole.motion.q.shape)
     assert len(names) == 40
     full = whole.motion.shared

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from kinematics.registration.fiducials import read_fiducials
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.registration.fiducials import read_fiducials
+from legacy.stapeskit.faults import StapeskitError
 
 
 def test_a_fault_says_which_fiducial_it_is(tmp_path):

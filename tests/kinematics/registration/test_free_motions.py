@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinematics.registration.free_motions import open_motions, undetermined
+from legacy.kinematics.registration.free_motions import open_motions, undetermined
 
 PLACES = np.random.default_rng(0).normal(size=(60, 3))
 

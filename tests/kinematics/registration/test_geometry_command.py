@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.cli import work
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.registration.test_sample_displacement import (
     MARKS,
     PLATE,
@@ -129,7 +129,7 @@ def test_surface_points_need_a_mass_file_and_no_frame(files):
 
 def test_positions_that_alone_are_mirrored_are_refused_and_cured(files, scan):
     """Turn y of all positions round in the files: refused by fiducials, right with --mirror-points."""
-    from stapeskit.records.motion_files import read_motion
+    from legacy.stapeskit.records.motion_files import read_motion
 
     run(files, scan)
     wanted = read_motion(files / "dof.h5").q

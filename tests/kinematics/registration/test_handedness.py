@@ -9,12 +9,12 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.errors import KinematicsError
-from kinematics.measurement import Measurement
-from kinematics.points2dof import points2dof
-from kinematics.registration.placement import Placement
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.measurement import Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.placement import Placement
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.simulated import FAULTS, body, scene
 
 POSE = RigidTransform.from_parts(

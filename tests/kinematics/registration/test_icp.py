@@ -8,13 +8,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinematics.registration.icp import fit_to_surface
-from kinematics.registration.icp_refine import Cloud
-from kinematics.registration.mesh_distance import TriangleSurface
-from kinematics.registration.surface_points import mirrored, read_surface_points
-from stapeskit.alignment.registration import displacement
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.kinematics.registration.icp import fit_to_surface
+from legacy.kinematics.registration.icp_refine import Cloud
+from legacy.kinematics.registration.mesh_distance import TriangleSurface
+from legacy.kinematics.registration.surface_points import mirrored, read_surface_points
+from legacy.stapeskit.alignment.registration import displacement
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.surfaces import box, on_faces, wedge
 
 WEDGE = wedge()

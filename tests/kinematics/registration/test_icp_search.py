@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinematics.registration.icp_search import even_rotations
+from legacy.kinematics.registration.icp_search import even_rotations
 
 
 def test_rotations_are_proper_and_even():

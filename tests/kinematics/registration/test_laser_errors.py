@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kinematics.errors import KinematicsError
-from kinematics.fit.beams import beam_set
-from kinematics.fit.laser_groups import group_lasers
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit_options import Options
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.registration.laser_errors import LaserPriors, Lasers, laser_parts
-from kinematics.registration.prior_errors import compare_with_priors, shown
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.laser_groups import group_lasers
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.laser_errors import LaserPriors, Lasers, laser_parts
+from legacy.kinematics.registration.prior_errors import compare_with_priors, shown
 from tests.kinematics.simulated import readings, scene
 
 FREQ = np.linspace(400.0, 5000.0, 40)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.faults.catalogue import Fault
-from kinematics.faults.diagnosis import Diagnosis
-from kinematics.faults.findings import Finding
-from kinematics.faults.flexible_body import no_structure
-from kinematics.registration.laser_notices import channels_at_fault
+from legacy.kinematics.faults.catalogue import Fault
+from legacy.kinematics.faults.diagnosis import Diagnosis
+from legacy.kinematics.faults.findings import Finding
+from legacy.kinematics.faults.flexible_body import no_structure
+from legacy.kinematics.registration.laser_notices import channels_at_fault
 
 
 def diagnosis(*findings):

@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 import trimesh
 
-from kinematics.measurement import from_arrays
-from kinematics.points2dof import points2dof
-from kinematics.registration.align_to_scan import align_to_scan
-from kinematics.registration.fiducials import Fiducials
-from kinematics.registration.icp_refine import Cloud
-from kinematics.registration.placement import place, place_on_surface
-from kinematics.registration.sample_displacement import check_surfaces
-from kinematics.registration.scan_surfaces import (
+from legacy.kinematics.measurement import from_arrays
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.align_to_scan import align_to_scan
+from legacy.kinematics.registration.fiducials import Fiducials
+from legacy.kinematics.registration.icp_refine import Cloud
+from legacy.kinematics.registration.placement import place, place_on_surface
+from legacy.kinematics.registration.sample_displacement import check_surfaces
+from legacy.kinematics.registration.scan_surfaces import (
     OTHER_BONE,
     ScanSurfaces,
     label_surface,
     read_labels,
     read_mesh,
 )
-from stapeskit.alignment.registration import fit_rigid
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.records.mass_record import read_mass_record
+from legacy.stapeskit.alignment.registration import fit_rigid
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.records.mass_record import read_mass_record
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.surfaces import box, on_faces, wedge, write_labels
 

@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.fit.beams import beam_set
-from kinematics.fit.frf_ratio import per_reference
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit_options import Options
-from kinematics.measurement import Measurement
-from kinematics.points2dof import points2dof
-from kinematics.registration.fiducials import Fiducials
-from kinematics.registration.laser_errors import LaserPriors
-from kinematics.registration.placement import Placement, place
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.records.motion import RigidMotion
-from stapeskit.records.motion_files import line_covariance
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.frf_ratio import per_reference
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.registration.fiducials import Fiducials
+from legacy.kinematics.registration.laser_errors import LaserPriors
+from legacy.kinematics.registration.placement import Placement, place
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.records.motion import RigidMotion
+from legacy.stapeskit.records.motion_files import line_covariance
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 POSE = RigidTransform.from_parts(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.measurement import BodyChannels, Take
-from kinematics.repeats.contrast_sums import ContrastSums, contrasts, energy_of
-from kinematics.repeats.repeat_shapes import Stack, shapes_of
-from kinematics.repeats.repeat_shift import frequency_shifts
-from kinematics.repeats.repeat_tests import gain_tests, regressors, scatter_test, shape_tests
-from kinematics.repeats.scatter_noise import scatter_noise
+from legacy.kinematics.measurement import BodyChannels, Take
+from legacy.kinematics.repeats.contrast_sums import ContrastSums, contrasts, energy_of
+from legacy.kinematics.repeats.repeat_shapes import Stack, shapes_of
+from legacy.kinematics.repeats.repeat_shift import frequency_shifts
+from legacy.kinematics.repeats.repeat_tests import gain_tests, regressors, scatter_test, shape_tests
+from legacy.kinematics.repeats.scatter_noise import scatter_noise
 
 FREQ = np.linspace(400.0, 5000.0, 60)
 CHANNELS = 12

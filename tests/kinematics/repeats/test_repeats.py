@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.cli import work
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement, Take
-from kinematics.points2dof import points2dof
-from kinematics.repeats.comparison import code_of
-from kinematics.repeats.noise_degrees_of_freedom import inverse_moments, stated_freedom
-from kinematics.repeats.pooling import pool_repeats
-from kinematics.tidy.ldv_csv import read_ldv
+from legacy.kinematics.cli import work
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement, Take
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.repeats.comparison import code_of
+from legacy.kinematics.repeats.noise_degrees_of_freedom import inverse_moments, stated_freedom
+from legacy.kinematics.repeats.pooling import pool_repeats
+from legacy.kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.simulated import HEADER, readings, scene
 
 
@@ -163,7 +163,7 @@ def test_repeats_that_differ_at_all_lines_alike_are_as_uncertain_as_they_say():
 
 
 def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypatch):
-    from kinematics.repeats import repeat_shapes
+    from legacy.kinematics.repeats import repeat_shapes
 
     measurement = measured(3, repeats(4), lines=2000)[0]
     spoiled = measurement.bodies[0].displacement
@@ -269,7 +269,7 @@ def table(folder, count=4, resonance=1.0, gain_sd=0.04, seed=3):
 
 
 def test_command_prints_the_verdict(tmp_path, monkeypatch):
-    monkeypatch.setattr("kinematics.cli._write", lambda *_: [])
+    monkeypatch.setattr("legacy.kinematics.cli._write", lambda *_: [])
     path = table(tmp_path)
     _, outcome = work([str(path), "--out", str(tmp_path / "dof.csv")])
     said = dict(outcome.rows)["repeats"]
@@ -315,7 +315,7 @@ def test_level_columns(tmp_path):
 
 
 def test_takes_kept_separate_are_compared_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr("kinematics.cli._write", lambda *_: [])
+    monkeypatch.setattr("legacy.kinematics.cli._write", lambda *_: [])
     path = table(tmp_path, count=3, resonance=1.03)
     _, outcome = work([str(path), "--repeats", "separate", "--dof", "x,y,z,alpha,beta,gamma"])
     assert outcome.result["runs"] == ["1 repeat 1", "1 repeat 2", "1 repeat 3"]

@@ -12,14 +12,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import points2dof
-from kinematics.report.fault_sections import groups_of, residual_section, verdict_section
-from kinematics.report.motion_sections import motion_section, moving_section
-from kinematics.report.sections import grouped_notices, write_report
-from kinematics.report.stapes_surface import Scenery
-from stapeskit.warnings import Notice
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.measurement import BodyChannels, Measurement
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.fault_sections import groups_of, residual_section, verdict_section
+from legacy.kinematics.report.motion_sections import motion_section, moving_section
+from legacy.kinematics.report.sections import grouped_notices, write_report
+from legacy.kinematics.report.stapes_surface import Scenery
+from legacy.stapeskit.warnings import Notice
 from tests.kinematics.simulated import (
     body,
     measurement,

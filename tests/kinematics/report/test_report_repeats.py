@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.measurement import Measurement, Take
-from kinematics.points2dof import points2dof
-from kinematics.report.repeat_sections import repeats_section
+from legacy.kinematics.measurement import Measurement, Take
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.repeat_sections import repeats_section
 from tests.kinematics.simulated import body, scene
 
 

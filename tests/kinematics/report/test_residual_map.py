@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import fit_lines
-from kinematics.report.draw_residuals import residual_map, without_culprits
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import fit_lines
+from legacy.kinematics.report.draw_residuals import residual_map, without_culprits
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import scene
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from kinematics.signals.frf import Welch, effective_averages, segment_for, welch_frf
-from kinematics.signals.frf_periodic import Periodic, periodic_frf
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.signals.frf import Welch, effective_averages, segment_for, welch_frf
+from legacy.kinematics.signals.frf_periodic import Periodic, periodic_frf
+from legacy.stapeskit.faults import StapeskitError
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])

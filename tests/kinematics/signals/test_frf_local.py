@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import get_window, lfilter
 
-from kinematics.signals.frf import Welch, welch_frf
-from kinematics.signals.frf_local import Local, local_frf
-from kinematics.signals.leakage import noise_of_differences
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.signals.frf import Welch, welch_frf
+from legacy.kinematics.signals.frf_local import Local, local_frf
+from legacy.kinematics.signals.leakage import noise_of_differences
+from legacy.stapeskit.faults import StapeskitError
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])

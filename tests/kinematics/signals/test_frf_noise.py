@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.signals.frf_noise import check_signals, common_notice, smoothed, split_noise, steady_common
-from kinematics.signals.record_delays import delay_notice
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.signals.frf_noise import (
+    check_signals,
+    common_notice,
+    smoothed,
+    split_noise,
+    steady_common,
+)
+from legacy.kinematics.signals.record_delays import delay_notice
 
 CHANNELS, LINES = 8, 120
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from kinematics.signals.lock_in import SteppedSine, fit_sine
-from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.signals.lock_in import SteppedSine, fit_sine
+from legacy.kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from legacy.stapeskit.faults import StapeskitError
 
 RATE = 8192.0
 COUNT = 1600

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from kinematics.signals.sample_faults import sample_notices
+from legacy.kinematics.signals.sample_faults import sample_notices
 
 SAMPLES = 16384
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kinematics.tidy.ldv_csv import read_ldv
-from kinematics.tidy.points_csv import read_points
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.kinematics.tidy.points_csv import read_points
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.written_csv import FIRST, HEAD, ROWS, plain, same, written
 
 
@@ -329,7 +329,7 @@ def test_bad_cells_are_listed_by_line(tmp_path):
 
 
 def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
-    from stapeskit.tables import csv_text
+    from legacy.stapeskit.tables import csv_text
 
     monkeypatch.setattr(csv_text, "_LARGE", 10)
     for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.faults import StapeskitError
-from stapeskit.tables import csv_fast
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.tables import csv_fast
 from tests.kinematics.written_csv import plain, same, written
 
 SPOILS = (
@@ -40,7 +40,7 @@ def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_fast, "_PIECE_BYTES", 2000)
     same(read_ldv(path), whole)
     monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
-    import stapeskit.tables.csv_table as csv_table
+    import legacy.stapeskit.tables.csv_table as csv_table
 
     monkeypatch.setattr(csv_table, "read_fast", lambda *_: None)
     same(read_ldv(path), whole)
@@ -76,7 +76,7 @@ def test_reading_costs_little_more_than_the_bare_parser(tmp_path):
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("mark", [",", ";"])
 def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkeypatch, seed, mark):
-    import stapeskit.tables.csv_table as csv_table
+    import legacy.stapeskit.tables.csv_table as csv_table
 
     rng = np.random.default_rng(seed)
     rows = [f"s,p{k // 100},{k // 100},0.25,1,y,{100 + k % 100},1.5,{k}" for k in range(1000)]

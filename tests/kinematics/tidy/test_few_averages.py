@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from kinematics.fit.beams import beam_set
-from kinematics.fit.rigid_fit import LineFit, fit_lines
-from kinematics.tidy.few_averages import steady_noise
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.spatial import DOF_NAMES
+from legacy.kinematics.fit.beams import beam_set
+from legacy.kinematics.fit.rigid_fit import LineFit, fit_lines
+from legacy.kinematics.tidy.few_averages import steady_noise
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 LINES = 1500

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.tidy.frequency_grids import join_lines
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.tidy.frequency_grids import join_lines
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import StapeskitError
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 GRID = np.linspace(400.0, 5000.0, 47)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.tidy.ldv_csv import read_ldv
+from legacy.kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.written_csv import HEAD, WITH_BEAMS, same, table, written
 
 

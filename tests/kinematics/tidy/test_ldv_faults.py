@@ -8,8 +8,8 @@ import tracemalloc
 
 import pytest
 
-from kinematics.tidy.ldv_csv import read_ldv
-from stapeskit.faults import StapeskitError
+from legacy.kinematics.tidy.ldv_csv import read_ldv
+from legacy.stapeskit.faults import StapeskitError
 from tests.kinematics.written_csv import HEAD, THREE_ROWS, WITH_BEAMS, table, written
 
 

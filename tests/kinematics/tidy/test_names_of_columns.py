@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.registration.fiducials import read_fiducials
-from kinematics.tidy.ldv_columns import columns_of
-from kinematics.tidy.points_csv import read_points
+from legacy.kinematics.errors import KinematicsError
+from legacy.kinematics.registration.fiducials import read_fiducials
+from legacy.kinematics.tidy.ldv_columns import columns_of
+from legacy.kinematics.tidy.points_csv import read_points
 
 
 @pytest.mark.parametrize(

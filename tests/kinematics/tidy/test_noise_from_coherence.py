@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinematics.tidy.noise_from_coherence import sd_from_coherence
+from legacy.kinematics.tidy.noise_from_coherence import sd_from_coherence
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.5])

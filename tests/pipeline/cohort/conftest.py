@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pipeline.cohort.api import Cohort
-from pipeline.cohort.cohort_laws import cohort_laws
-from stapeskit.results import extend_result
+from legacy.pipeline.cohort.api import Cohort
+from legacy.pipeline.cohort.cohort_laws import cohort_laws
+from legacy.stapeskit.results import extend_result
 from tests.pipeline.cohort.simulated_ears import ear
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.cohort.log_pairs import LogPairs
+from legacy.pipeline.cohort.log_pairs import LogPairs
 
 
 def cohort(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.cohort.compare_ears import Ear
+from legacy.pipeline.cohort.compare_ears import Ear
 
 
 def ear(number, rng, exponent=2.0, density=1900.0, side="left"):

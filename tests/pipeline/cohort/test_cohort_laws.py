@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import stapeskit
-from pipeline.cohort.cohort_laws import (
+from legacy import stapeskit
+from legacy.pipeline.cohort.cohort_laws import (
     PRIMARY,
     cohort_laws,
     cohort_laws_or_notice,
     planned_law,
     primary_family,
 )
-from pipeline.cohort.cohort_page import write_cohort_page
-from pipeline.cohort.compare_ears import ear_table, quantities
-from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
-from pipeline.cohort.log_table import log_table
-from pipeline.cohort.power_law import fit_law
-from pipeline.errors import PipelineError
+from legacy.pipeline.cohort.cohort_page import write_cohort_page
+from legacy.pipeline.cohort.compare_ears import ear_table, quantities
+from legacy.pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
+from legacy.pipeline.cohort.log_table import log_table
+from legacy.pipeline.cohort.power_law import fit_law
+from legacy.pipeline.errors import PipelineError
 from tests.pipeline.cohort.simulated_ears import ear
 
 

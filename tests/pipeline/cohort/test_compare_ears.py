@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.options import MassOptions
-from pipeline.cohort.cohort_page import write_cohort_page
-from pipeline.cohort.compare_ears import (
+from legacy.ct_inertia.options import MassOptions
+from legacy.pipeline.cohort.cohort_page import write_cohort_page
+from legacy.pipeline.cohort.compare_ears import (
     Ear,
     Quantity,
     labels,
@@ -23,9 +23,9 @@ from pipeline.cohort.compare_ears import (
     source_id,
     write_cohort_csv,
 )
-from pipeline.runners.study_process import Task
-from pipeline.several_studies import folder_names, run_studies
-from stapeskit.faults import StapeskitError
+from legacy.pipeline.runners.study_process import Task
+from legacy.pipeline.several_studies import folder_names, run_studies
+from legacy.stapeskit.faults import StapeskitError
 
 ROOT = Path(__file__).parents[2]
 
@@ -145,7 +145,7 @@ def test_no_folder_is_a_parent_or_hidden():
 
 def test_one_failed_study_does_not_lose_the_other(ear, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "pipeline.several_studies.Task", partial(Task, program="tests.pipeline.settled_child")
+        "legacy.pipeline.several_studies.Task", partial(Task, program="tests.pipeline.settled_child")
     )
     study, out = ear
     (tmp_path / "all").mkdir()
@@ -199,7 +199,13 @@ def test_interrupting_several_studies_leaves_nothing(ear, tmp_path):
     other.mkdir()
     for path in second.iterdir():
         (other / path.name).write_bytes(path.read_bytes())
-    words = [sys.executable, "-m", "pipeline.cli", str(other / "study.toml"), str(second / "study.toml")]
+    words = [
+        sys.executable,
+        "-m",
+        "legacy.pipeline.cli",
+        str(other / "study.toml"),
+        str(second / "study.toml"),
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         [*words, "--jobs", "2", "--out", str(tmp_path / "both")],

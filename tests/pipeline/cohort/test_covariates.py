@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.cohort.compare_ears import Ear
-from pipeline.cohort.covariates import covariates_of
-from pipeline.cohort.log_pairs import LogPairs
-from pipeline.cohort.power_law import fit_law
-from pipeline.cohort.prediction import Predictor, left_out
-from pipeline.errors import PipelineError
+from legacy.pipeline.cohort.compare_ears import Ear
+from legacy.pipeline.cohort.covariates import covariates_of
+from legacy.pipeline.cohort.log_pairs import LogPairs
+from legacy.pipeline.cohort.power_law import fit_law
+from legacy.pipeline.cohort.prediction import Predictor, left_out
+from legacy.pipeline.errors import PipelineError
 
 
 def ears(**columns):
@@ -88,5 +88,5 @@ def test_predictions_follow_the_covariates_of_an_ear(confounded):
 
 def test_leaving_out_many_knows_the_covariates(confounded, monkeypatch):
     refitted = left_out(confounded).errors
-    monkeypatch.setattr("pipeline.cohort.prediction._REFITTED", 1)
+    monkeypatch.setattr("legacy.pipeline.cohort.prediction._REFITTED", 1)
     assert left_out(confounded).errors == pytest.approx(refitted, abs=0.05)

@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline.cohort.cohort_files import write_cohort
-from pipeline.cohort.cohort_laws import cohort_laws_or_notice
-from pipeline.cohort.exports import EXPORTS
+from legacy.pipeline.cohort.cohort_files import write_cohort
+from legacy.pipeline.cohort.cohort_laws import cohort_laws_or_notice
+from legacy.pipeline.cohort.exports import EXPORTS
 from tests.pipeline.cohort.simulated_ears import ear
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.cohort.false_discovery import false_discovery
-from pipeline.cohort.independent_parameters import independent_parameters
+from legacy.pipeline.cohort.false_discovery import false_discovery
+from legacy.pipeline.cohort.independent_parameters import independent_parameters
 
 
 @pytest.mark.parametrize("n", [16, 40])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.cohort.minimise import minimise
+from legacy.pipeline.cohort.minimise import minimise
 
 H = np.array([[4.0, 1.0], [1.0, 3.0]])
 CENTRE = np.array([0.3, -0.7])

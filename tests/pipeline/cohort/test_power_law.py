@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.cohort.intrinsic_scatter import scatter_interval
-from pipeline.cohort.likelihood import RestrictedLikelihood
-from pipeline.cohort.log_pairs import LogPairs
-from pipeline.cohort.power_law import Profile, fit_law
+from legacy.pipeline.cohort.intrinsic_scatter import scatter_interval
+from legacy.pipeline.cohort.likelihood import RestrictedLikelihood
+from legacy.pipeline.cohort.log_pairs import LogPairs
+from legacy.pipeline.cohort.power_law import Profile, fit_law
 from tests.pipeline.cohort.simulated import cohort
 
 

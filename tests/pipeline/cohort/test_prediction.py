@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.cohort.prediction import Predictor, left_out
+from legacy.pipeline.cohort.prediction import Predictor, left_out
 from tests.pipeline.cohort.simulated import cohort
 
 
@@ -43,6 +43,6 @@ def test_an_error_of_the_ear_widens_its_prediction():
 def test_leaving_out_many_and_few_agree(monkeypatch):
     pairs, _ = cohort(np.random.default_rng(4), 24)
     refitted = left_out(pairs).errors
-    monkeypatch.setattr("pipeline.cohort.prediction._REFITTED", 1)
+    monkeypatch.setattr("legacy.pipeline.cohort.prediction._REFITTED", 1)
     assert left_out(pairs).errors == pytest.approx(refitted, abs=0.15)
     assert np.std(refitted) > 0.15

@@ -13,7 +13,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from pipeline.runners.child_process import end_with_parent
+from legacy.pipeline.runners.child_process import end_with_parent
 
 
 def main():

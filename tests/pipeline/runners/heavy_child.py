@@ -5,8 +5,8 @@ import sys
 import time
 from pathlib import Path
 
-from pipeline import stage_records
-from pipeline.runners.child_process import end_with_parent, run_child
+from legacy.pipeline import stage_records
+from legacy.pipeline.runners.child_process import end_with_parent, run_child
 
 if __name__ == "__main__":
     end_with_parent()

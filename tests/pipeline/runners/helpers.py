@@ -1,6 +1,6 @@
 """Brief studies, and what a runner reports of them."""
 
-from pipeline.runners.study_process import Task
+from legacy.pipeline.runners.study_process import Task
 
 PROGRAM = "tests.pipeline.runners.brief_study"
 

@@ -17,12 +17,12 @@ from types import SimpleNamespace
 import pytest
 from distributed import KilledWorker
 
-from pipeline.errors import PipelineError
-from pipeline.runners import Where, dask_cluster, local
-from pipeline.runners.dask_cluster import _end_of, _Order, _refusal
-from pipeline.runners.study_process import Task
-from pipeline.several_studies import run_studies
-from pipeline.stage_records import code_hash
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.runners import Where, dask_cluster, local
+from legacy.pipeline.runners.dask_cluster import _end_of, _Order, _refusal
+from legacy.pipeline.runners.study_process import Task
+from legacy.pipeline.several_studies import run_studies
+from legacy.pipeline.stage_records import code_hash
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 ROOT = Path(__file__).parents[3]
@@ -88,7 +88,7 @@ class Asked(Report):
 
 
 def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.stage_records.code_hash", code_hash)
+    monkeypatch.setattr("legacy.pipeline.stage_records.code_hash", code_hash)
     plans = {"a": 'after = "go"', "b": 'after = "go" #', "c": "", "d": 'fails = "input"'}
     folder, quiet = tmp_path / "there", tmp_path / "here"
     folder.mkdir()
@@ -118,9 +118,9 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
 
 
 def test_an_ear_beyond_the_memory_of_its_worker_has_its_sentence_in_the_cohort(ear, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.stage_records.code_hash", code_hash)
+    monkeypatch.setattr("legacy.pipeline.stage_records.code_hash", code_hash)
     program = "tests.pipeline.runners.heavy_child"
-    monkeypatch.setattr("pipeline.several_studies.Task", partial(Task, program=program))
+    monkeypatch.setattr("legacy.pipeline.several_studies.Task", partial(Task, program=program))
     study, out = ear
     (tmp_path / "all").mkdir()
     out.rename(tmp_path / "all" / "ear1")
@@ -139,7 +139,7 @@ def test_an_ear_beyond_the_memory_of_its_worker_has_its_sentence_in_the_cohort(e
 
 
 def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.runners.dask_cluster._CONNECT_S", 0.3)
+    monkeypatch.setattr("legacy.pipeline.runners.dask_cluster._CONNECT_S", 0.3)
     with pytest.raises(PipelineError) as refused:
         dask_cluster.run([], Where(address="tcp://127.0.0.1:9", shared=tmp_path), print, print)
     assert refused.value.faults[0].thing == "{scheduler}"

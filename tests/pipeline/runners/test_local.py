@@ -5,9 +5,9 @@ import time
 
 import pytest
 
-from pipeline.runners import Where
-from pipeline.runners.local import run
-from pipeline.runners.study_process import run_task
+from legacy.pipeline.runners import Where
+from legacy.pipeline.runners.local import run
+from legacy.pipeline.runners.study_process import run_task
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 

@@ -5,14 +5,14 @@ from importlib import import_module
 
 import pytest
 
-from pipeline import several_studies
-from pipeline.errors import PipelineError
-from pipeline.runners import HERE, RUNNERS, Run, runner_of
+from legacy.pipeline import several_studies
+from legacy.pipeline.errors import PipelineError
+from legacy.pipeline.runners import HERE, RUNNERS, Run, runner_of
 
 
 @pytest.mark.parametrize("name", RUNNERS)
 def test_every_entry_can_be_called_as_the_interface_says(name):
-    run = import_module(f"pipeline.runners.{name}").run
+    run = import_module(f"legacy.pipeline.runners.{name}").run
     wanted = list(inspect.signature(Run.__call__).parameters)[1:]
     assert list(inspect.signature(run).parameters) == wanted
     assert bool(RUNNERS[name].schemes) == (name != HERE)
@@ -22,7 +22,7 @@ def test_every_entry_can_be_called_as_the_interface_says(name):
     ("address", "module"), [("", "local"), ("tcp://host:8786", "dask_cluster"), ("host:8786", "dask_cluster")]
 )
 def test_the_address_chooses_the_runner(address, module):
-    assert runner_of(address).__module__ == f"pipeline.runners.{module}"
+    assert runner_of(address).__module__ == f"legacy.pipeline.runners.{module}"
 
 
 def test_an_unknown_scheme_is_refused():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stapeskit.alignment.exchanged_points import best_order, cycles
-from stapeskit.alignment.registration import fit_rigid
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.alignment.exchanged_points import best_order, cycles
+from legacy.stapeskit.alignment.registration import fit_rigid
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 
 MARKS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8], [0, 3, 0], [4, 5, -3]])
 POSE = RigidTransform.from_parts(

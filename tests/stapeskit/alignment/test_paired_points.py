@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, refined
-from stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, refined
+from legacy.stapeskit.frames import rotation_from_vector
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 ROTATION, SHIFT = rotation_from_vector([0.4, -1.1, 0.7]), np.array([3.0, -2.0, 0.5])

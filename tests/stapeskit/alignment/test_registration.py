@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinematics.registration.fiducials import Fiducials, read_fiducials
-from kinematics.registration.placement import place
-from stapeskit.alignment.fiducial_faults import undo_mirror
-from stapeskit.alignment.registration import displacement, fit_rigid
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.records.mass_record import read_mass_record
+from legacy.kinematics.registration.fiducials import Fiducials, read_fiducials
+from legacy.kinematics.registration.placement import place
+from legacy.stapeskit.alignment.fiducial_faults import undo_mirror
+from legacy.stapeskit.alignment.registration import displacement, fit_rigid
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
+from legacy.stapeskit.records.mass_record import read_mass_record
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, mass_record, write_record
 
 MARKS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8], [0, 3, 0], [4, 5, -3]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stapeskit.page.depth_buffer import fragments, nearest, vertex_normals
+from legacy.stapeskit.page.depth_buffer import fragments, nearest, vertex_normals
 
 SHAPE = (40, 60)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.points2dof import points2dof
-from kinematics.report.draw_geometry import placement_figure
-from kinematics.report.draw_motion import (
+from legacy.kinematics.points2dof import points2dof
+from legacy.kinematics.report.draw_geometry import placement_figure
+from legacy.kinematics.report.draw_motion import (
     SHARE,
     displacement_of,
     full_motion,
@@ -15,9 +15,9 @@ from kinematics.report.draw_motion import (
     shown_points,
     surface_body,
 )
-from kinematics.report.draw_residuals import channel_labels, residual_figure, residual_map
-from kinematics.report.stapes_surface import Scenery, coarse, scenery_of
-from stapeskit.page.drawings import (
+from legacy.kinematics.report.draw_residuals import channel_labels, residual_figure, residual_map
+from legacy.kinematics.report.stapes_surface import Scenery, coarse, scenery_of
+from legacy.stapeskit.page.drawings import (
     amplitude_axis,
     decimate_lines,
     distinct_short_names,
@@ -26,8 +26,8 @@ from stapeskit.page.drawings import (
     shorten_name,
     unit,
 )
-from stapeskit.page.page import new_figure
-from stapeskit.page.shaded_surface import View, shade, silhouette, views
+from legacy.stapeskit.page.page import new_figure
+from legacy.stapeskit.page.shaded_surface import View, shade, silhouette, views
 from tests.kinematics.simulated import body, measurement, scene
 
 
@@ -192,7 +192,7 @@ def test_the_level_of_noise_in_a_thinned_map_is_what_noise_gives():
 
 
 def residual_map_of_noise(lines):
-    from kinematics.report.draw_residuals import ResidualMap
+    from legacy.kinematics.report.draw_residuals import ResidualMap
 
     return ResidualMap(np.zeros((1, 1)), np.zeros(2), lines, np.zeros(1)).noise
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stapeskit.page import page
-from stapeskit.page.foreign_markup import foreign_markup
+from legacy.stapeskit.page import page
+from legacy.stapeskit.page.foreign_markup import foreign_markup
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_own_blocks_are_known():
 
 
 def test_own_scripts_are_known_word_for_word():
-    from kinematics.report.animation import _part
+    from legacy.kinematics.report.animation import _part
 
     code = _part("motion.js")
     own = page.with_script(page.text("x"), "p {}", "data", '{"a": "</script>"}', code)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stapeskit.page.drawings import amplitude_axis
-from stapeskit.page.layout import lay_out
-from stapeskit.page.page import new_figure
+from legacy.stapeskit.page.drawings import amplitude_axis
+from legacy.stapeskit.page.layout import lay_out
+from legacy.stapeskit.page.page import new_figure
 
 
 def spectra(figure):

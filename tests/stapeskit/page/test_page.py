@@ -9,11 +9,11 @@ from html import unescape
 
 import numpy as np
 
-from stapeskit.page import page
-from stapeskit.page.foreign_markup import own_scripts
-from stapeskit.page.numbers import plus_minus, printed
-from stapeskit.page.page import Page, Section
-from stapeskit.warnings import Notice
+from legacy.stapeskit.page import page
+from legacy.stapeskit.page.foreign_markup import own_scripts
+from legacy.stapeskit.page.numbers import plus_minus, printed
+from legacy.stapeskit.page.page import Page, Section
+from legacy.stapeskit.warnings import Notice
 
 EVIL = '<script>alert("x")</script> & more'
 

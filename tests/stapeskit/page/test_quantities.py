@@ -5,8 +5,16 @@ import doctest
 import numpy as np
 import pytest
 
-from stapeskit.page import quantities
-from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, LENGTH, MASS, SMALL_LENGTH, VOLUME, diagonal_unit
+from legacy.stapeskit.page import quantities
+from legacy.stapeskit.page.quantities import (
+    FIRST_MOMENT,
+    INERTIA,
+    LENGTH,
+    MASS,
+    SMALL_LENGTH,
+    VOLUME,
+    diagonal_unit,
+)
 
 
 def test_examples():

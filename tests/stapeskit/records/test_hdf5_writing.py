@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from stapeskit.records.hdf5_writing import write_h5
+from legacy.stapeskit.records.hdf5_writing import write_h5
 
 
 @pytest.mark.parametrize("kind", [OSError, RuntimeError, ValueError])

@@ -7,11 +7,11 @@ import contextlib
 import numpy as np
 import pytest
 
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import rotation_from_vector
-from stapeskit.records.mass_checks import Checked
-from stapeskit.records.mass_record import MassMatrix, frame_derivative, read_mass_record
-from stapeskit.spatial import matrix_from_parameters, twist_transfer
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.frames import rotation_from_vector
+from legacy.stapeskit.records.mass_checks import Checked
+from legacy.stapeskit.records.mass_record import MassMatrix, frame_derivative, read_mass_record
+from legacy.stapeskit.spatial import matrix_from_parameters, twist_transfer
 from tests.kinematics.records import (
     PARAMETERS,
     SCAN_FROM_FOOTPLATE,

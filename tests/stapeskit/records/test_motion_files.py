@@ -8,16 +8,16 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.fit.frf_ratio import per_reference
-from kinematics.fit_options import Options
-from kinematics.points2dof import points2dof
-from stapeskit.faults import StapeskitError
-from stapeskit.records import motion as motion_record
-from stapeskit.records import motion_columns, motion_files
-from stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, RowColumn, SharedErrors
-from stapeskit.records.motion_columns import MotionColumns
-from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
-from stapeskit.warnings import Notice
+from legacy.kinematics.fit.frf_ratio import per_reference
+from legacy.kinematics.fit_options import Options
+from legacy.kinematics.points2dof import points2dof
+from legacy.stapeskit.faults import StapeskitError
+from legacy.stapeskit.records import motion as motion_record
+from legacy.stapeskit.records import motion_columns, motion_files
+from legacy.stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, RowColumn, SharedErrors
+from legacy.stapeskit.records.motion_columns import MotionColumns
+from legacy.stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
+from legacy.stapeskit.warnings import Notice
 from tests.kinematics.simulated import body, measurement, scene
 
 DOF = ("y", "alpha", "gamma")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stapeskit.tables.latex_tables import escaped, tabular
+from legacy.stapeskit.tables.latex_tables import escaped, tabular
 
 
 def test_special_signs_are_printed():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stapeskit.tables.text_cells import as_text_cell, from_text_cell
+from legacy.stapeskit.tables.text_cells import as_text_cell, from_text_cell
 
 
 @pytest.mark.parametrize("text", ["=1+cmd|' /C calc'!A0", "+x", "-x", "@SUM(A1)", "\tx", "\rx", "-1+1"])
