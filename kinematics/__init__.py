@@ -1,0 +1,1 @@
+"""Rigid-body motion from laser vibrometer measurements."""

@@ -1,0 +1,313 @@
+"""The vibrometer measurement as a value: what every beam read, in SI units of the measured quantity.
+
+Shapes: r runs (excitations), c channels (one point and one beam), L frequency lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.frames import RigidTransform
+from stapeskit.warnings import Notice
+
+QUANTITIES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""Measured quantities and their order: time derivatives of the displacement."""
+
+MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
+
+
+@dataclass(frozen=True)
+class BodyChannels:
+    """The channels of one body.
+
+    Attributes
+    ----------
+    body : str
+    points : tuple of str, (c,)
+        Name of the point of each channel.
+    positions_m : ndarray, (c, 3), or None
+        None: the files hold none, they are still to be read from elsewhere.
+    directions : ndarray, (c, 3)
+        Unit vectors towards the laser head.
+    value : ndarray, (r, c, L), complex
+        Component of the measured quantity along the beam: m, m/s or m/s2, peak, e^{+iwt}; NaN where missing.
+    sd : ndarray, (r, c, L), or None
+        Standard deviation of the real (= imaginary) part of ``value``, in its unit. None: not stated, to be
+        estimated from the residuals. NaN: this value is not used.
+    relative : bool
+        ``sd`` is known up to one factor per body, which the residuals give (number of averages alone).
+    position_sd_m : ndarray, (c,)
+        Standard deviation per coordinate of the point's position; NaN where not stated.
+    file_positions_m, file_directions : ndarray, (c, 3)
+        As in the file, by which channels and corrections are named; the current ones without them.
+    file_from_here : ndarray, (3, 3)
+        From the axes of ``positions_m`` to those of the file; a reflection with --mirror.
+
+    Raises
+    ------
+    StapeskitError
+        Shapes that do not match, or directions that are no unit vectors.
+    """
+
+    body: str
+    points: tuple[str, ...]
+    positions_m: Array | None
+    directions: Array
+    value: ComplexArray
+    sd: Array | None = None
+    relative: bool = False
+    position_sd_m: Array = field(default_factory=lambda: np.empty(0))
+    file_positions_m: Array | None = None
+    file_directions: Array = field(default_factory=lambda: np.empty(0))
+    file_from_here: Array = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        if self.file_directions.size == 0:
+            object.__setattr__(self, "file_directions", self.directions)
+        if self.file_positions_m is None:
+            object.__setattr__(self, "file_positions_m", self.positions_m)
+        if self.position_sd_m.size == 0:
+            object.__setattr__(self, "position_sd_m", np.full(count, np.nan))
+        shapes = {
+            "positions_m": ((count, 3) if self.positions_m is None else self.positions_m.shape, (count, 3)),
+            "directions": (self.directions.shape, (count, 3)),
+            "value": (self.value.shape[1:2], (count,)),
+            "sd": (self.value.shape if self.sd is None else self.sd.shape, self.value.shape),
+            "position_sd_m": (self.position_sd_m.shape, (count,)),
+        }
+        raise_all(
+            Fault(f"the shape of {name} of body {self.body}", str(want), got)
+            for name, (got, want) in shapes.items()
+            if got != want
+        )
+        if not np.all(np.abs(np.linalg.norm(self.directions, axis=1) - 1.0) < 1e-3):
+            raise StapeskitError.of(f"the beam directions of body {self.body}", "unit vectors", "others")
+
+    @property
+    def arms_m(self) -> Array:
+        """Positions (c, 3), m.
+
+        Raises
+        ------
+        StapeskitError
+            The body has none.
+        """
+        if self.positions_m is None:
+            thing, step = f"the points of body {self.body}", "Give them with --points points.csv"
+            raise StapeskitError.of(thing, "with positions", "none", next_step=step)
+        return self.positions_m
+
+    def channel_name(self, channel: int) -> str:
+        """Return ``body point (direction)`` for messages."""
+        return f"{self.body} {self.points[channel]} ({direction_name(self.file_directions[channel])})"
+
+    def channels_of(self, point: str) -> list[int]:
+        """Return the channels of a point."""
+        return [channel for channel, name in enumerate(self.points) if name == point]
+
+    def with_run(self, run: int, value: ComplexArray, sd: Array | None = None) -> BodyChannels:
+        """Return the body with other values (c, L) of one run, and their sd where it has any."""
+        values = self.value.copy()
+        values[run] = value
+        if self.sd is None or sd is None:
+            return replace(self, value=values)
+        spread = np.array(self.sd)
+        spread[run] = sd
+        return replace(self, value=values, sd=spread)
+
+
+def direction_name(direction: Array) -> str:
+    """Write a direction as ``x``, ``-z`` or three numbers."""
+    place = int(np.argmax(np.abs(direction)))
+    if abs(abs(direction[place]) - 1.0) < 1e-9:
+        return ("-" if direction[place] < 0.0 else "") + "xyz"[place]
+    return ", ".join(f"{value:.3f}" for value in direction)
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Which repeat of which excitation an entry of ``runs`` is; a number tells the order in time."""
+
+    run: str
+    repeat: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name that no other repeat of the measurement has."""
+        return f"{self.run} repeat {self.repeat}" if self.repeat else self.run
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A channel that the user left out: body and point, and its beam (3,) as in the file."""
+
+    body: str
+    point: str
+    direction: Array
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A vibrometer measurement of one or more bodies on one grid of frequencies.
+
+    Attributes
+    ----------
+    frame : str
+        Frame of positions and directions, e.g. ``vibrometer`` or ``footplate``.
+    runs : tuple of str, (r,)
+        Excitations.
+    freq_hz : ndarray, (L,)
+        Ascending, positive.
+    bodies : tuple of BodyChannels
+    quantity : str
+        What ``value`` holds, one of `QUANTITIES`: its noise is level over frequency when nothing else is known.
+    inputs : mapping of str to Path
+        Files by their role.
+    notices : tuple of Notice
+    repeats : tuple of Repeat, (r,)
+        What each entry of ``runs`` (their ``name``) is while repeats are not pooled yet; empty without any.
+    common_sd : ndarray, (r, L), or None
+        Relative standard deviation of the real (= imaginary) part of an error that all channels of a run
+        share: noise of the signal that the values refer to. It is not in the sd of the channels.
+    line_spread : float
+        By what factor the variance of slowly varying sums over lines exceeds that of independent lines, as
+        windows of spectra make it.
+    statements : tuple of str
+        What the files say about their coordinates, units, resolution and averages.
+    left_out : tuple of LeftOut
+        Channels of the files that the user left out.
+
+    Raises
+    ------
+    StapeskitError
+        Shapes that do not match, frequencies that do not ascend, an unknown quantity.
+    """
+
+    frame: str
+    runs: tuple[str, ...]
+    freq_hz: Array
+    bodies: tuple[BodyChannels, ...]
+    quantity: str = "velocity"
+    inputs: Mapping[str, Path] = field(default_factory=dict)
+    notices: tuple[Notice, ...] = ()
+    repeats: tuple[Repeat, ...] = ()
+    common_sd: Array | None = None
+    line_spread: float = 1.0
+    statements: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+    def __post_init__(self) -> None:
+        faults = []
+        for body in self.bodies:
+            want = (len(self.runs), len(body.points), len(self.freq_hz))
+            if body.value.shape != want:
+                faults.append(Fault(f"the data of body {body.body}", f"of shape {want}", body.value.shape))
+        if np.any(self.freq_hz <= 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
+            faults.append(Fault("freq_hz", "positive and ascending", "another order"))
+        if self.quantity not in QUANTITIES:
+            faults.append(Fault("the measured quantity", f"one of {', '.join(QUANTITIES)}", self.quantity))
+        shape = (len(self.runs), len(self.freq_hz))
+        if self.common_sd is not None and self.common_sd.shape != shape:
+            faults.append(Fault("the noise of the reference", f"of shape {shape}", self.common_sd.shape))
+        if not self.bodies:
+            faults.append(Fault("a measurement", "of at least one body", "none"))
+        if self.repeats and tuple(repeat.name for repeat in self.repeats) != self.runs:
+            faults.append(Fault("runs", "the names of the repeats", self.runs))
+        raise_all(faults)
+
+    @property
+    def order(self) -> int:
+        """Time derivatives in the measured quantity: 0, 1 or 2."""
+        return QUANTITIES[self.quantity]
+
+    @property
+    def per_displacement(self) -> ComplexArray:
+        """Factor (L,) from displacement to the measured quantity, (i w)^order."""
+        return np.asarray((2j * np.pi * self.freq_hz) ** self.order)
+
+    def mapped(self, to_from_here: RigidTransform) -> Measurement:
+        """Return the measurement with positions and directions in another frame."""
+        turn = to_from_here.rotation
+        bodies = tuple(
+            replace(
+                body,
+                positions_m=body.arms_m @ turn.T + 1e-3 * to_from_here.translation_mm,
+                directions=body.directions @ turn.T,
+                file_from_here=body.file_from_here @ turn.T,
+            )
+            for body in self.bodies
+        )
+        return replace(self, frame=to_from_here.to, bodies=bodies)
+
+    def mirrored(self, axis: str) -> Measurement:
+        """Return the measurement with one axis of its left-handed coordinates reversed.
+
+        Raises
+        ------
+        StapeskitError
+            The axis is not x, y or z.
+        """
+        if axis not in MIRRORS:
+            raise StapeskitError.of("--mirror", "x, y or z", axis)
+        sign = np.array(MIRRORS[axis])
+        bodies = tuple(
+            replace(
+                body,
+                positions_m=None if body.positions_m is None else body.positions_m * sign,
+                directions=body.directions * sign,
+                file_from_here=body.file_from_here * sign,
+            )
+            for body in self.bodies
+        )
+        return replace(self, bodies=bodies)
+
+
+def from_arrays(
+    bodies: Mapping[str, Mapping[str, object]],
+    freq_hz: Array,
+    *,
+    frame: str = "footplate",
+    quantity: str = "velocity",
+    runs: tuple[str, ...] = ("1",),
+) -> Measurement:
+    """Build a measurement from arrays, without a copy of complex values.
+
+    Parameters
+    ----------
+    bodies : mapping
+        By name: ``points``, ``positions_m`` (c, 3), ``directions`` (c, 3), ``value`` (r, c, L) or (c, L), and
+        optionally ``sd`` of the same shape or broadcastable to it, and ``position_sd_m``.
+    freq_hz : ndarray, (L,)
+    frame, quantity, runs
+        As in Measurement.
+
+    Raises
+    ------
+    StapeskitError
+        As Measurement and BodyChannels.
+    """
+    channels = []
+    for name, parts in bodies.items():
+        value = np.asarray(parts["value"], dtype=complex)
+        value = value[None] if value.ndim == 2 else value
+        sd = parts.get("sd")
+        position_sd = np.asarray(parts.get("position_sd_m", np.nan), dtype=float)
+        channels.append(
+            BodyChannels(
+                name,
+                tuple(parts["points"]),  # type: ignore[arg-type]
+                np.asarray(parts["positions_m"], dtype=float),
+                np.asarray(parts["directions"], dtype=float),
+                value,
+                None if sd is None else np.broadcast_to(np.asarray(sd, dtype=float), value.shape),
+                position_sd_m=np.broadcast_to(position_sd, (value.shape[1],)).copy(),
+            )
+        )
+    return Measurement(frame, runs, np.asarray(freq_hz, dtype=float), tuple(channels), quantity)
