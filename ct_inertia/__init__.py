@@ -1,0 +1,1 @@
+"""Mass matrix of the stapes, in anatomical frames, from a micro-CT scan."""

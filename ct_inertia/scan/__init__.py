@@ -1,0 +1,1 @@
+"""Open scans of any format and read parts of them."""

@@ -1,0 +1,332 @@
+"""The scan: a grid in scan coordinates and a function that reads a part of its grey values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+Box = tuple[slice, slice, slice]
+"""A part of the grid by index: slices along z, y, x, with positive steps."""
+
+Fetch = Callable[[Box], NDArray[Any]]
+"""Reads a box with whole, positive starts, stops and steps; returns a new array [z, y, x]."""
+
+LARGEST_GREY = 1e15
+"""Squares of larger grey values, summed over a scan, overflow in single precision."""
+
+_ORTHONORMAL = 1e-4  # of the products of directions: headers round cosines to four digits; .3 um over a stapes
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Grey values or labels on a regular right-handed grid, read from their files when they are asked for.
+
+    Attributes
+    ----------
+    shape : tuple of 3 int
+        Number of voxels along z, y, x.
+    dtype : dtype
+        Of the values, in the byte order of the machine; integers or floating point numbers.
+    spacing_mm : ndarray, (3,)
+        Distance of voxel centres along x, y, z of the grid.
+    fetch : callable
+        Reads a box of the file; use `read`, which also takes care of non-finite voxels.
+    origin_mm : ndarray, (3,)
+        Scan coordinates of the CENTRE of the voxel with index 0, 0, 0.
+    direction : ndarray, (3, 3)
+        Columns: directions of the grid's x, y, z axes in scan coordinates; right-handed.
+    source : Path or None
+        The file or folder that was given.
+    files : tuple of Path
+        Every file that is read, the source first, for the provenance.
+    notices : tuple of Notice
+        What was turned, skipped or assumed while reading.
+    segment_names : mapping of int to str
+        Names of the numbers of a label volume, where its file has names.
+    handedness_confirmed : bool
+        The file says how its axes lie in the patient; otherwise the ear may be a mirror image.
+    carries_place : bool
+        Other programs read spacing, origin and direction of this format as they are read here.
+    nan_as_air : bool
+        Voxels that are not finite are read as `fill`; otherwise they are refused.
+
+    Raises
+    ------
+    StapeskitError
+        Not three-dimensional, no real numbers, no positive spacing, or directions that are sheared or
+        left-handed.
+    """
+
+    shape: tuple[int, int, int]
+    dtype: np.dtype[Any]
+    spacing_mm: Array
+    fetch: Fetch = field(repr=False)
+    origin_mm: Array = field(default_factory=lambda: np.zeros(3))
+    direction: Array = field(default_factory=lambda: np.eye(3))
+    source: Path | None = None
+    files: tuple[Path, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    segment_names: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
+    handedness_confirmed: bool = False
+    carries_place: bool = False
+    nan_as_air: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        object.__setattr__(self, "dtype", np.dtype(self.dtype).newbyteorder("="))
+        check_grey_values(self.shape, self.dtype, self.name)
+        spacing = np.array(self.spacing_mm, dtype=float)
+        if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
+            raise StapeskitError.of(
+                "the voxel spacing", "three positive numbers in mm", spacing, self.name, "Give it with --spacing"
+            )
+        origin = np.array(self.origin_mm, dtype=float)
+        if origin.shape != (3,) or not np.all(np.isfinite(origin)):
+            raise StapeskitError.of(
+                "the origin of the scan", "three finite numbers in mm", origin, self.name, "Export it again"
+            )
+        direction = nearest_rotation(np.array(self.direction, dtype=float), self.name)
+        for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_array(cls, array: NDArray[Any], spacing_mm: ArrayLike, **fields: Any) -> Self:
+        """Return a scan of an array [z, y, x] in memory; ``fields`` are further attributes of the scan."""
+        spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=float), 3)
+        native = array.dtype.newbyteorder("=")
+        return cls(
+            shape=array.shape,  # type: ignore[arg-type]
+            dtype=native,
+            spacing_mm=spacing,
+            fetch=lambda box: array[box].astype(native, order="C", copy=True),
+            **fields,
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the file or folder for messages; empty for an array in memory."""
+        return "" if self.source is None else self.source.name
+
+    @property
+    def size(self) -> NDArray[np.int64]:
+        """Number of voxels along x, y, z."""
+        return np.array(self.shape[::-1], dtype=np.int64)
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of one voxel, mm3."""
+        return float(np.prod(self.spacing_mm))
+
+    @property
+    def scan_from_index(self) -> Array:
+        """Affine (4, 4) from an index (x, y, z) to scan coordinates, mm."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.direction * self.spacing_mm
+        matrix[:3, 3] = self.origin_mm
+        return matrix
+
+    def scan_points(self, index_xyz: ArrayLike) -> Array:
+        """Map indices (..., 3) in x, y, z to scan coordinates, mm."""
+        return np.asarray(index_xyz, dtype=float) * self.spacing_mm @ self.direction.T + self.origin_mm
+
+    def index_points(self, scan_mm: ArrayLike) -> Array:
+        """Map scan coordinates (..., 3), mm, to fractional indices in x, y, z."""
+        away = (np.asarray(scan_mm, dtype=float) - self.origin_mm) @ self.direction
+        return np.asarray(away / self.spacing_mm)
+
+    def read(self, box: Box | None = None) -> NDArray[Any]:
+        """Read a part of the scan in its own type.
+
+        Parameters
+        ----------
+        box : tuple of 3 slice, optional
+            Along z, y, x, with positive steps, clipped as numpy does; the whole scan without it.
+
+        Returns
+        -------
+        ndarray, [z, y, x]
+            A new array in the byte order of the machine. Steps read only every so manieth voxel: planes that
+            are stepped over are not unpacked.
+
+        Raises
+        ------
+        StapeskitError
+            The file is damaged or too short there, or a voxel is not finite (unless ``nan_as_air``) or too
+            large to be squared.
+        """
+        whole = box or (slice(None), slice(None), slice(None))
+        bounds = [part.indices(n) for part, n in zip(whole, self.shape, strict=True)]
+        values = self.fetch(tuple(slice(*bound) for bound in bounds))  # type: ignore[arg-type]
+        return self._finite(values) if self.dtype.kind == "f" else values
+
+    def slabs(self, planes: int = 1, box: Box | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Read a box slab by slab along z, so that never more than ``planes`` planes are held.
+
+        Yields
+        ------
+        int
+            Position of the slab's first plane among the planes of the box.
+        ndarray, [z, y, x]
+        """
+        whole = box or (slice(None), slice(None), slice(None))
+        every = range(self.shape[0])[whole[0]]
+        for first in range(0, len(every), planes):
+            some = every[first : first + planes]
+            yield first, self.read((slice(some[0], some[-1] + 1, every.step), whole[1], whole[2]))
+
+    def box_of(self, corners_mm: ArrayLike) -> Box:
+        """Return the voxels whose centres lie between two corners x0, y0, z0, x1, y1, z1 in scan mm.
+
+        Raises
+        ------
+        StapeskitError
+            There are fewer than two along an axis.
+        """
+        corners = np.asarray(corners_mm, dtype=float).reshape(2, 3)
+        grid = np.stack(np.meshgrid(*corners.T, indexing="ij"), axis=-1).reshape(-1, 3)
+        index = self.index_points(grid)
+        low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size)
+        high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size)
+        if np.any(high - low < 2):
+            ends = self.scan_points([[0, 0, 0], self.size - 1])
+            raise StapeskitError.of(
+                "--box",
+                f"a box that overlaps the scan ({_numbers(ends[0])} to {_numbers(ends[1])} mm)",
+                f"{_numbers(corners[0])} to {_numbers(corners[1])} mm",
+                self.name,
+                "Give two corners in scan coordinates, mm",
+            )
+        x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        return z, y, x
+
+    def part(self, box: Box) -> Scan:
+        """Return a box of the scan as a scan of its own, at its place; slices with steps make it coarser."""
+        ranges = [range(n)[along] for along, n in zip(box, self.shape, strict=True)]
+        first = np.array([along[0] for along in ranges[::-1]])
+        step = np.array([along.step for along in ranges[::-1]])
+
+        def fetch(inner: Box) -> NDArray[Any]:
+            outer = []
+            for along, asked in zip(ranges, inner, strict=True):
+                some = along[asked]
+                outer.append(slice(some.start, some.stop, some.step))
+            return self.fetch(tuple(outer))  # type: ignore[arg-type]
+
+        shape = tuple(len(along) for along in ranges)
+        return replace(
+            self,
+            shape=shape,  # type: ignore[arg-type]
+            spacing_mm=self.spacing_mm * step,
+            origin_mm=self.scan_points(first),
+            fetch=fetch,
+        )
+
+    @cached_property
+    def fill(self) -> float:
+        """Grey value that non-finite voxels are read as: the median of a subsample of the finite ones."""
+        steps = tuple(slice(n // (2 * (n // 40 + 1)), None, n // 40 + 1) for n in self.shape)
+        bounds = [part.indices(n) for part, n in zip(steps, self.shape, strict=True)]
+        values = self.fetch(tuple(slice(*bound) for bound in bounds))  # type: ignore[arg-type]
+        finite = values[np.isfinite(values)]
+        return float(np.median(finite)) if finite.size else 0.0
+
+    def _finite(self, values: NDArray[Any]) -> NDArray[Any]:
+        # The sum of squares is finite only where every voxel is: one pass without a mask in the usual case.
+        with np.errstate(over="ignore", invalid="ignore"):
+            low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+        if -LARGEST_GREY <= low and high <= LARGEST_GREY:
+            return values
+        bad = ~np.isfinite(values)
+        largest = float(np.max(np.abs(values), where=~bad, initial=0.0))
+        if largest > LARGEST_GREY:
+            raise StapeskitError.of(
+                "the grey values",
+                f"smaller than {LARGEST_GREY:g}",
+                f"{largest:.3g}",
+                self.name,
+                "Scale them where the volume is exported",
+            )
+        if not self.nan_as_air:
+            raise StapeskitError.of(
+                "the grey values",
+                "finite",
+                f"{int(bad.sum())} voxels of NaN or infinity",
+                self.name,
+                "Replace them, or let them count as air with --nan-as-air",
+            )
+        values[bad] = self.fill
+        return values
+
+
+def check_grey_values(shape: tuple[int, ...], dtype: np.dtype[Any], name: str) -> None:
+    """Refuse what is no volume of real numbers.
+
+    Raises
+    ------
+    StapeskitError
+        Not three-dimensional, or neither integers nor floating point numbers.
+    """
+    if dtype.kind == "c":
+        raise StapeskitError.of(
+            "the volume", "real grey values", "complex numbers", name, "Export the magnitude"
+        )
+    if len(shape) != 3 or min(shape) < 2:
+        raise StapeskitError.of(
+            "the volume",
+            "three-dimensional",
+            f"an image of {' x '.join(str(n) for n in reversed(shape))}",
+            name,
+            "Give the whole stack, or the folder of slices",
+        )
+    if dtype.kind not in "uif" or dtype.itemsize > 8:
+        raise StapeskitError.of(
+            "the grey values", "integers or floating point numbers", dtype, name, "Export it as grey values"
+        )
+
+
+def nearest_rotation(direction: Array, name: str) -> Array:
+    """Return the rotation next to a direction matrix (3, 3), which headers round to a few digits.
+
+    Raises
+    ------
+    StapeskitError
+        It is not finite, sheared or left-handed.
+    """
+    if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
+        raise StapeskitError.of(
+            "the direction matrix", "a finite 3x3 matrix", direction.tolist(), name, "Export it again"
+        )
+    if np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
+        raise StapeskitError.of(
+            "the direction matrix",
+            "orthonormal (no shear)",
+            np.round(direction, 6).tolist(),
+            name,
+            "Resample the volume onto a rectangular grid",
+        )
+    if np.linalg.det(direction) < 0.0:
+        raise StapeskitError.of(
+            "the direction matrix",
+            "right-handed (determinant +1)",
+            np.round(direction, 6).tolist(),
+            name,
+            "Turn one axis of the grid",
+        )
+    left, _, right = np.linalg.svd(direction)
+    return np.asarray(left @ right)
+
+
+def _numbers(values: ArrayLike) -> str:
+    return ", ".join(f"{value:.6g}" for value in np.asarray(values, dtype=float))
