@@ -1,0 +1,482 @@
+"""Value types of segmentation and measurement: what `find` gives, what `grey` gives, in scan coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+STAPES, PLATE, OTHER_BONE = 1, 2, 3
+"""Numbers of the bodies in label volumes, read and written; 0 is the background."""
+
+VOLUME_PARAMETERS = ("V", "Vx", "Vy", "Vz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
+"""The inertial parameters of a body of density 1 kg/m3, in the order of `stapeskit.records.mass`."""
+
+Grey = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+_UPPER = (np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2]))
+"""Row and column of the six second moments xx, yy, zz, xy, yz, xz."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of the scan as single-precision grey values, on a grid of blocks of voxels.
+
+    Attributes
+    ----------
+    grey : ndarray of float32, [z, y, x]
+        Means over blocks; NaN and infinity replaced.
+    first, block : ndarray of int, (3,)
+        Index x, y, z in the scan of the first voxel of the first block, and voxels per block.
+    spacing_mm : ndarray, (3,)
+        Edges of a block along x, y, z.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z of a block of the box to scan coordinates of its centre, mm.
+    begins, ends : ndarray of bool, (3,)
+        Whether the box begins, and whether it ends, where the scan does, along x, y, z.
+    measured : ndarray of bool, [z, y, x], or None
+        False where a constant fills the outside of a round or box-shaped field of view; None: all measured.
+    single : ndarray, [z, y, x], or None
+        One voxel of every block as it is stored; None where every block is one voxel.
+    is_mask : bool
+        The scan holds a few classes, not grey values: ``grey`` is 0 or 1 then.
+    """
+
+    grey: Grey
+    first: Index
+    block: Index
+    spacing_mm: Array
+    scan_from_index: Array
+    begins: Mask
+    ends: Mask
+    measured: Mask | None = None
+    single: NDArray[Any] | None = None
+    is_mask: bool = False
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of one block, mm3."""
+        return float(np.prod(self.spacing_mm))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of blocks along z, y, x."""
+        z, y, x = self.grey.shape
+        return z, y, x
+
+    def scan_points(self, index_xyz: NDArray[Any]) -> Array:
+        """Return scan coordinates (n, 3), mm, of indices x, y, z (n, 3) of the box."""
+        return np.asarray(index_xyz @ self.scan_from_index[:3, :3].T + self.scan_from_index[:3, 3])
+
+    def blocks_of(self, index_xyz: NDArray[np.integer]) -> Index:
+        """Return the block x, y, z (n, 3) that holds each voxel (n, 3) of the scan; may lie outside."""
+        return np.asarray((index_xyz - self.first) // self.block, dtype=np.int64)
+
+    def __repr__(self) -> str:
+        size = " x ".join(map(str, self.shape[::-1]))
+        edges = " x ".join(f"{1e3 * h:.4g}" for h in self.spacing_mm)
+        return f"Box({size} blocks of {edges} um from voxel {', '.join(map(str, self.first))})"
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Labels of the whole scan on the coarse grid of the first look.
+
+    Attributes
+    ----------
+    labels : ndarray of uint8, [z, y, x]
+        0 background, 1 stapes, 2 plate, 3 other bone.
+    first, step : ndarray of int, (3,)
+        Index x, y, z in the scan of the first voxel of the first cell, and voxels per cell.
+    """
+
+    labels: NDArray[np.uint8]
+    first: Index
+    step: Index
+
+
+@dataclass(frozen=True)
+class PlateRegion:
+    """The plastic plate, on a coarse grid of its own.
+
+    Attributes
+    ----------
+    mask : ndarray of bool, [z, y, x]
+        Voxels of plastic, grown back to the bone that they touch.
+    field : ndarray of float32, [z, y, x]
+        Positive in plastic, 0 at half of its contrast: its contour is the closed surface of the plate, cut
+        out of the bone that is glued to it.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z of the grid to scan coordinates, mm.
+    begins, ends : ndarray of bool, (3,)
+        Whether the grid begins, and ends, where the scan does, along x, y, z: the plate is cropped there.
+    air, plastic : float
+        Grey levels; both 0 and 1 for labels.
+    first, step : ndarray of int, (3,)
+        Index x, y, z in the scan of the voxel in the middle of the first cell, and voxels per cell.
+    immersing : bool
+        It lies around the stapes on nearly all sides, as a fluid does and no plate.
+    """
+
+    mask: Mask
+    field: Grey
+    scan_from_index: Array
+    begins: Mask
+    ends: Mask
+    air: float
+    plastic: float
+    first: Index
+    step: Index
+    immersing: bool = False
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How the stapes was separated from other bone.
+
+    Attributes
+    ----------
+    method : str
+        In words, for the report.
+    neck_normal, neck_height_mm : ndarray (3,) and float, or None
+        The plane ``normal . r = height`` in scan coordinates, mm, where it was cut off at a neck.
+    neck_area_mm2 : float
+        Cross-section of that neck; 0 without one.
+    cropped : bool
+        The border of the scan crops the bone that was cut off.
+    bridge_mm : float
+        Half width of the bridges that were cut; 0 where only gaps separate.
+    """
+
+    method: str
+    neck_normal: Array | None = None
+    neck_height_mm: float | None = None
+    neck_area_mm2: float = 0.0
+    cropped: bool = False
+    bridge_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """Which voxels are stapes, other bone and plate: the result of `ct_inertia.find`.
+
+    Attributes
+    ----------
+    box : Box
+        Around the stapes, with a margin for its blur and for air.
+    stapes, other, plate : ndarray of bool, [z, y, x]
+        Masks on the grid of the box, disjoint.
+    cells : Cells
+        The same bodies in the whole scan, coarse.
+    plate_region : PlateRegion or None
+        The whole plate; None where none was found or a fluid was taken for it.
+    air, bone, plastic : float
+        First guess of the grey levels; ``plastic`` is None without a plate.
+    noise : float
+        Standard deviation of the grey value of a block of the box within a material.
+    separation : Separation
+    named : bool
+        A person named the body by a seed or by labels: an unusual size is reported, not refused.
+    unmeasured_share : float
+        Share of the voxels of the scan that a constant fills outside of the field of view.
+    evidence : mapping of str to JSON-able
+        Why this body was taken for the stapes: measures, score, candidates; for the report.
+    notices : tuple of Notice
+    """
+
+    box: Box
+    stapes: Mask
+    other: Mask
+    plate: Mask
+    cells: Cells
+    plate_region: PlateRegion | None
+    air: float
+    bone: float
+    plastic: float | None
+    noise: float
+    separation: Separation
+    named: bool = False
+    unmeasured_share: float = 0.0
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Geometric moments of a body in scan axes, with their covariance by source.
+
+    Attributes
+    ----------
+    volume_mm3 : float
+    centroid_mm : ndarray, (3,)
+        Scan coordinates.
+    second_mm5 : ndarray, (3, 3)
+        Integral of (r - c)(r - c)^T dV about the centroid.
+    contributions : mapping of str to ndarray, (10, 10)
+        Covariance of (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz) in powers of mm, by independent source:
+        noise, levels, psf, separation, border, surroundings, plate, coat, voids, storing, misfit, voxels.
+
+    Raises
+    ------
+    StapeskitError
+        A volume that is not positive, or second moments that no body has.
+    """
+
+    volume_mm3: float
+    centroid_mm: Array
+    second_mm5: Array
+    contributions: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.volume_mm3 > 0.0 or np.linalg.eigvalsh(self.second_mm5)[0] <= 0.0:
+            raise StapeskitError.of(
+                "the measured body",
+                "one of positive volume and extent",
+                f"{self.volume_mm3:.3g} mm3",
+                next_step="Check its labels and grey values",
+            )
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume, m3."""
+        return 1e-9 * self.volume_mm3
+
+    @property
+    def covariance(self) -> Array:
+        """Sum of all contributions, (10, 10), in powers of mm."""
+        return np.asarray(sum(self.contributions.values(), np.zeros((10, 10))))
+
+    @property
+    def volume_sd_mm3(self) -> float:
+        """Standard deviation of the volume, mm3."""
+        return float(np.sqrt(max(self.covariance[0, 0], 0.0)))
+
+    @property
+    def inertia_mm5(self) -> Array:
+        """Inertia tensor about the centroid per unit density, (3, 3): trace(S) 1 - S."""
+        return np.asarray(np.trace(self.second_mm5) * np.eye(3) - self.second_mm5)
+
+    def vector(self) -> Array:
+        """Return (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz), (10,), in powers of mm."""
+        return np.array([self.volume_mm3, *self.centroid_mm, *self.second_mm5[_UPPER]])
+
+    def with_source(self, name: str, covariance: Array) -> Moments:
+        """Return the moments with one more independent source of uncertainty, (10, 10), added by its name."""
+        known = self.contributions.get(name, 0.0)
+        return replace(self, contributions={**self.contributions, name: known + covariance})
+
+    def volume_parameters(self, about_mm: Array) -> tuple[Array, dict[str, Array]]:
+        """Return the ten parameters at density 1 about a point in scan axes, SI, and their covariances.
+
+        Parameters
+        ----------
+        about_mm : ndarray, (3,)
+            Scan coordinates.
+
+        Returns
+        -------
+        values : ndarray, (10,)
+            In the order of `VOLUME_PARAMETERS`: m3, m4, m5. Times a density they are inertial parameters.
+        covariances : dict of str to ndarray, (10, 10)
+            By source.
+
+        Notes
+        -----
+        With r = c - p: first moments V r; inertia (trace(S) 1 - S) + V (|r|^2 1 - r r^T), the parallel axis
+        theorem; Jxy = -Sxy - V rx ry.
+        """
+        x, y, z = (self.centroid_mm - about_mm) * 1e-3
+        volume, second = 1e-9 * self.volume_mm3, 1e-15 * self.second_mm5
+        moment_xx, moment_yy, moment_zz, moment_xy, moment_yz, moment_xz = second[_UPPER]
+        values = np.array(
+            [
+                volume,
+                *(volume * np.array([x, y, z])),
+                moment_yy + moment_zz + volume * (y * y + z * z),
+                moment_xx + moment_zz + volume * (x * x + z * z),
+                moment_xx + moment_yy + volume * (x * x + y * y),
+                -moment_xy - volume * x * y,
+                -moment_yz - volume * y * z,
+                -moment_xz - volume * x * z,
+            ]
+        )
+        jacobian = np.zeros((10, 10))
+        jacobian[:, 0] = [1, x, y, z, y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -y * z, -x * z]
+        jacobian[1:4, 1:4] = volume * np.eye(3)
+        jacobian[4:, 1:4] = volume * np.array(
+            [[0, 2 * y, 2 * z], [2 * x, 0, 2 * z], [2 * x, 2 * y, 0], [-y, -x, 0], [0, -z, -y], [-z, 0, -x]]
+        )
+        jacobian[4:7, 4:7] = 1.0 - np.eye(3)
+        jacobian[7:, 7:] = -np.eye(3)
+        jacobian = jacobian * np.array([1e-9, *[1e-3] * 3, *[1e-15] * 6])
+        return values, {name: jacobian @ part @ jacobian.T for name, part in self.contributions.items()}
+
+
+@dataclass(frozen=True)
+class BodySurface:
+    """A fitted body as a field whose zero is its closed surface.
+
+    Attributes
+    ----------
+    field : ndarray of float32, [z, y, x]
+        Positive inside; 0 on the surface; nearly linear across it, 1 / (2.5 blur widths) per mm. -1 outside
+        of the body's own basin. Contour it at 0 after padding it by one voxel of -1.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z of the field to scan coordinates, mm.
+    blur_mm : float
+        Blur that is left in the surface, standard deviation: 0 for a fitted body (the scene took the scan's
+        blur back); a voxel's width for labels.
+    noise_mm4 : float
+        Spectral density of the height noise at long waves: the mean height over an area A mm2 has the
+        variance ``noise_mm4 / A``.
+    correlation_mm : float
+        Length over which the noise of the height is common.
+    misfit_sd_mm : ndarray of float32, [z, y, x]
+        Standard deviation of the height by place that the misfit of the scene leaves, common over
+        ``misfit_mm``; 0 where the scene fits to the noise.
+    misfit_mm : float
+    level_sd_mm : float
+        Standard deviation of one shift of the whole surface along its normal: levels of air and bone.
+    one_sd : ndarray of float32, [z, y, x], or None
+        The field with what was subtracted around the body (media, neighbours' tails, plate) one standard
+        deviation less; None where nothing was.
+    """
+
+    field: Grey
+    scan_from_index: Array
+    blur_mm: float
+    noise_mm4: float
+    correlation_mm: float
+    misfit_sd_mm: Grey
+    misfit_mm: float
+    level_sd_mm: float
+    one_sd: Grey | None = None
+
+
+@dataclass(frozen=True)
+class BorderContact:
+    """One plane in which the scan ends and the stapes does not.
+
+    Attributes
+    ----------
+    axis : str
+        ``x``, ``y`` or ``z``, across the plane.
+    end : str
+        ``first`` or ``last`` layer of voxels along that axis.
+    area_mm2 : float
+        Of the body in that layer.
+    centre_mm : ndarray, (3,)
+        Its middle, scan coordinates.
+    """
+
+    axis: str
+    end: str
+    area_mm2: float
+    centre_mm: Array
+
+    def __str__(self) -> str:
+        return f"the {self.end} layer along {self.axis} ({self.area_mm2:.2g} mm2)"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One model of the grey values in a box: air + sum_k contrast_k (blur * body_k) + media + noise.
+
+    Attributes
+    ----------
+    air : float
+        Grey level of air, or of the medium far from every body.
+    contrast : mapping of str to float
+        Grey level of each body above air: ``stapes``, ``other``, ``plate``.
+    air_sd, bone_sd : float
+        Standard uncertainty of air and of the stapes' level.
+    sigma_mm, sigma_sd_mm : float
+        Standard deviation of the blur (voxel included) and its standard uncertainty.
+    noise, correlation : float
+        Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
+    shares : mapping of str to ndarray of float32, [z, y, x]
+        Blurred share of each body in each voxel of the box.
+    body : ndarray of float32, [z, y, x]
+        Share of each voxel that the sharp stapes fills.
+    excess : ndarray of float32, [z, y, x]
+        Grey values less air and less everything that is not the stapes, in units of its contrast.
+    residual : ndarray of float32, [z, y, x]
+        Grey values less the model, in units of the stapes' contrast.
+    own : ndarray of bool, [z, y, x]
+        The stapes' side: voxels whose grey values count as its own.
+    near : ndarray of bool, [z, y, x]
+        Where the model is compared with the grey values.
+    subtracted : ndarray of float32, [z, y, x]
+        What was subtracted there as media and coat, in units of the stapes' contrast.
+    subtracted_sd : ndarray of float32, [z, y, x], or None
+        One standard deviation of that, all of it together.
+    bone_from : str
+        How the stapes' level was found: ``interior`` (voxels deep inside) or ``fit``.
+    media : mapping of str to float
+        What else was fitted: ``fluid``, ``void``, ``coat_mm``, ... as shares of the stapes' contrast.
+    """
+
+    air: float
+    contrast: Mapping[str, float]
+    air_sd: float
+    bone_sd: float
+    sigma_mm: float
+    sigma_sd_mm: float
+    noise: float
+    correlation: float
+    shares: Mapping[str, Grey]
+    body: Grey
+    excess: Grey
+    residual: Grey
+    own: Mask
+    near: Mask
+    subtracted: Grey
+    subtracted_sd: Grey | None
+    bone_from: str
+    media: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def bone(self) -> float:
+        """Grey level of the stapes."""
+        return self.air + self.contrast["stapes"]
+
+
+@dataclass(frozen=True)
+class MeasuredBody:
+    """The stapes as measured: the result of `ct_inertia.grey`.
+
+    Attributes
+    ----------
+    labelled : Labelled
+    scene : Scene or None
+        None for labels alone and for a thresholded scan.
+    moments : Moments
+        Grey-weighted where there are grey values: denser bone counts more.
+    surface : BodySurface
+        Of the stapes.
+    wall : BodySurface or None
+        Of other bone near the stapes: what faces the footplate's rim across the ligament.
+    border : tuple of BorderContact
+    evidence : mapping of str to JSON-able
+        Levels, blur, noise, correlation, residual by place; for the report.
+    notices : tuple of Notice
+        Those of ``labelled`` first.
+    """
+
+    labelled: Labelled
+    scene: Scene | None
+    moments: Moments
+    surface: BodySurface
+    wall: BodySurface | None
+    border: tuple[BorderContact, ...]
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    notices: tuple[Notice, ...] = ()

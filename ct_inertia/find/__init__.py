@@ -1,0 +1,1 @@
+"""Find the stapes and the plate in a scan or in a label volume."""

@@ -1,0 +1,1 @@
+"""Measure the stapes by the grey values around it."""
