@@ -1,0 +1,386 @@
+"""Run a library that reads a file in a child process with limits: damaged files crash or hang libraries.
+
+`read_apart` reads a file once. `Session` keeps a source open in its child and answers requests for parts of
+it. Where processes cannot be forked (Windows, a browser) the process itself reads, without limits.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import pickle
+import select
+import signal
+import struct
+import sys
+import tempfile
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Generic, NoReturn, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import Fault, StapeskitError
+
+Result = TypeVar("Result")
+Opened = TypeVar("Opened")
+Answer = Callable[[Any], NDArray[Any]]
+
+CLOCK = 15.0
+"""Seconds on the clock for a second of processor time: a busy machine gives a process little of it."""
+
+DAMAGED = "It is damaged: copy or export it again"
+
+_LONGEST_TEXT = 200  # letters of a library's own message
+_FORK = threading.Lock()  # no child may inherit the half-made pipes of another one
+
+
+def processor_limit_s(path: Path) -> float:
+    """Return the default limit on processor time: a sound file takes milliseconds, 10^5 groups take 5 s."""
+    return 3.0 + 0.2e-6 * size_on_disk(path)
+
+
+def memory_limit(path: Path) -> int:
+    """Return the default limit on further memory, bytes: 256 MB for a library, 40 times the packed file."""
+    return (256 << 20) + 40 * size_on_disk(path)
+
+
+def size_on_disk(path: Path) -> int:
+    """Return the size of a file, or of all files below a folder, bytes; 0 where there is nothing."""
+    path = Path(path)
+    if path.is_dir():
+        return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    return path.stat().st_size if path.is_file() else 0
+
+
+def read_apart(
+    read: Callable[[], Result],
+    path: Path,
+    what: str,
+    limit_s: float | None = None,
+    memory: int | None = None,
+    modules: Sequence[str] = (),
+) -> Result:
+    """Return what ``read()`` returns in a child process with limits on processor time and memory.
+
+    Parameters
+    ----------
+    read : callable
+        Reads the file. Its result must be plain data: arrays, texts, data classes.
+    path : Path
+        The file or folder, for the limits and the message.
+    what : str
+        What the file is, for the message: ``an HDF5 file``.
+    limit_s : float, optional
+        Limit on processor time, s; see `processor_limit_s`.
+    memory : int, optional
+        Limit on further memory, bytes; see `memory_limit`.
+    modules : sequence of str
+        Libraries that are imported before the fork, once instead of in every child.
+
+    Raises
+    ------
+    StapeskitError
+        The library crashes, hangs, needs too much memory or raises; also every fault that ``read`` raises.
+    """
+    with Session(lambda: (read(), _no_requests), path, what, limit_s, memory, modules) as session:
+        return session.opened
+
+
+def _no_requests(_: Any) -> NDArray[Any]:
+    raise NotImplementedError("this source is read once")
+
+
+class Session(Generic[Opened]):
+    """A source that is open in a child process and answers requests with arrays.
+
+    Parameters
+    ----------
+    open_source : callable
+        Runs in the child. Returns a description of the source (plain data) and a function that takes a
+        request (any picklable value) and returns an array.
+    path, what, limit_s, memory, modules
+        As in `read_apart`; ``limit_s`` holds for opening and for each request.
+
+    Attributes
+    ----------
+    opened
+        The description.
+
+    Raises
+    ------
+    StapeskitError
+        As in `read_apart`.
+
+    Notes
+    -----
+    Requests of several threads are answered one after the other. Arrays come through a file in shared memory.
+    """
+
+    opened: Opened
+
+    def __init__(
+        self,
+        open_source: Callable[[], tuple[Opened, Answer]],
+        path: Path,
+        what: str,
+        limit_s: float | None = None,
+        memory: int | None = None,
+        modules: Sequence[str] = (),
+    ) -> None:
+        self._lock = threading.Lock()
+        self._name, self._what = Path(path).name, what
+        self._limit_s = processor_limit_s(path) if limit_s is None else limit_s
+        self._memory = memory_limit(path) if memory is None else memory
+        self._child = 0
+        self._direct: Answer | None = None
+        for module in modules:
+            import_module(module)
+        if can_fork():
+            self._fork(open_source)
+            try:
+                self.opened = self._receive()
+            except BaseException:
+                self.close()
+                raise
+        else:
+            self.opened, self._direct = self._attempt(open_source)
+
+    def ask(self, request: Any) -> NDArray[Any]:
+        """Return the array that answers a request.
+
+        Raises
+        ------
+        StapeskitError
+            The library crashes, hangs, needs too much memory or raises; the first two end the session.
+        """
+        with self._lock:
+            if self._direct is not None:
+                answer = self._direct
+                return np.asarray(self._attempt(lambda: answer(request)))
+            if not self._child:
+                raise self._error("a source whose reading ended before")
+            try:
+                _write(self._ask, pickle.dumps(request))
+            except BrokenPipeError:
+                self._fail()
+            return self._receive()
+
+    def close(self) -> None:
+        """End the child process."""
+        self._direct = None
+        self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if getattr(self, "_child", 0):
+            self._end()
+
+    def _fork(self, open_source: Callable[[], tuple[Opened, Answer]]) -> None:
+        self._room = _shared_file()
+        with _FORK, warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads
+            asked, self._ask = os.pipe()
+            self._tell, told = os.pipe()
+            child = os.fork()
+            if child == 0:
+                os.close(self._ask)
+                os.close(self._tell)
+                self._serve(open_source, asked, told)
+            os.close(asked)
+            os.close(told)
+        self._child = child
+
+    def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], asked: int, told: int) -> NoReturn:
+        """Open the source and answer requests until the parent ends; nothing else of the caller runs here."""
+        try:
+            _isolate(self._memory)
+            answer: Answer = _no_requests
+
+            def respond(work: Callable[[], Any]) -> None:
+                _limit_processor(self._limit_s)
+                _write(told, self._packed(_outcome(work)))
+
+            def begin() -> Opened:
+                nonlocal answer
+                opened, answer = open_source()
+                return opened
+
+            respond(begin)
+            while (request := _read(asked)) is not None:
+                respond(partial(answer, pickle.loads(request)))
+        finally:
+            os._exit(0)
+
+    def _packed(self, outcome: object) -> bytes:
+        """Return an outcome without its arrays, which are written to the shared file."""
+        buffers: list[pickle.PickleBuffer] = []
+        head = pickle.dumps(outcome, protocol=5, buffer_callback=buffers.append)
+        raws = [buffer.raw() for buffer in buffers]
+        place = 0
+        for raw in raws:
+            part = raw
+            while part:
+                written = os.pwrite(self._room, part, place)
+                part, place = part[written:], place + written
+        return pickle.dumps((head, [raw.nbytes for raw in raws]))
+
+    def _receive(self) -> Any:
+        """Return the next result of the child, or raise its fault."""
+        try:
+            message = _read(self._tell, CLOCK * self._limit_s)
+            if message is None:
+                self._fail()
+            head, sizes = pickle.loads(message)
+            buffers, place = [], 0
+            for size in sizes:
+                buffer = np.empty(size, dtype=np.uint8)
+                done = 0
+                while done < size:
+                    count = os.preadv(self._room, [buffer[done:].data], place + done)
+                    if not count:
+                        self._fail()
+                    done += count
+                buffers.append(buffer)
+                place += size
+            if sizes:
+                os.ftruncate(self._room, 0)
+        except BaseException:  # also an interrupt: what the child sends later would answer another request
+            self._end()
+            raise
+        good, value = pickle.loads(head, buffers=buffers)
+        if good:
+            return value
+        raise self._error_of(value)
+
+    def _attempt(self, work: Callable[[], Result]) -> Result:
+        good, value = _outcome(work)
+        if good:
+            return value
+        raise self._error_of(value)
+
+    def _error_of(self, failure: tuple[tuple[Fault, ...], str, str]) -> StapeskitError:
+        faults, text, trace = failure
+        if faults:
+            return StapeskitError(*faults)
+        if text == "MemoryError":
+            text = f"one that needs more than {self._memory / 1e6:.0f} MB of memory"
+        error = self._error(text)
+        error.add_note(trace)
+        return error
+
+    def _error(self, got: str) -> StapeskitError:
+        return StapeskitError(Fault(self._what, "readable", got, self._name, DAMAGED))
+
+    def _fail(self) -> NoReturn:
+        """End a child that crashed or hangs, and raise."""
+        status = self._end()
+        late = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXCPU)
+        hangs = f"one that its library does not finish reading ({self._limit_s:.3g} s)"
+        raise self._error(hangs if late else "one that crashes its library") from None
+
+    def _end(self) -> int:
+        """Kill the child, close what connects it, and return its exit status."""
+        if not self._child:
+            return 0
+        child, self._child = self._child, 0
+        for number in (self._ask, self._tell, self._room):
+            os.close(number)
+        with suppress(ProcessLookupError, ChildProcessError):
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                return status
+            os.kill(child, signal.SIGKILL)
+            return os.waitpid(child, 0)[1]
+        return 0
+
+
+def can_fork() -> bool:
+    """Return whether a child process can be forked."""
+    return hasattr(os, "fork") and sys.platform != "emscripten"
+
+
+def _shared_file() -> int:
+    """Return a file in memory (elsewhere than on Linux, on disk) that has no name."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("stapeskit")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+def _outcome(work: Callable[[], Any]) -> tuple[bool, Any]:
+    """Return (True, result), or (False, (faults, text of another exception, traceback))."""
+    try:
+        return True, work()
+    except StapeskitError as error:
+        return False, (error.faults, "", "")
+    except MemoryError:
+        return False, ((), "MemoryError", traceback.format_exc())
+    except Exception as error:
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
+        return False, ((), text, traceback.format_exc())
+
+
+def _isolate(memory: int) -> None:
+    """Limit the further address space of this process; ignore Ctrl-C; drop the messages of C libraries."""
+    import resource
+
+    faulthandler.disable()
+    signal.set_wakeup_fd(-1)
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU):
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError, ValueError):  # where limits are lower already, or /proc is missing
+        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (used * os.sysconf("SC_PAGE_SIZE") + memory, most))
+
+
+def _limit_processor(limit_s: float) -> None:
+    """Let the system end this process after so much more processor time, s, rounded up."""
+    import resource
+
+    with suppress(OSError, ValueError):
+        most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time() + limit_s) + 1, most))
+
+
+def _write(number: int, message: bytes) -> None:
+    part = memoryview(struct.pack("<Q", len(message)) + message)
+    while part:
+        part = part[os.write(number, part) :]
+
+
+def _read(number: int, patience_s: float | None = None) -> bytes | None:
+    """Return the next message; None when the other end is closed or silent for that time."""
+
+    def exactly(count: int) -> bytes | None:
+        parts = []
+        while count:
+            waiting = select.poll()
+            waiting.register(number, select.POLLIN)
+            ready = waiting.poll(None if patience_s is None else 1e3 * patience_s)
+            part = os.read(number, min(count, 1 << 20)) if ready else b""
+            if not part:
+                return None
+            parts.append(part)
+            count -= len(part)
+        return b"".join(parts)
+
+    size = exactly(8)
+    return None if size is None else exactly(struct.unpack("<Q", size)[0])
