@@ -1,0 +1,376 @@
+"""Draw figures alike: colours, style, panels with fixed margins, frequency axes, thinned curves, small files.
+
+One colour stands for one thing on every page, in figures and in three dimensions. matplotlib is imported
+where something is drawn.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array
+from stapeskit.spatial import DOF_UNITS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Indices = NDArray[np.int64]
+
+PAGE_COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "ink": "#1d2733",
+        "soft": "#56636f",
+        "line": "#d8dee5",
+        "tint": "#f3f6f9",
+        "accent": "#0a5f86",
+        "believe": "#2c8a57",
+        "check": "#c98a12",
+        "do-not-use": "#b3261e",
+        "information": "#7d8fa1",
+    }
+)
+"""Colours of the page and of verdicts on results."""
+
+BODY_COLOURS: Mapping[str, str] = MappingProxyType(
+    {"stapes": "#b06f12", "base": "#1b7581", "plate": "#64748b", "bone": "#9aa7b4"}
+)
+"""Colours of bodies in curves, tables and surfaces; other bodies have one of `OTHER_COLOURS`."""
+
+OTHER_COLOURS = ("#7a4fa3", "#3f7f4f", "#a33d6b", "#4d5d9c", "#8a6d1f", "#4d4d4d")
+
+AXIS_COLOURS: Mapping[str, str] = MappingProxyType({"x": "#c0331c", "y": "#217a3c", "z": "#2450b4"})
+"""Colours of the axes x, y, z and of what is along or about them."""
+
+VERDICT_COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "ok": "#2c8a57",
+        "gain": "#c81e3a",
+        "sign": "#d9480f",
+        "direction": "#a3268a",
+        "position": "#6d28d9",
+        "noise": "#c98a12",
+        "label_swap": "#0f6fb5",
+        "drift": "#7c4a1e",
+        "flexible": "#0b7285",
+        "zeros": "#1d2733",
+        "unused": "#8b96a3",
+    }
+)
+"""Colours of the verdicts on channels and points."""
+
+MEASURED, FITTED = "#1d2733", "#c81e3a"
+RUN_STYLES = ("-", "--", ":", "-.")
+
+# Every setting that changes a figure; a matplotlibrc of the folder, which could run LaTeX, has no say.
+_STYLE: Mapping[str, Any] = MappingProxyType(
+    {
+        "font.family": ["sans-serif"],
+        "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
+        "font.size": 9.0,
+        "text.usetex": False,
+        "text.color": PAGE_COLOURS["ink"],
+        "axes.titlesize": 9.5,
+        "axes.titlelocation": "left",
+        "axes.labelsize": 9.0,
+        "axes.labelcolor": PAGE_COLOURS["ink"],
+        "axes.edgecolor": "#9aa7b4",
+        "axes.linewidth": 0.7,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "grid.color": "#e6eaef",
+        "grid.linewidth": 0.7,
+        "xtick.color": "#56636f",
+        "ytick.color": "#56636f",
+        "xtick.labelsize": 8.5,
+        "ytick.labelsize": 8.5,
+        "lines.linewidth": 1.3,
+        "lines.markersize": 3.2,
+        "legend.frameon": False,
+        "legend.fontsize": 8.5,
+        "figure.facecolor": "white",
+        "savefig.facecolor": "white",
+        "path.simplify_threshold": 0.25,
+        "svg.fonttype": "none",
+        "svg.hashsalt": "stapeskit",
+    }
+)
+
+# Points in a figure above which a PNG is smaller than an SVG.
+_MOST_VECTOR_POINTS = 12_000
+_PNG_DOTS_PER_INCH = 160
+
+
+def colour_of(body: str, bodies: Sequence[str] = ()) -> str:
+    """Return the colour of a body by its name, else by its place among ``bodies``.
+
+    Examples
+    --------
+    >>> colour_of("stapes"), colour_of("malleus", ("stapes", "malleus", "incus"))
+    ('#b06f12', '#7a4fa3')
+    """
+    if body in BODY_COLOURS:
+        return BODY_COLOURS[body]
+    others = [name for name in bodies if name not in BODY_COLOURS]
+    return OTHER_COLOURS[(others.index(body) if body in others else 0) % len(OTHER_COLOURS)]
+
+
+@cache
+def _settings() -> dict[str, Any]:
+    """Return every setting of matplotlib: its own defaults with the style of this project."""
+    import matplotlib
+
+    left = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "date.epoch"}
+    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if key not in left}
+    return defaults | dict(_STYLE)
+
+
+def panels(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    width: float = 10.4,
+    height: float = 2.5,
+    margins: tuple[float, float, float, float] = (0.62, 0.12, 0.3, 0.46),
+    gaps: tuple[float, float] = (0.68, 0.62),
+    share_x: bool = False,
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure and its axes (rows, columns), laid out by fixed margins.
+
+    Parameters
+    ----------
+    width, height : float
+        Of the figure, and of one row of panels with its gap, inches.
+    margins : tuple of float
+        Left, right, top, bottom, inches. Fixed margins cost nothing; matplotlib's layout engines draw the
+        figure twice.
+    gaps : tuple of float
+        Between columns (room for the labels along y) and rows, inches.
+    share_x : bool
+        Only the lowest row has labels along x, and all have one range.
+    """
+    import matplotlib
+
+    from stapeskit.report.shown_figure import ShownFigure
+
+    left, right, top, bottom = margins
+    across = gaps[0]
+    between = 0.3 if share_x else gaps[1]
+    inner_width = (width - left - right - (columns - 1) * across) / columns
+    inner_height = height - (0.3 if share_x else gaps[1])
+    total = top + bottom + rows * inner_height + (rows - 1) * between
+    with matplotlib.rc_context(_settings()):
+        drawing = ShownFigure(figsize=(width, total))
+        axes = drawing.subplots(rows, columns, squeeze=False, sharex=share_x)
+        drawing.subplots_adjust(
+            left=left / width,
+            right=1.0 - right / width,
+            top=1.0 - top / total,
+            bottom=bottom / total,
+            wspace=across / inner_width,
+            hspace=between / inner_height,
+        )
+    return drawing, axes
+
+
+def draw(drawing: Figure, vector: bool | None = None) -> tuple[bytes, str]:
+    """Return a figure as SVG to stand within a page, or as PNG, and which of the two.
+
+    Parameters
+    ----------
+    vector : bool, optional
+        SVG or PNG; by default SVG unless the figure has more than some thousand points.
+    """
+    import matplotlib
+
+    if vector is None:
+        vector = _points(drawing) <= _MOST_VECTOR_POINTS
+    stream = io.BytesIO()
+    with matplotlib.rc_context(_settings()):
+        if not vector:
+            drawing.savefig(stream, format="png", dpi=_PNG_DOTS_PER_INCH)
+            return stream.getvalue(), "png"
+        drawing.savefig(stream, format="svg", metadata={"Date": None})
+    return _compact(stream.getvalue()), "svg"
+
+
+def _points(drawing: Figure) -> int:
+    """Return how many points the curves, scatters and images of a figure have."""
+    count = 0
+    for axes in drawing.axes:
+        count += sum(len(line.get_xdata(orig=False)) for line in axes.lines)
+        count += sum(len(np.atleast_2d(group.get_offsets())) for group in axes.collections)
+        count += sum(2 * _MOST_VECTOR_POINTS for _ in axes.images)
+    return count
+
+
+_LONG_NUMBER = re.compile(rb"(\d+\.\d\d)\d+")
+_PATH = re.compile(rb' d="[^"]*"')
+_IDS = re.compile(rb'(id="|url\(#|xlink:href="#)')
+_DROPPED = re.compile(rb"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", re.DOTALL)
+
+
+def _compact(svg: bytes) -> bytes:
+    """Shorten an SVG for a page, and make its ids its own.
+
+    Coordinates of paths are rounded to hundredths of a point, finer than screens and printers show.
+    """
+    from hashlib import sha256
+
+    body = _DROPPED.sub(b"", svg)
+    body = _PATH.sub(lambda match: _LONG_NUMBER.sub(rb"\1", match[0]).replace(b"\n", b""), body)
+    body = re.sub(rb"\n\s*", b"\n", body).strip()
+    own = b"f" + sha256(body).hexdigest()[:10].encode() + b"-"
+    return _IDS.sub(rb"\1" + own, body)
+
+
+def frequency_axis(axes: Axes, freq_hz: Array, *, label: bool = True) -> None:
+    """Make the frequency axis (kHz), logarithmic when the lines are spaced that way.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (lines,)
+        Ascending.
+    """
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    if label:
+        axes.set_xlabel("frequency (kHz)")
+    low, high = float(freq_hz[0]) / 1e3, float(freq_hz[-1]) / 1e3
+    if log_spaced(freq_hz):
+        axes.set_xscale("log")
+        steps = (1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)
+        ticks = _decade_ticks(low, high, steps)
+        axes.xaxis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(_plain_number))
+    if low < high:
+        axes.set_xlim(low, high)
+
+
+def amplitude_axis(axes: Axes, low: float, high: float) -> None:
+    """Make an axis of amplitudes logarithmic between two values, with plain numbers at its ticks.
+
+    Parameters
+    ----------
+    low, high : float
+        Smallest and largest amplitude that is drawn, positive.
+    """
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    if not 0.0 < low < high < np.inf:
+        return
+    axes.set_yscale("log")
+    decades = np.log10(high / low)
+    steps = (1.0, 2.0, 5.0) if decades < 1.7 else (1.0, 3.0) if decades < 2.7 else (1.0,)
+    ticks = _decade_ticks(low, high, steps)
+    ticks = ticks[:: 1 + len(ticks) // 7]
+    axes.yaxis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(_plain_number))
+    axes.set_ylim(low / 10.0 ** (0.04 * decades), high * 10.0 ** (0.06 * decades))
+
+
+def _decade_ticks(low: float, high: float, steps: Sequence[float]) -> list[float]:
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    return [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+
+
+def _plain_number(value: float, _place: int | None = None) -> str:
+    return f"{value:.4g}"
+
+
+def log_spaced(freq_hz: Array) -> bool:
+    """Return whether lines are spaced more evenly on a logarithmic axis than on a linear one."""
+    if len(freq_hz) < 4 or freq_hz[0] <= 0.0:
+        return False
+    step, ratio = np.diff(freq_hz), np.diff(np.log(freq_hz))
+    return bool(np.std(ratio) / np.mean(ratio) < np.std(step) / np.mean(step))
+
+
+def decimate_lines(size: Array, most: int = 600) -> Indices:
+    """Return ascending indices of at most ``most`` lines that keep every peak and every trough.
+
+    Parameters
+    ----------
+    size : ndarray, (lines,)
+        What is drawn; NaN where missing.
+    most : int
+        Lines are put into most / 2 groups of neighbours; of each the smallest and the largest stay.
+    """
+    lines = len(size)
+    if lines <= most:
+        return np.arange(lines)
+    edges = np.linspace(0, lines, max(1, (most - 2) // 2) + 1).round().astype(int)
+    high, low = np.where(np.isnan(size), -np.inf, size), np.where(np.isnan(size), np.inf, size)
+    width = int(np.max(np.diff(edges)))
+    groups = np.minimum(edges[:-1, None] + np.arange(width), edges[1:, None] - 1)
+    rows = np.arange(len(groups))
+    tops = groups[rows, np.argmax(high[groups], axis=1)]
+    bottoms = groups[rows, np.argmin(low[groups], axis=1)]
+    return np.unique(np.concatenate([[0, lines - 1], tops, bottoms]))
+
+
+def dof_unit(name: str, per_reference: str = "") -> tuple[float, str]:
+    """Return factor from SI and unit in which a degree of freedom is drawn.
+
+    Examples
+    --------
+    >>> dof_unit("y"), dof_unit("gamma", "base:y")
+    ((1000000000.0, 'nm'), (1.0, 'rad/m'))
+    """
+    base = DOF_UNITS[name]
+    if per_reference:
+        reference = DOF_UNITS[per_reference.rpartition(":")[2]]
+        return 1.0, "1" if reference == base else f"{base}/{reference}"
+    return (1e9, "nm") if base == "m" else (1e6, "µrad")
+
+
+def plain(name: str) -> str:
+    """Escape ``$`` in a name, which would begin a formula in matplotlib."""
+    return name.replace("$", r"\$")
+
+
+def shorten_name(name: str, most: int = 16) -> str:
+    """Return a name of at most ``most`` letters: its beginning and its end.
+
+    Examples
+    --------
+    >>> shorten_name("head", 8), shorten_name("measurement point 12", 9)
+    ('head', 'meas…t 12')
+    """
+    if len(name) <= most:
+        return name
+    end = (most - 1) // 2
+    return f"{name[: most - 1 - end]}…{name[len(name) - end :]}"
+
+
+def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]:
+    """Return short forms of names that remain distinct: long names lose the words that all of them share.
+
+    Examples
+    --------
+    >>> distinct_short_names(["point 1 on the plate", "point 12 on the plate"])
+    {'point 1 on the plate': '1', 'point 12 on the plate': '12'}
+    """
+    several = list(dict.fromkeys(names))
+    if len(several) < 2 or max(len(name) for name in several) <= most:
+        return {name: shorten_name(name, most) for name in several}
+    words = [name.replace("_", " ").split(" ") for name in several]
+    fewest = min(len(parts) for parts in words)
+    first = next((k for k in range(fewest) if len({parts[k] for parts in words}) > 1), 0)
+    last = next((k for k in range(fewest - first) if len({parts[-1 - k] for parts in words}) > 1), 0)
+    distinct = [" ".join(parts[first : len(parts) - last]) for parts in words]
+    if len(set(distinct)) < len(distinct) or not all(distinct):
+        distinct = several
+    return {name: shorten_name(short, most) for name, short in zip(several, distinct, strict=True)}

@@ -1,0 +1,273 @@
+"""Show SI quantities to people: units, values with their standard deviation and 95 % interval.
+
+Every message and page takes its numbers from here, with the signs ± and µ and the powers of units as they are
+printed; nothing is replaced in a text afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Value = TypeVar("Value", float, NDArray[np.float64])
+
+# Half the width of a 95 % interval of the normal distribution, in standard deviations.
+HALF_WIDTH_95 = 1.959964
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def plus_minus(value: float, sd: float | None) -> str:
+    """Write a value with its standard deviation, both to the second digit of the latter.
+
+    Parameters
+    ----------
+    sd : float, optional
+        None, NaN or infinite: unknown.
+
+    Examples
+    --------
+    >>> plus_minus(1736.4, 17.2), plus_minus(13379, 2762), plus_minus(3.0531e-08, 7.2e-10)
+    ('1736 ± 17', '13400 ± 2800', '(3.053 ± 0.072)·10⁻⁸')
+    >>> plus_minus(-1e-5, 0.014), plus_minus(float("nan"), 1.0)
+    ('0.000 ± 0.014', 'undetermined')
+    """
+    if not math.isfinite(value):
+        return "undetermined"
+    if sd is None or not 0.0 < sd < math.inf:
+        return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
+    power = math.floor(math.log10(max(abs(value), sd)))
+    power = 0 if -3 < power < 6 else power
+    value, sd = value * 10.0**-power, sd * 10.0**-power
+    digits = _digits(sd)
+    text = f"{_fixed(value, digits)} ± {_fixed(sd, digits)}"
+    return text if power == 0 else f"({text})·10{str(power).translate(_RAISED)}"
+
+
+def interval_text(lower: float, upper: float) -> str:
+    """Write the limits of a 95 % interval to the second digit of the standard deviation it comes from.
+
+    Examples
+    --------
+    >>> interval_text(1702.7, 1770.1), interval_text(-2.1e-7, 3.3e-7)
+    ('1703 to 1770', '-2.1e-07 to 3.3e-07')
+    """
+    width = (upper - lower) / (2.0 * HALF_WIDTH_95)
+    largest = max(abs(lower), abs(upper))
+    if not (math.isfinite(width) and width > 0.0 and 1e-3 <= largest < 1e6):
+        return f"{lower:.4g} to {upper:.4g}"
+    digits = _digits(width)
+    return f"{_fixed(lower, digits)} to {_fixed(upper, digits)}"
+
+
+def _digits(sd: float) -> int:
+    """Return the decimals at which a standard deviation has two digits."""
+    return 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+
+
+def _fixed(value: float, digits: int) -> str:
+    """Write a rounded number; a zero has no sign."""
+    return f"{round(value, digits) + 0.0:.{max(0, digits)}f}"
+
+
+@dataclass(frozen=True)
+class ShownUnit:
+    """A unit for people.
+
+    Attributes
+    ----------
+    symbol : str
+        As written behind a number.
+    per_si : float
+        How many of it make one SI unit.
+    """
+
+    symbol: str
+    per_si: float
+
+    def of(self, value: Value) -> Value:
+        """Return SI values in this unit."""
+        return value * self.per_si
+
+    def si(self, shown: Value) -> Value:
+        """Return values in this unit as SI values."""
+        return shown / self.per_si
+
+    def text(self, value: float, form: str = "g") -> str:
+        """Return an SI value with the symbol.
+
+        Examples
+        --------
+        >>> LENGTH.text(2.71828e-3, ".3f"), LENGTH.text(0.0031), SMALL_LENGTH.text(4.2e-6)
+        ('2.718 mm', '3.1 mm', '4.2 µm')
+        """
+        return f"{self.of(value):{form}} {self.symbol}".rstrip()
+
+    def with_sd(self, value: float, sd: float | None) -> str:
+        """Return an SI value with its standard deviation and the symbol.
+
+        Examples
+        --------
+        >>> LENGTH.with_sd(2.71828e-3, 3e-5)
+        '2.718 ± 0.030 mm'
+        """
+        return f"{plus_minus(self.of(value), None if sd is None else self.of(sd))} {self.symbol}".rstrip()
+
+    def times(self, other: ShownUnit) -> ShownUnit:
+        """Return the product of two units.
+
+        Examples
+        --------
+        >>> STIFFNESS.times(LENGTH)
+        ShownUnit(symbol='N/m mm', per_si=1000.0)
+        """
+        return ShownUnit(f"{self.symbol} {other.symbol}", self.per_si * other.per_si)
+
+
+MASS = ShownUnit("mg", 1e6)
+VOLUME = ShownUnit("mm³", 1e9)
+LENGTH = ShownUnit("mm", 1e3)
+AREA = ShownUnit("mm²", 1e6)
+SMALL_LENGTH = ShownUnit("µm", 1e6)
+DENSITY = ShownUnit("kg/m³", 1.0)
+FREQUENCY = ShownUnit("Hz", 1.0)
+ANGLE = ShownUnit("°", 180.0 / math.pi)
+PLAIN = ShownUnit("", 1.0)
+PERCENT = ShownUnit("%", 100.0)
+STIFFNESS = ShownUnit("N/m", 1.0)
+ROTATION_STIFFNESS = ShownUnit("N mm/rad", 1e3)
+DAMPING = ShownUnit("mN s/m", 1e3)
+ROTATION_DAMPING = ShownUnit("µN mm s/rad", 1e9)
+COUPLING_STIFFNESS = ShownUnit("N", 1.0)
+COUPLING_DAMPING = ShownUnit("µN s", 1e6)
+FIRST_MOMENT = MASS.times(LENGTH)
+INERTIA = MASS.times(AREA)
+
+# Units of an entry by the number of rotations (0, 1, 2) among its two degrees of freedom.
+_UNIT_BY_ROTATIONS = {
+    "K": (STIFFNESS, COUPLING_STIFFNESS, ROTATION_STIFFNESS),
+    "D": (DAMPING, COUPLING_DAMPING, ROTATION_DAMPING),
+    "M": (MASS, FIRST_MOMENT, INERTIA),
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An SI value with its uncertainty and the unit in which people see it: a cell of a table.
+
+    Attributes
+    ----------
+    value, sd : float
+        SI; ``sd`` is None where it is unknown.
+    unit : ShownUnit
+    interval_95 : tuple of float, optional
+        SI limits where they are not the value ± 1.96 standard deviations.
+    """
+
+    value: float
+    sd: float | None = None
+    unit: ShownUnit = PLAIN
+    interval_95: tuple[float, float] | None = None
+
+    def __str__(self) -> str:
+        if self.sd is None:
+            return self.unit.text(self.value, ".4g")
+        return self.unit.with_sd(self.value, self.sd)
+
+    @property
+    def known_sd(self) -> bool:
+        """Whether the standard deviation is a finite number."""
+        return self.sd is not None and math.isfinite(self.sd)
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Limits of the 95 % interval in the shown unit; None without a standard deviation."""
+        if self.interval_95 is not None:
+            return self.unit.of(self.interval_95[0]), self.unit.of(self.interval_95[1])
+        if self.sd is None or not self.known_sd:
+            return None
+        half = HALF_WIDTH_95 * self.sd
+        return self.unit.of(self.value - half), self.unit.of(self.value + half)
+
+    @property
+    def interval(self) -> str:
+        """The 95 % interval as text, empty without a standard deviation.
+
+        Examples
+        --------
+        >>> Quantity(1736.4, 17.2, STIFFNESS).interval
+        '1703 to 1770'
+        """
+        return "" if self.limits is None else interval_text(*self.limits)
+
+    def numbers(self) -> tuple[float, float | None, float | None, float | None, str]:
+        """Return value, sd, lower, upper and unit as shown: the columns of a saved table."""
+        lower, upper = self.limits or (None, None)
+        sd = self.unit.of(self.sd) if self.sd is not None and self.known_sd else None
+        return self.unit.of(self.value), sd, lower, upper, self.unit.symbol
+
+
+def time_unit(exponent: float | None) -> str:
+    """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0, None any."""
+    if exponent is None:
+        return " s^a"
+    return {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
+
+
+def si_unit(letter: str, first: str, second: str, exponent: float | None = 1.0) -> str:
+    """Return the SI unit of an entry of K or D between two degrees of freedom, as text.
+
+    Examples
+    --------
+    >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha", 0.0)
+    ('N/m', 'N s', 'N m/rad')
+    """
+    time = time_unit(exponent) if letter == "D" else ""
+    return (f"N{time}/m", f"N{time}", f"N{time} m/rad")[_is_rotation(first) + _is_rotation(second)]
+
+
+def diagonal_unit(letter: str, dof: str, exponent: float | None = 1.0) -> ShownUnit:
+    """Return the unit in which a diagonal entry of K, D or M is shown.
+
+    Parameters
+    ----------
+    letter : {"K", "D", "M"}
+    dof : str
+        Degree of freedom: ``x``, ``y``, ``z``, or a rotation.
+    exponent : float or None
+        Power of time in the unit of D, of the damping law; None where it differs between ears.
+
+    Examples
+    --------
+    >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]
+    ['N/m', 'µN mm s/rad', 'N s^0.5/m']
+    """
+    return _entry_unit(letter, 2 * _is_rotation(dof), exponent)
+
+
+def matrix_units(letter: str, dof: Sequence[str], exponent: float | None = 1.0) -> list[list[ShownUnit]]:
+    """Return the unit in which each entry of K, D or M is shown, (n, n).
+
+    Examples
+    --------
+    >>> [unit.symbol for unit in matrix_units("D", ("y", "alpha"))[1]]
+    ['µN s', 'µN mm s/rad']
+    """
+    rotations = [_is_rotation(name) for name in dof]
+    return [[_entry_unit(letter, row + column, exponent) for column in rotations] for row in rotations]
+
+
+def _is_rotation(dof: str) -> bool:
+    return dof not in ("x", "y", "z")
+
+
+def _entry_unit(letter: str, rotations: int, exponent: float | None) -> ShownUnit:
+    if letter != "D" or exponent == 1.0:
+        return _UNIT_BY_ROTATIONS[letter][rotations]
+    unit = _UNIT_BY_ROTATIONS["K"][rotations]
+    numerator, slash, denominator = unit.symbol.partition("/")
+    return ShownUnit(numerator + time_unit(exponent) + slash + denominator, unit.per_si)
