@@ -1,0 +1,67 @@
+"""From a micro-CT and a 3D laser Doppler vibrometer to mass, stiffness and damping of a stapes.
+
+Functions, one a step, with the options of the commands by the same names. Each takes files, or the result
+of the step before:
+
+    import stapeskit as sk
+
+    mass = sk.ct2mass("scan.tif", density=(1900, 60), anterior=(-0.9, 0.1, 0))
+    motion = sk.points2dof("ldv.csv", points="points.csv", fiducials="fiducials.csv", mass=mass)
+    fit = sk.dof2kd(motion, mass=mass)
+    fit.stiffness, fit.damping
+
+A result is printed in one screen; it has ``warnings``, ``to_frame()``, ``plot()`` and ``write(folder)``.
+Everything here is loaded on first use.
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False  # typing itself would cost more than this package
+if TYPE_CHECKING:
+    from legacy.ct_inertia.api import ct2mass
+    from legacy.fitting.api import dof2kd
+    from legacy.kinematics.api import points2dof
+    from legacy.pipeline.api import scan2kd
+    from legacy.pipeline.cohort.api import cohort
+    from stapeskit.faults import StapeskitError
+    from stapeskit.frames import RigidTransform
+    from stapeskit.warnings import Notice
+
+__version__ = "0.3.0"
+
+# Where each name is: the rooms are above this package and are imported when a name is asked for.
+_PLACES = {
+    "ct2mass": "legacy.ct_inertia.api",
+    "points2dof": "legacy.kinematics.api",
+    "dof2kd": "legacy.fitting.api",
+    "scan2kd": "legacy.pipeline.api",
+    "cohort": "legacy.pipeline.cohort.api",
+    "StapeskitError": "stapeskit.faults",
+    "RigidTransform": "stapeskit.frames",
+    "Notice": "stapeskit.warnings",
+}
+
+__all__ = [
+    "Notice",
+    "RigidTransform",
+    "StapeskitError",
+    "cohort",
+    "ct2mass",
+    "dof2kd",
+    "points2dof",
+    "scan2kd",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(_PLACES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -1,0 +1,181 @@
+"""What every command shares: exit codes, Ctrl-C, progress, and the table or JSON that it prints.
+
+Exit 0 done, 2 the input or the system is at fault, 1 a bug in stapeskit, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+TYPE_CHECKING = False  # typing itself would take longer than the rest of this module
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any, NoReturn, Protocol
+
+    from stapeskit.warnings import Notice
+
+    class Progress(Protocol):
+        """Called with the stage at work and, where it is known, the share of it that is done."""
+
+        def __call__(self, stage: str, share: float | None = None) -> None:
+            """Report the stage."""
+
+
+_CLEAR = "\r\x1b[2K"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command reports.
+
+    Attributes
+    ----------
+    title : str
+        Heading of the table.
+    rows : sequence of (str, str)
+        Names and texts of the numbers that a reader looks for first.
+    notices : sequence of Notice
+        Warnings; they go to standard error.
+    files : sequence of Path
+        Files that were written.
+    content : dict
+        The whole result, for ``--json``.
+    json, quiet : bool
+        Print the content instead of the table; print nothing.
+    """
+
+    title: str
+    rows: Sequence[tuple[str, str]]
+    notices: Sequence[Notice] = ()
+    files: Sequence[Path] = ()
+    content: dict[str, Any] = field(default_factory=dict)
+    json: bool = False
+    quiet: bool = False
+
+
+def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
+    """Run a command's work and leave the process with its exit code.
+
+    Parameters
+    ----------
+    prog : str
+        The command's name.
+    work : callable
+        Takes the words of the command line; returns the outcome, or None when it has printed already.
+    """
+    import signal
+    import warnings
+
+    if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
+        warnings.simplefilter("ignore")
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    raise SystemExit(_exit_code(prog, work))
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _exit_code(prog: str, work: Callable[[list[str]], Outcome | None]) -> int:
+    try:
+        outcome = work(sys.argv[1:])
+        if outcome is not None:
+            show(outcome)
+        sys.stdout.flush()
+        return 0
+    except BrokenPipeError:  # the reader of the output has left, as in "| head"
+        import os
+
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{prog}: interrupted; no output was changed.\n")
+        return 130
+    except Exception as error:
+        sentence = _sentence(error)
+        if sentence is not None:
+            sys.stderr.write(f"{sentence}\n")
+            return 2
+        import traceback
+
+        traceback.print_exc()
+        sys.stderr.write(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
+        return 1
+
+
+def _sentence(error: Exception) -> str | None:
+    """Return what to say of a fault of the input or the system; None for a bug."""
+    from stapeskit.faults import Fault, StapeskitError
+
+    if isinstance(error, StapeskitError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        step = "Crop the scan with --box, or close other programs"
+        return str(Fault("memory", "enough for this input", "too little", "", step))
+    if isinstance(error, OSError) and error.errno is not None:
+        import os
+
+        name = error.filename if isinstance(error.filename, str | bytes) else "a file or device"
+        step = "Check permissions and free space, or choose another place with --out"
+        expected = "readable, or writable where it is an output"
+        return str(Fault(os.fsdecode(name), expected, os.strerror(error.errno), "", step))
+    return None
+
+
+def show(outcome: Outcome) -> None:
+    """Print an outcome: JSON, or a table of its rows; notices go to standard error."""
+    if not outcome.quiet:
+        for notice in outcome.notices:
+            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
+        sys.stderr.flush()
+    if outcome.json:
+        import json
+
+        sys.stdout.write(json.dumps(outcome.content, indent=1) + "\n")
+    elif not outcome.quiet:
+        width = max((len(name) for name, _ in outcome.rows), default=0)
+        lines = [outcome.title, *(f"  {name:<{width}}  {text}" for name, text in outcome.rows)]
+        if outcome.files:
+            lines.append(f"  {'written':<{width}}  " + ", ".join(str(path) for path in outcome.files))
+        sys.stdout.write("\n".join(lines) + "\n")
+
+
+def no_progress(_stage: str, _share: float | None = None) -> None:
+    """Show nothing."""
+
+
+@contextmanager
+def progress_line(shown: bool = True) -> Iterator[Progress]:
+    """Yield a function that shows stage, share and time left in one line of standard error.
+
+    Nothing is shown unless ``shown`` and standard error is a terminal; the line is wiped when the block ends.
+    """
+    if not shown or not sys.stderr.isatty():
+        yield no_progress
+        return
+    import time
+
+    began = {"": time.monotonic()}
+
+    def report(stage: str, share: float | None = None) -> None:
+        start = began.setdefault(stage, time.monotonic())
+        passed = time.monotonic() - start
+        more = f" {100 * share:.0f} %" if share is not None else ""
+        if share is not None and 0.02 < share < 1.0 and passed > 1.0:
+            more += f", about {passed * (1.0 - share) / share:.0f} s left"
+        sys.stderr.write(f"{_CLEAR}{time.monotonic() - began['']:5.1f} s  {stage} ...{more}")
+        sys.stderr.flush()
+
+    try:
+        yield report
+    finally:
+        sys.stderr.write(_CLEAR)
+        sys.stderr.flush()

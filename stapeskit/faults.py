@@ -1,0 +1,191 @@
+"""Faults in the user's input, as data; the sentence that a person reads is made where it is shown.
+
+A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to do next>.``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Self
+
+MOST_SENTENCES = 20
+"""Sentences of one message: what fits on a screen."""
+
+JOINED_FROM = 6
+"""So many faults that differ only in their row and value become one sentence with ranges of rows."""
+
+_LONGEST_TEXT = 500  # letters of one field of a fault: longer ones are cut in their middle
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a fault lies.
+
+    Attributes
+    ----------
+    file : str
+        Name of the file.
+    unit : str
+        What ``numbers`` count: line, row, dataset, record, ...; empty when the file as a whole is meant.
+    numbers : tuple of int
+        Lines, rows or datasets at fault, from 1.
+    detail : str
+        A column, a signal, ...: what lies within the line.
+    """
+
+    file: str
+    unit: str = ""
+    numbers: tuple[int, ...] = ()
+    detail: str = ""
+
+    def __str__(self) -> str:
+        numbers = format_ranges(self.numbers, self.unit) if self.numbers else ""
+        return ", ".join(part for part in (self.file, numbers, self.detail) if part)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault in the user's input.
+
+    Attributes
+    ----------
+    thing : str
+        What is wrong.
+    expected : str
+        What it must be. Empty for a message that is no such sentence: ``thing`` is then the whole of it.
+    got : str
+        The value; any object is accepted and kept as its text.
+    where : str or Place
+        File, row or field; may be empty.
+    next_step : str
+        What the user can do; may be empty.
+
+    Notes
+    -----
+    Options are written as on the command line, ``--box``; in Python and in study files the name is the same.
+    """
+
+    thing: str
+    expected: str = ""
+    got: object = ""
+    where: str | Place = ""
+    next_step: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "got", str(self.got))
+
+    def __str__(self) -> str:
+        if not self.expected:
+            return _cut(self.thing)
+        place = f" ({_cut(str(self.where))})" if str(self.where) else ""
+        sentence = f"{_cut(self.thing)} must be {_cut(self.expected)}; got {_cut(str(self.got))}{place}."
+        step = self.next_step.rstrip(".")
+        if not step:
+            return sentence
+        return f"{sentence} {step}" if step.endswith("?") else f"{sentence} {step}."
+
+
+class StapeskitError(ValueError):
+    """Every error that the user's input can cause; the commands end with exit code 2 on it.
+
+    Parameters
+    ----------
+    *faults : Fault or str
+        A plain string is a fault of which only the message is known.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+        Every fault, also those that the message only counts.
+    """
+
+    def __init__(self, *faults: Fault | str) -> None:
+        self.faults = tuple(fault if isinstance(fault, Fault) else Fault(fault) for fault in faults)
+        super().__init__(*self.faults)
+
+    @classmethod
+    def of(
+        cls, thing: str, expected: str = "", got: object = "", where: str | Place = "", next_step: str = ""
+    ) -> Self:
+        """Return the error with one fault; for the arguments see `Fault`."""
+        return cls(Fault(thing, expected, got, where, next_step))
+
+    def __str__(self) -> str:
+        return format_faults(self.faults)
+
+
+def raise_all(faults: Iterable[Fault]) -> None:
+    """Raise one error that holds every fault, each once, or return when there is none.
+
+    Raises
+    ------
+    StapeskitError
+        There is at least one fault.
+    """
+    distinct = dict.fromkeys(faults)
+    if distinct:
+        raise StapeskitError(*distinct)
+
+
+@contextmanager
+def collect_faults(faults: list[Fault]) -> Iterator[None]:
+    """Add the faults raised inside the block to a list, and go on after the block."""
+    try:
+        yield
+    except StapeskitError as error:
+        faults += error.faults
+
+
+def format_faults(faults: Sequence[Fault]) -> str:
+    """Write faults one a line, rows of one kind joined: `MOST_SENTENCES` at most, and a count of the rest."""
+    joined = _join_rows(faults)
+    lines = [str(fault) for fault in joined[:MOST_SENTENCES]]
+    if len(joined) > MOST_SENTENCES:
+        lines.append(f"... and {len(joined) - MOST_SENTENCES} more faults.")
+    return "\n".join(lines)
+
+
+def _join_rows(faults: Sequence[Fault]) -> list[Fault]:
+    """Join faults that differ in their row and value only, at the place of the first of them."""
+    groups: dict[Hashable, list[Fault]] = {}
+    for fault in faults:
+        where = replace(fault.where, numbers=()) if isinstance(fault.where, Place) else fault.where
+        groups.setdefault((fault.thing, fault.expected, fault.next_step, where), []).append(fault)
+    joined: list[Fault] = []
+    for group in groups.values():
+        first = group[0].where
+        if len(group) < JOINED_FROM or not isinstance(first, Place):
+            joined += group
+            continue
+        places = [fault.where for fault in group if isinstance(fault.where, Place)]
+        numbers = tuple(number for place in places for number in place.numbers)
+        got = list_some(str(fault.got) for fault in group)
+        joined.append(replace(group[0], got=got, where=replace(first, numbers=numbers)))
+    return joined
+
+
+def list_some(texts: Iterable[str], most: int = 3, between: str = ", ") -> str:
+    """List the first distinct texts and count the others."""
+    distinct = list(dict.fromkeys(texts))
+    more = f" and {len(distinct) - most} more" if len(distinct) > most else ""
+    return between.join(distinct[:most]) + more
+
+
+def _cut(text: str) -> str:
+    half = (_LONGEST_TEXT - 5) // 2
+    return text if len(text) <= _LONGEST_TEXT else f"{text[:half]} ... {text[-half:]}"
+
+
+def format_ranges(numbers: Sequence[int], unit: str = "line", most: int = 30) -> str:
+    """Write numbers of lines (or rows, datasets, ...), neighbours as ranges: ``lines 3 to 5, 9``."""
+    spans: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if spans and number == spans[-1][1] + 1:
+            spans[-1][1] = number
+        else:
+            spans.append([number, number])
+    words = [f"{first}" if first == last else f"{first} to {last}" for first, last in spans[:most]]
+    more = f" and {len(spans) - most} more places" if len(spans) > most else ""
+    return f"{unit}{'s' if len(set(numbers)) > 1 else ''} {', '.join(words)}{more}"

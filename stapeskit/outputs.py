@@ -1,0 +1,156 @@
+"""Outputs appear whole or not at all, and never over what a command read or did not make.
+
+A record file in the output folder (``.stapeskit.json``) holds the SHA-256 of what each command wrote. A file
+at an output's name whose hash is not there belongs to the user: it is refused, or with ``force`` replaced.
+Inputs are never replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from stapeskit.faults import Fault, StapeskitError, list_some, raise_all
+from stapeskit.provenance import sha256
+
+MANIFEST = ".stapeskit.json"
+
+
+class Outputs:
+    """The files that one run of a command may write into a folder.
+
+    Parameters
+    ----------
+    command : str
+        Name under which the record file lists them.
+    folder : Path
+        Where they go; it is made when the first run ends well.
+    names : iterable of str
+        Every file that the run may write; names of an earlier run that are not written again are removed.
+    inputs : iterable of Path
+        Files and folders that the run reads.
+    force : bool
+        Replace files that the record does not know.
+    """
+
+    def __init__(
+        self, command: str, folder: Path, names: Iterable[str], inputs: Iterable[Path], force: bool = False
+    ) -> None:
+        self.command, self.folder, self.names, self.force = (
+            command,
+            Path(folder).absolute(),
+            tuple(names),
+            force,
+        )
+        files = [file for path in inputs for file in _with_contents(Path(path))]
+        self._inputs = {key: file for file in files if (key := _identity(file)) is not None}
+
+    def check(self, names: Iterable[str] = ()) -> None:
+        """Look, before the work begins and again before placing, whether every output may be written.
+
+        Raises
+        ------
+        StapeskitError
+            The folder is a file, or an output is a folder, an input (also by a link) or a foreign file.
+        """
+        self._check_folder()
+        faults, foreign = [], []
+        known = self._manifest().get(self.command, {})
+        for name in dict.fromkeys((*self.names, *names)):
+            path = self.folder / name
+            step = "Choose another place with --out"
+            if path.is_dir():
+                faults.append(Fault(f"the output {path}", "a file", "a folder", "", "Move it away"))
+            elif (read := self._inputs.get(_identity(path) or (-1, -1))) is not None:
+                faults.append(Fault(f"the output {path}", "another file than the inputs", read, "", step))
+            elif os.path.lexists(path) and (name not in known or known[name] != _hash_or_none(path)):
+                foreign.append(name)
+        if foreign and not self.force:
+            expected = f"as {self.command} left them"
+            step = "Choose another place with --out, or replace them with --force"
+            things = f"files at the names of outputs in {self.folder}"
+            faults.append(Fault(things, expected, f"others: {list_some(foreign)}", "", step))
+        raise_all(faults)
+
+    @contextmanager
+    def staged(self) -> Iterator[Path]:
+        """Yield an empty folder on the same disk; its files become the outputs when the block ends well.
+
+        Raises
+        ------
+        StapeskitError
+            As `check`; the folder cannot be made or written.
+        """
+        self.check()
+        near = next(folder for folder in (self.folder, *self.folder.parents) if folder.is_dir())
+        with tempfile.TemporaryDirectory(prefix=".stapeskit-", dir=near, ignore_cleanup_errors=True) as name:
+            stage = Path(name)
+            yield stage
+            files = sorted(path for path in stage.rglob("*") if path.is_file())
+            written = {path.relative_to(stage).as_posix(): sha256(path) for path in files}
+            self.check(written)
+            manifest = self._manifest()
+            stale = [
+                name for name in manifest.get(self.command, {}) if name not in written and name in self.names
+            ]
+            content = {**manifest, self.command: written}
+            (stage / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for name in written:
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(stage / name, self.folder / name)
+            for name in stale:
+                (self.folder / name).unlink(missing_ok=True)
+            os.replace(stage / MANIFEST, self.folder / MANIFEST)
+
+    def unchanged(self) -> bool:
+        """Return whether every file that the command is known to have written is there as it was."""
+        known = self._manifest().get(self.command, {})
+        return bool(known) and all(
+            _hash_or_none(self.folder / name) == value for name, value in known.items()
+        )
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return the files that the command is known to have written."""
+        return tuple(self.folder / name for name in self._manifest().get(self.command, {}))
+
+    def _check_folder(self) -> None:
+        for parent in (self.folder, *self.folder.parents):
+            if os.path.lexists(parent):
+                if not parent.is_dir():
+                    step = "Choose another place with --out"
+                    raise StapeskitError.of("the output folder", "a folder", f"the file {parent}", "", step)
+                return
+
+    def _manifest(self) -> dict[str, dict[str, str]]:
+        try:
+            content = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
+            return {command: dict(files) for command, files in content.items()}
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+            return {}
+
+
+def _hash_or_none(path: Path) -> str | None:
+    try:
+        return sha256(path)
+    except OSError:
+        return None
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return device and number of the file that a path leads to; None when there is none."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_dev, stat.st_ino
+
+
+def _with_contents(path: Path) -> Iterator[Path]:
+    yield path
+    if path.is_dir():
+        yield from path.rglob("*")

@@ -1,0 +1,54 @@
+"""Units by suffix: ``re_mm_s`` is a velocity in mm/s, ``amp_rms_m`` a displacement in m, rms."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_COLUMN = re.compile(r"^(re|im|amp|sd)_(rms_)?(m|mm|um|nm)(_s2|_s)?$")
+_PREFIX = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+_ORDER = {None: 0, "_s": 1, "_s2": 2}
+_NAMES = ("displacement", "velocity", "acceleration")
+SUFFIXES = "m, mm, um, nm (displacement), m_s, mm_s, ... (velocity), m_s2, ... (acceleration), rms_m_s, ..."
+
+# No motion reaches these: larger numbers come from damaged files.
+LARGEST = 1e100
+HIGHEST_HZ = 1e12
+LOWEST_HZ = 1e-12
+FARTHEST_MM = 1e9
+NEAREST_MM = 1e-12
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What a column holds.
+
+    Attributes
+    ----------
+    part : str
+        ``re``, ``im``, ``amp`` or ``sd``.
+    order : int
+        Time derivatives: 0 displacement, 1 velocity, 2 acceleration.
+    scale : float
+        Factor to SI peak amplitude.
+    """
+
+    part: str
+    order: int
+    scale: float
+    rms: bool
+
+    @property
+    def quantity(self) -> str:
+        """``displacement``, ``velocity`` or ``acceleration``."""
+        return _NAMES[self.order]
+
+
+def unit_of(column: str) -> Unit | None:
+    """Read the unit from a column's name; None when it carries no known one."""
+    match = _COLUMN.match(column)
+    if match is None:
+        return None
+    part, rms, prefix, rate = match.groups()
+    scale = _PREFIX[prefix] * (2.0**0.5 if rms else 1.0)
+    return Unit(part, _ORDER[rate], scale, bool(rms))

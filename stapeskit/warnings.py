@@ -1,0 +1,105 @@
+"""Warnings as data: a stable code and a text, carried in results, reports and on the terminal.
+
+A warning is a `Notice` where it arises and an entry in the ``warnings.toml`` of its room, which says what the
+code means; ``python -m stapeskit.warnings`` prints all of them as a page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOMS = {
+    "ct_inertia": "ct2mass",
+    "kinematics": "points2dof",
+    "fitting": "dof2kd",
+    "pipeline": "scan2kd",
+    "stapeskit": "all commands",
+}
+"""Packages that give warnings, in the order of the page, and their commands."""
+
+VERDICTS = ("information", "check", "do not use")
+"""What a warning means for the use of a result."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One warning: ``code`` is stable and machine readable, ``text`` is one sentence for a person."""
+
+    code: str
+    text: str
+
+    def as_json(self) -> dict[str, str]:
+        """Return the form of a notice in every JSON file."""
+        return {"code": self.code, "text": self.text}
+
+
+@dataclass(frozen=True)
+class WarningEntry:
+    """What a code means.
+
+    Attributes
+    ----------
+    meaning, what_to_do : str
+        For docs/warnings.md.
+    verdict : str
+        On a result that has the warning, one of `VERDICTS`.
+    room : str
+        The package that gives it, one of `ROOMS`.
+    """
+
+    meaning: str
+    what_to_do: str
+    verdict: str = "check"
+    room: str = ""
+
+
+@cache
+def table() -> Mapping[str, WarningEntry]:
+    """Return every warning by its code, room by room."""
+    import tomllib
+
+    root = Path(__file__).resolve().parents[1]
+    entries: dict[str, WarningEntry] = {}
+    for room in ROOMS:
+        path = root / room / "warnings.toml"
+        if path.is_file():
+            found = tomllib.loads(path.read_text(encoding="utf-8"))
+            entries |= {code: WarningEntry(**entry, room=room) for code, entry in found.items()}
+    return entries
+
+
+def from_json(records: Iterable[Mapping[str, str]]) -> tuple[Notice, ...]:
+    """Read notices back from a ``warnings`` list."""
+    return tuple(Notice(record["code"], record["text"]) for record in records)
+
+
+def unique(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Drop repeated notices, keeping the first of each and their order."""
+    return tuple(dict.fromkeys(notices))
+
+
+def page() -> str:
+    """Write the table as Markdown, a section for each room."""
+    lines = [
+        "# Warnings",
+        "",
+        "Every warning has a stable code and a text; both are on the terminal, on the page and in the",
+        'JSON results (`"warnings": [{"code", "text"}]`). The text gives the numbers of the case, this page',
+        "what the code means. Warnings of a step travel with its results into the next. The last column says",
+        "what a warning means for the verdict: `information` (the numbers can be used), `check` (look before",
+        "you use them), `do not use`.",
+    ]
+    for room, command in ROOMS.items():
+        entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)
+        lines += ["", f"## {command}", "", "| code | meaning | what to do | verdict |", "|---|---|---|---|"]
+        lines += [f"| `{code}` | {e.meaning} | {e.what_to_do} | {e.verdict} |" for code, e in entries]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(page())

@@ -1,0 +1,112 @@
+"""Every command ends with the exit code of the contract, prints once, and imports little."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from stapeskit.command import Outcome, run
+from stapeskit.faults import Fault, StapeskitError
+from stapeskit.warnings import Notice
+
+def work(words):
+    kind = words[0]
+    if kind == "fault":
+        raise StapeskitError(Fault("density", "positive", -3, "study.toml", "Change it"))
+    if kind == "bug":
+        raise KeyError("nothing")
+    if kind == "missing":
+        open("no/such/file")
+    if kind == "memory":
+        raise MemoryError
+    if kind == "interrupt":
+        raise KeyboardInterrupt
+    if kind == "wait":
+        print("ready", flush=True)
+        time.sleep(30)
+    if kind == "long":
+        return Outcome("long", [("row", "x" * 50)] * 20000)
+    notices = [Notice("touches_border", "The stapes touches the border.")]
+    return Outcome("done", [("mass", "3.2 mg")], notices, [Path("a.json")], {"mass_kg": 3.2e-6},
+                   json="--json" in words, quiet="--quiet" in words)
+
+run("tool", work)
+"""
+
+
+def ran(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("ok", 0), ("fault", 2), ("missing", 2), ("memory", 2), ("bug", 1), ("interrupt", 130)]
+)
+def test_exit_codes(kind: str, code: int) -> None:
+    done = ran(kind)
+    assert done.returncode == code
+    assert ("Traceback" in done.stderr) == (kind == "bug")
+    assert bool(done.stdout) == (code == 0)
+
+
+def test_json_is_the_whole_result_and_warnings_go_to_standard_error() -> None:
+    done = ran("ok", "--json")
+    assert json.loads(done.stdout) == {"mass_kg": 3.2e-6}
+    assert "[touches_border]" in done.stderr
+    quiet = ran("ok", "--quiet")
+    assert quiet.stdout == quiet.stderr == ""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_signals_end_with_130(name: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(getattr(signal, name))
+        began = time.monotonic()
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert time.monotonic() - began < 10.0
+    assert errors.count("\n") == 1
+
+
+def test_a_reader_that_leaves_early_is_no_fault() -> None:
+    command = f"{sys.executable} -c '{PROGRAM}' long | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(
+        ["bash", "-c", command.replace("'\"", '"')], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def processor_seconds(code: str) -> float:
+    """Return the least processor time of three runs."""
+    times = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, check=True, cwd=Path(__file__).parent
+        )
+        after = os.times()
+        times.append(
+            after.children_user + after.children_system - before.children_user - before.children_system
+        )
+    return min(times)
+
+
+def test_the_front_door_is_light() -> None:
+    bare = processor_seconds("pass")
+    assert processor_seconds("import stapeskit") - bare < 0.05
