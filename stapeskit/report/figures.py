@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -80,6 +81,7 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
         "text.color": PAGE_COLOURS["ink"],
         "axes.titlesize": 9.5,
         "axes.titlelocation": "left",
+        "axes.titley": 1.0,  # a fixed place: to look for a free one measures every label
         "axes.labelsize": 9.0,
         "axes.labelcolor": PAGE_COLOURS["ink"],
         "axes.edgecolor": "#9aa7b4",
@@ -90,6 +92,8 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
         "axes.spines.right": False,
         "grid.color": "#e6eaef",
         "grid.linewidth": 0.7,
+        "xtick.bottom": False,
+        "ytick.left": False,
         "xtick.color": "#56636f",
         "ytick.color": "#56636f",
         "xtick.labelsize": 8.5,
@@ -125,14 +129,23 @@ def colour_of(body: str, bodies: Sequence[str] = ()) -> str:
     return OTHER_COLOURS[(others.index(body) if body in others else 0) % len(OTHER_COLOURS)]
 
 
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the style of this project, whatever the user's settings are: also as decorator ``@style()``."""
+    import matplotlib
+
+    with matplotlib.rc_context(_settings()):
+        yield
+
+
 @cache
-def _settings() -> dict[str, Any]:
+def _settings() -> dict[Any, Any]:
     """Return every setting of matplotlib: its own defaults with the style of this project."""
     import matplotlib
 
     left = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "date.epoch"}
     defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if key not in left}
-    return defaults | dict(_STYLE)
+    return {**defaults, **_STYLE}
 
 
 def panels(
@@ -145,7 +158,7 @@ def panels(
     gaps: tuple[float, float] = (0.68, 0.62),
     share_x: bool = False,
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure and its axes (rows, columns), laid out by fixed margins.
+    """Return a figure and its axes (rows, columns), laid out by fixed margins; use it within `style`.
 
     Parameters
     ----------
@@ -159,27 +172,24 @@ def panels(
     share_x : bool
         Only the lowest row has labels along x, and all have one range.
     """
-    import matplotlib
-
     from stapeskit.report.shown_figure import ShownFigure
 
     left, right, top, bottom = margins
     across = gaps[0]
-    between = 0.3 if share_x else gaps[1]
+    between = 0.38 if share_x else gaps[1]
     inner_width = (width - left - right - (columns - 1) * across) / columns
-    inner_height = height - (0.3 if share_x else gaps[1])
+    inner_height = height - (0.38 if share_x else gaps[1])
     total = top + bottom + rows * inner_height + (rows - 1) * between
-    with matplotlib.rc_context(_settings()):
-        drawing = ShownFigure(figsize=(width, total))
-        axes = drawing.subplots(rows, columns, squeeze=False, sharex=share_x)
-        drawing.subplots_adjust(
-            left=left / width,
-            right=1.0 - right / width,
-            top=1.0 - top / total,
-            bottom=bottom / total,
-            wspace=across / inner_width,
-            hspace=between / inner_height,
-        )
+    drawing = ShownFigure(figsize=(width, total))
+    layout = {
+        "left": left / width,
+        "right": 1.0 - right / width,
+        "top": 1.0 - top / total,
+        "bottom": bottom / total,
+        "wspace": across / inner_width,
+        "hspace": between / inner_height,
+    }
+    axes = drawing.subplots(rows, columns, squeeze=False, sharex=share_x, gridspec_kw=layout)
     return drawing, axes
 
 
@@ -191,12 +201,10 @@ def draw(drawing: Figure, vector: bool | None = None) -> tuple[bytes, str]:
     vector : bool, optional
         SVG or PNG; by default SVG unless the figure has more than some thousand points.
     """
-    import matplotlib
-
     if vector is None:
         vector = _points(drawing) <= _MOST_VECTOR_POINTS
     stream = io.BytesIO()
-    with matplotlib.rc_context(_settings()):
+    with style():
         if not vector:
             drawing.savefig(stream, format="png", dpi=_PNG_DOTS_PER_INCH)
             return stream.getvalue(), "png"
@@ -208,9 +216,9 @@ def _points(drawing: Figure) -> int:
     """Return how many points the curves, scatters and images of a figure have."""
     count = 0
     for axes in drawing.axes:
-        count += sum(len(line.get_xdata(orig=False)) for line in axes.lines)
-        count += sum(len(np.atleast_2d(group.get_offsets())) for group in axes.collections)
-        count += sum(2 * _MOST_VECTOR_POINTS for _ in axes.images)
+        count += sum(np.size(line.get_xdata(orig=False)) for line in axes.lines)
+        count += sum(np.size(group.get_offsets()) // 2 for group in axes.collections)
+        count += _MOST_VECTOR_POINTS * len(axes.images)
     return count
 
 
@@ -298,7 +306,7 @@ def log_spaced(freq_hz: Array) -> bool:
     return bool(np.std(ratio) / np.mean(ratio) < np.std(step) / np.mean(step))
 
 
-def decimate_lines(size: Array, most: int = 600) -> Indices:
+def decimate_lines(size: Array, most: int = 400) -> Indices:
     """Return ascending indices of at most ``most`` lines that keep every peak and every trough.
 
     Parameters

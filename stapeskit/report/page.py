@@ -405,9 +405,13 @@ def verdict(level: str, sentence: str, reasons: Iterable[Notice] = ()) -> Markup
     ----------
     level : {"believe", "check", "do not use"}
     reasons : iterable of Notice
-        By weight; their texts are shown in full.
+        By weight; of each the first sentence is shown, and the rest when the reader opens it.
     """
-    return _render("verdict", level, _css(level), sentence, list(reasons))
+    listed = []
+    for reason in reasons:
+        first, stop, rest = reason.text.partition(". ")
+        listed.append({"code": reason.code, "first": first + stop.strip(), "rest": rest})
+    return _render("verdict", level, _css(level), sentence, listed)
 
 
 def cards(*groups: tuple[str, Sequence[Sequence[object]]]) -> Markup:
