@@ -1,0 +1,302 @@
+"""Read and write rigid motion: ``dof.csv`` for people and ``dof.h5`` with everything."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.provenance import sha256
+from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
+from stapeskit.sandbox import read_apart
+from stapeskit.spatial import DOF_NAMES, DOF_UNITS
+from stapeskit.tables import Table, TextColumn, as_text_cell, from_text_cell, read_table
+from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
+from stapeskit.warnings import Notice, from_json
+
+__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "read_motion", "write_motion"]
+
+SCHEMA = "stapeskit.dof/1"
+MADE_BY = "Make the file with points2dof"
+LARGEST_COUNT = 1e15
+"""Above it a double is no exact count."""
+
+_PER_REFERENCE = "_per_ref"
+_FURTHER = ("chi2", "n_dof")
+
+
+def motion_columns(dof: Sequence[str], per_reference: bool = False) -> dict[str, list[str]]:
+    """Return the names of the columns of some degrees of freedom by part: ``re``, ``im``, ``sd``."""
+    end = _PER_REFERENCE if per_reference else ""
+    return {part: [f"{name}_{part}_{DOF_UNITS[name]}{end}" for name in dof] for part in ("re", "im", "sd")}
+
+
+def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Path]:
+    """Write ``<stem>.csv`` and ``<stem>.h5`` into a folder and return their paths.
+
+    A line at which a body's motion is not determined has no row. The HDF5 file holds the hash of the
+    CSV file, so that a reader knows whether the two still belong together.
+    """
+    csv_path, h5_path = Path(folder) / f"{stem}.csv", Path(folder) / f"{stem}.h5"
+    _write_csv(csv_path, motion)
+    _write_h5(h5_path, motion, f"sha256:{sha256(csv_path)}")
+    return csv_path, h5_path
+
+
+def _write_csv(path: Path, motion: RigidMotion) -> None:
+    """Write the rows of all determined lines: q with all its digits, sd and chi2 with nine."""
+    import pandas as pd
+
+    names = motion_columns(motion.dof, bool(motion.reference))
+    run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
+    q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
+    columns: dict[str, Any] = {
+        "run": np.array([as_text_cell(name) for name in motion.runs], dtype=object)[run],
+        "body": np.array([as_text_cell(name) for name in motion.bodies], dtype=object)[body],
+        "freq_hz": motion.freq_hz[line],
+    }
+    for place, (real, imaginary) in enumerate(zip(names["re"], names["im"], strict=True)):
+        columns |= {real: q[:, place].real, imaginary: q[:, place].imag}
+    columns |= {name: _nine_digits(sd[:, place]) for place, name in enumerate(names["sd"])}
+    columns["chi2"] = _nine_digits(motion.chi2[run, body, line])
+    columns["n_dof"] = motion.n_dof[run, body, line].astype(int)
+    pd.DataFrame(columns).to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def _nine_digits(values: Array) -> list[str]:
+    return ["" if np.isnan(value) else f"{value:.9g}" for value in values.tolist()]
+
+
+def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
+    """Write the HDF5 file; made in memory, since on a full disk the library would end the process."""
+    import h5py
+
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
+        file.attrs["schema"] = SCHEMA
+        file.attrs["about"], file.attrs["axes"] = motion.about, motion.axes
+        file.attrs["reference"], file.attrs["csv_hash"] = motion.reference, csv_hash
+        file.attrs["units"] = "q: m and rad, peak displacement amplitudes, e^{+iwt}; covariance: E[dq dq^H]"
+        file.attrs["notices"] = json.dumps([notice.as_json() for notice in motion.notices])
+        file.attrs["provenance"] = json.dumps(dict(motion.provenance))
+        for name in ("runs", "bodies", "dof"):
+            file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
+        for name in ("freq_hz", "q", "covariance", *_FURTHER, "common_sd"):
+            _store(file, name, getattr(motion, name))
+        if motion.shared is not None:
+            group = file.create_group("shared")
+            group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
+            for name in ("covariance", "derivatives", "maps", "powers"):
+                _store(group, name, getattr(motion.shared, name))
+    path.write_bytes(image.getvalue())
+
+
+def _store(group: Any, name: str, values: NDArray[Any] | None) -> None:
+    """Store an array, if there is one, with checksums: a damaged file is refused instead of read."""
+    if values is not None:
+        group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))
+
+
+def read_motion(path: Path) -> RigidMotion:
+    """Read ``dof.csv`` or ``dof.h5``.
+
+    A CSV file is completed from the HDF5 file of the same name when that one was written with it; a CSV
+    file without its HDF5 file, or changed since, gives uncorrelated noise from its sd columns
+    and no shared errors.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, is no motion file, or holds rows that are not as they must be; every fault of a
+        CSV file is listed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        step = "Run points2dof first"
+        raise StapeskitError.of("the motion file", "an existing dof.csv or dof.h5", path, next_step=step)
+    if path.suffix.lower() in (".h5", ".hdf5"):
+        return _read_h5(path)[0]
+    if path.suffix.lower() != ".csv":
+        raise StapeskitError.of("a motion file", "a .csv or .h5 file of points2dof", path.name)
+    beside = path.with_suffix(".h5")
+    notice = Notice(
+        "motion_without_h5",
+        f"{path.name} is read alone ({beside.name} is missing, or belongs to another CSV file): noise is "
+        "taken as uncorrelated between the degrees of freedom, and no registration error is known.",
+    )
+    if not beside.is_file():
+        return _read_csv(path, notice)
+    complete, csv_hash = _read_h5(beside)
+    if csv_hash == f"sha256:{sha256(path)}":
+        return complete
+    alone = _read_csv(path, notice)
+    earlier_version = not csv_hash.startswith("sha256:")  # whose hash is not at hand: compare the rows
+    return complete if earlier_version and _same_rows(alone, complete) else alone
+
+
+def _same_rows(one: RigidMotion, other: RigidMotion) -> bool:
+    """Return whether two motions have the same rows in the same order."""
+    names = (one.runs, one.bodies, one.dof) == (other.runs, other.bodies, other.dof)
+    return names and all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in ("freq_hz", "q")
+    )
+
+
+def _read_h5(path: Path) -> tuple[RigidMotion, str]:
+    """Return the motion of an HDF5 file and the hash of the CSV file that was written with it."""
+
+    def read() -> tuple[RigidMotion, str]:
+        import h5py
+
+        with h5py.File(path, "r") as file:
+            schema = file.attrs.get("schema")
+            if schema != SCHEMA:
+                raise StapeskitError.of("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY)
+            return _motion_from_h5(file), str(file.attrs.get("csv_hash", ""))
+
+    return read_apart(read, path, "the motion file", modules=("h5py",))
+
+
+def _motion_from_h5(file: Any) -> RigidMotion:
+    def words(item: Any) -> tuple[str, ...]:
+        return tuple(word.decode() for word in item[()])
+
+    def stored(group: Any, *names: str) -> dict[str, Any]:
+        return {name: group[name][()] for name in names if name in group}
+
+    shared = None
+    if "shared" in file:
+        group = file["shared"]
+        parts = stored(group, "covariance", "derivatives", "maps", "powers")
+        shared = SharedErrors(words(group["names"]), **parts)
+    return RigidMotion(
+        words(file["runs"]),
+        words(file["bodies"]),
+        words(file["dof"]),
+        **stored(file, "freq_hz", "q", "covariance", *_FURTHER, "common_sd"),
+        reference=str(file.attrs["reference"]),
+        about=str(file.attrs["about"]),
+        axes=str(file.attrs["axes"]),
+        shared=shared,
+        notices=from_json(json.loads(file.attrs["notices"])),
+        provenance=json.loads(file.attrs["provenance"]),
+    )
+
+
+def _dof_of(header: Collection[str]) -> tuple[tuple[str, ...], bool]:
+    """Return the degrees of freedom of a header, and whether they are per unit of a reference."""
+    dof = tuple(name for name in DOF_NAMES if any(column.startswith(f"{name}_re_") for column in header))
+    return dof, any(column.endswith(_PER_REFERENCE) for column in header)
+
+
+def _read_csv(path: Path, notice: Notice) -> RigidMotion:
+    def choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
+        dof, per_reference = _dof_of(header)
+        columns = motion_columns(dof, per_reference)
+        needed = ["body", "freq_hz", *(column for part in columns.values() for column in part)]
+        missing = [column for column in needed if column not in header]
+        if not dof:
+            missing = ["x_re_m or another degree of freedom"]
+        if missing:
+            got, step = f"no column {', '.join(missing)}", "Give dof.csv or dof.h5 of points2dof"
+            raise StapeskitError.of("a motion file", "complete", got, Place(name, "line", (1,)), step)
+        numbers = {*needed, *_FURTHER} - {"body"}
+        return numbers & set(header), {"run", "body"} & set(header)
+
+    return _motion_from_table(read_table(path, choose), notice)
+
+
+def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
+    dof, per_reference = _dof_of(table.numbers)
+    columns = motion_columns(dof, per_reference)
+    body, freq = table.texts["body"], table.numbers["freq_hz"]
+    bodies = tuple(map(from_text_cell, body.names))
+    one_run = TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
+    run = table.texts.get("run", one_run)
+    runs = tuple(map(from_text_cell, run.names))
+    sd = np.column_stack([table.numbers[name] for name in columns["sd"]])
+    faults = [*table.faults, *_row_faults(table, sd)]
+    lines, line = np.unique(freq, return_inverse=True)
+    shape = (len(runs), len(bodies), len(lines))
+    at = (run.codes, body.codes, line)
+    if not faults:
+        _, first = np.unique(np.ravel_multi_index(at, shape), return_index=True)
+        expected = "the only one of its run, body and frequency"
+        for row in np.setdiff1d(np.arange(len(table)), first):
+            faults.append(Fault("a row", expected, "another", table.where(int(row))))
+    raise_all(faults)
+
+    def filled(values: NDArray[Any]) -> Any:
+        whole = np.full((*shape, *values.shape[1:]), np.nan, dtype=values.dtype)
+        whole[at] = values
+        return whole
+
+    q = filled(
+        np.column_stack([table.numbers[name] for name in columns["re"]])
+        + 1j * np.column_stack([table.numbers[name] for name in columns["im"]])
+    )
+    covariance: ComplexArray = (filled(2.0 * sd**2)[..., None] * np.eye(len(dof))).astype(complex)
+    reference = ""
+    if per_reference:
+        reference = _reference_of(q, bodies, dof, table.file)
+        joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
+        for owner in range(shape[1]):
+            part = slice(owner * len(dof), (owner + 1) * len(dof))
+            joint[:, :, part, part] = covariance[:, owner]
+        covariance = joint
+    chi2, n_dof = (filled(table.numbers.get(name, np.full(len(table), np.nan))) for name in _FURTHER)
+    counts = np.nan_to_num(n_dof).astype(int)
+    return RigidMotion(
+        runs, bodies, dof, lines, q, covariance, chi2, counts, reference=reference, notices=(notice,)
+    )
+
+
+def _row_faults(table: Table, sd: Array) -> list[Fault]:
+    """List the cells that hold impossible values."""
+    faults: list[Fault] = []
+
+    def add(name: str, expected: str, wrong: NDArray[np.bool_], got: Sequence[Any] | Array) -> None:
+        for row in np.flatnonzero(wrong).tolist():
+            value = got[row]
+            shown = f"{value:g}" if isinstance(value, float) else value
+            faults.append(Fault(name, expected, shown, table.where(row)))
+
+    freq = table.numbers["freq_hz"]
+    unreported = ~(table.invalid_rows("freq_hz") & np.isnan(freq))
+    outside = (freq < LOWEST_HZ) | (freq > HIGHEST_HZ)
+    finite = (freq > 0.0) & (freq < np.inf)
+    add("freq_hz", f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz", outside & finite, freq)
+    add("freq_hz", "positive and finite", ~finite & unreported, freq)
+    for name in _FURTHER:
+        values = table.numbers.get(name, np.zeros(len(table)))
+        wrong = (values < 0.0) | (values > LARGEST_COUNT)
+        if name == "n_dof":
+            wrong |= np.isfinite(values) & (values != np.round(values))
+        add(name, "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}", wrong, values)
+    wrong = np.any((sd < 0.0) | (sd > LARGEST), axis=1)
+    add("a standard deviation", "positive and finite", wrong, sd.tolist())
+    for name, values in table.numbers.items():
+        if re.search("_(re|im)_", name):
+            add(name, f"finite and below {LARGEST:g}, or empty", np.abs(values) > LARGEST, values)
+    for name, cells in table.texts.items():
+        add(name, "a name", cells.codes < 0, ["an empty cell"] * len(table))
+    return faults
+
+
+def _reference_of(q: ComplexArray, bodies: tuple[str, ...], dof: tuple[str, ...], name: str) -> str:
+    """Find the degree of freedom that is 1 at all lines."""
+    for body, place in np.ndindex(len(bodies), len(dof)):
+        values = q[:, body, :, place]
+        values = values[~np.isnan(values.real)]
+        if values.size and np.all(np.abs(values - 1.0) < 1e-9):
+            return f"{bodies[body]}:{dof[place]}"
+    expected = "1 in the column of its reference"
+    raise StapeskitError.of("a motion file per reference", expected, "no such column", name)
