@@ -75,5 +75,5 @@ def json_name(out: Path) -> Path:
 
 def exported(fit: Any, name: str) -> bytes:
     """Return the content of an export of a fit (fitting.kd_fit.KDFit)."""
-    text: bytes = import_module(f"fitting.exports.{name}").content(fit)
+    text: bytes = import_module(f"legacy.fitting.exports.{name}").content(fit)
     return text

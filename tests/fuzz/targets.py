@@ -9,10 +9,10 @@ from pathlib import Path
 PRELOADED = (
     "numpy scipy.optimize scipy.ndimage scipy.spatial scipy.stats scipy.linalg scipy.io h5py pandas tifffile "
     "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read_scan ct_inertia.ct2mass "
-    "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.fit_files "
-    "fitting.options kinematics.measure_motion kinematics.readers.assemble_measurement "
-    "kinematics.readers.recognise_format kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
-    "pipeline.study pipeline.report pipeline.figure_files matplotlib.figure matplotlib.backends.backend_pdf "
+    "legacy.ct_inertia.mass.calibration legacy.ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.fit_files "
+    "legacy.fitting.options legacy.kinematics.measure_motion kinematics.readers.assemble_measurement "
+    "legacy.kinematics.readers.recognise_format legacy.kinematics.tidy.ldv_csv kinematics.tidy.points_csv "
+    "legacy.pipeline.study legacy.pipeline.report pipeline.figure_files matplotlib.figure matplotlib.backends.backend_pdf "
     "kinematics.registration.scan_surfaces stapeskit.records.mass_record stapeskit.records.motion_files"
 )
 """Imported once, before the process that reads is forked."""

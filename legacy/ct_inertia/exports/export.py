@@ -90,4 +90,4 @@ def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _module(name: str) -> Any:
-    return import_module(f"ct_inertia.exports.{EXPORTS[name].module}")
+    return import_module(f"legacy.ct_inertia.exports.{EXPORTS[name].module}")

@@ -118,7 +118,7 @@ class Format:
         return files
 
     def _code(self) -> Any:
-        return import_module(f"ct_inertia.readers.{self.module}")
+        return import_module(f"legacy.ct_inertia.readers.{self.module}")
 
 
 RAW = Format(

@@ -39,5 +39,5 @@ def estimator(name: str) -> Method:
         from legacy.fitting.errors import FittingError
 
         raise FittingError.of("the estimator", f"one of {', '.join(ESTIMATORS)}", name)
-    method: Method = import_module(f"fitting.estimators.{name}").METHOD
+    method: Method = import_module(f"legacy.fitting.estimators.{name}").METHOD
     return method

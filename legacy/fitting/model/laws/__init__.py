@@ -25,5 +25,5 @@ LAWS: dict[str, str] = {
 @cache
 def law_of(name: str) -> Law:
     """Return the law of a name in the table; it is loaded on first use."""
-    law: Law = import_module(f"fitting.model.laws.{name}").LAW
+    law: Law = import_module(f"legacy.fitting.model.laws.{name}").LAW
     return law
