@@ -167,7 +167,8 @@ class Measurement:
         Ascending, positive.
     bodies : tuple of BodyChannels
     quantity : str
-        What ``value`` holds, one of `QUANTITIES`: its noise is level over frequency when nothing else is known.
+        What ``value`` holds, one of `QUANTITIES`: its noise is level over frequency when nothing else is
+        known.
     inputs : mapping of str to Path
         Files by their role.
     notices : tuple of Notice

@@ -1,0 +1,1 @@
+"""Search for faults of channels, points, lasers and bodies, and their verdicts."""

@@ -1,0 +1,1 @@
+"""Weighted least squares of rigid motion at every frequency line."""

@@ -1,0 +1,124 @@
+"""Motion outside the chosen degrees of freedom that oblique beams measure as part of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinematics.fit.beams import WEAK, beam_set, observable_dof
+from kinematics.fit.rigid_fit import LineFit, refit
+from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array
+from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.warnings import Notice
+
+LEAST_LEAK = 0.02
+"""Share of a hidden motion that enters a fitted one from which on it is reported: a hidden motion is rarely
+larger than the fitted ones, so that below it the effect is within the errors of lasers (1 %)."""
+LEAST_BIAS = 0.005
+"""Relative bias by measured motion from which on it is reported: half the error of a laser."""
+
+_CHANCE = 1e-3  # probability of the data without such motion below which it is there
+
+
+def neglected_notice(fit: LineFit, body: BodyChannels, where: str = "") -> list[Notice]:
+    """Warn when motion outside the fitted subset enters it.
+
+    Motion that the beams do observe is measured, and its effect reported when it is significant; motion that
+    they cannot separate from the fitted one is reported by its geometric leak.
+
+    Parameters
+    ----------
+    fit : LineFit
+        Of a subset of the degrees of freedom.
+    body : BodyChannels
+        Its channels, positions about the reference point.
+    where : str
+        For the message, e.g. `` in run 2``.
+    """
+    dof = fit.beams.dof
+    weight = fit.solution.weight
+    if len(dof) == 6 or not np.any(weight > 0.0):
+        return []
+    leak = leak_matrix(fit, weight / np.max(weight))
+    wide = observable_dof(body.arms_m, body.directions, dof, WEAK, spare=1)
+    hidden = [name for name in DOF_NAMES if name not in wide]
+    texts = _hidden_texts(leak, dof, hidden, fit.beams.lever_m)
+    if wide != dof:
+        texts += _measured_texts(fit, body, leak, wide)
+    if not texts:
+        return []
+    return [Notice("neglected_motion", f"body {body.body}{where}: {'; '.join(texts)}.")]
+
+
+def leak_matrix(fit: LineFit, channel_weight: Array) -> Array:
+    """Return d(fitted motion) / d(each of the six motions), (m, 6); identity on fitted ones."""
+    rows = fit.beams.rows
+    root = np.sqrt(channel_weight)[:, None]
+    scale = np.linalg.norm(rows, axis=0)
+    solved = np.linalg.lstsq(root * rows / scale, root * fit.beams.all_rows, rcond=None)[0]
+    return np.asarray(solved / scale[:, None])
+
+
+def _hidden_texts(leak: Array, dof: tuple[str, ...], hidden: list[str], lever: float) -> list[str]:
+    """Describe motions that the beams cannot separate from the fitted ones."""
+    length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
+    texts = []
+    for name in hidden:
+        column = DOF_NAMES.index(name)
+        share = np.abs(leak[:, column]) * length[dof_indices(dof)] / length[column]
+        parts = [
+            _entering(leak[k, column], dof[k], name) for k in np.argsort(-share) if share[k] > LEAST_LEAK
+        ]
+        if parts:
+            texts.append(f"the beams cannot tell {name} from the fitted motion: {' and '.join(parts)}")
+    return texts
+
+
+def _entering(leak: float, into: str, name: str) -> str:
+    """Write how much of a motion enters a fitted one."""
+    turns, turned = into in DOF_NAMES[3:], name in DOF_NAMES[3:]
+    if turns == turned:
+        return f"{100.0 * abs(leak):.2g} % of it enters {into}"
+    if turns:
+        return f"{1e-3 * abs(leak):.2g} urad enter {into} per nm of it"
+    return f"{1e3 * abs(leak):.2g} nm enter {into} per urad of it"
+
+
+def _measured_texts(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]) -> list[str]:
+    """Describe significant measured motion outside the subset and its effect on the fitted motion.
+
+    Notes
+    -----
+    The fall of chi2 between the two fits tests whether the motion is there.
+    """
+    from scipy.special import chdtrc
+
+    dof = fit.beams.dof
+    full = refit(beam_set(body.body, body.arms_m, body.directions, wide), fit)
+    good = np.isfinite(full.chi2) & np.isfinite(fit.chi2)
+    if not np.any(good):
+        return []
+    fall = float(np.sum(fit.chi2[good] - full.chi2[good]))
+    freedom = float(np.sum(fit.n_dof[good] - full.n_dof[good]))
+    left = float(np.sum(full.chi2[good])) / max(float(np.sum(full.n_dof[good])), 1.0)
+    chance = float(chdtrc(max(freedom, 1.0), fall / max(left, 1e-300)))
+    extra = [name for name in wide if name not in dof]
+    others = full.q[good][:, [wide.index(name) for name in extra]]
+    bias = others @ leak[:, dof_indices(tuple(extra))].T
+    size = np.sqrt(np.mean(np.abs(fit.q[good]) ** 2, axis=0))
+    share = np.sqrt(np.mean(np.abs(bias) ** 2, axis=0)) / np.maximum(size, 1e-300)
+    if chance > _CHANCE or np.max(share) < LEAST_BIAS:
+        return []
+    worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= LEAST_BIAS]
+    changes = ", ".join(f"{dof[k]} by {100.0 * share[k]:.2g} %" for k in worst)
+    rms = np.sqrt(np.mean(np.abs(others) ** 2, axis=0))
+    sizes = ", ".join(
+        f"{name} {value * (1e9 if name in DOF_NAMES[:3] else 1e6):.3g} "
+        f"{'nm' if name in DOF_NAMES[:3] else 'urad'} rms"
+        for name, value in zip(extra, rms, strict=True)
+    )
+    odds = "below 1e-300" if chance < 1e-300 else f"{chance:.1g}"
+    return [
+        f"measured motion in {', '.join(extra)} ({sizes}) is left out of the fit and changes {changes} (rms)"
+        f"; without it the probability of these data is {odds}; fit it with --dof {','.join(wide)}"
+    ]

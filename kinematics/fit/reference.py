@@ -1,0 +1,173 @@
+"""Frequency responses: all motions per unit of one of them, with the covariance of the ratio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import StapeskitError
+from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
+from stapeskit.warnings import Notice
+
+LEAST_SIGNAL_TO_NOISE = 10.0
+"""Reference over its noise from which on the covariance of a ratio is right to first order within 2 %."""
+
+_LINES = 2048  # lines at a time: a few MB of covariances
+_MOST_SECOND_ORDER = 1.0  # up to here the second order in the noise of the reference is added
+_LISTED = 5  # stretches of lines in a message
+
+
+def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) -> tuple[int, int]:
+    """Read ``BODY:DOF`` and return the positions of both.
+
+    Raises
+    ------
+    StapeskitError
+        The form is another, there is no such body, or the degree of freedom is not in the fit.
+    """
+    body, _, name = text.rpartition(":")
+    if body not in bodies or name not in dof:
+        expected = f"BODY:DOF with a body of {', '.join(bodies)} and a degree of freedom of {', '.join(dof)}"
+        step = f"Write for example --reference {bodies[-1]}:{dof[0]}"
+        raise StapeskitError.of("--reference", expected, text, next_step=step)
+    return bodies.index(body), dof.index(name)
+
+
+def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
+    """Divide every motion by the reference motion of its run and line.
+
+    Parameters
+    ----------
+    motion : RigidMotion
+        Absolute displacements.
+    reference : str
+        ``BODY:DOF``.
+
+    Returns
+    -------
+    RigidMotion
+        With the joint covariance of all bodies, (run, freq, body*dof, body*dof).
+
+    Raises
+    ------
+    StapeskitError
+        As `parse_reference`.
+
+    Notes
+    -----
+    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so that the covariance is J C J^H; noise
+    common to all motions of a line cancels. To second order, an error n of the reference r makes
+    n / r (1 - n / r) of the ratio, whose mean square is larger by 1 + 2 var(n) / |r|^2.
+    """
+    body, place = parse_reference(reference, motion.bodies, motion.dof)
+    if motion.common_sd is not None:
+        motion = motion.with_common_noise(np.zeros(1))
+    runs, bodies, lines, n = motion.q.shape
+    ref = motion.q[:, body, :, place]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = motion.q / ref[:, None, :, None]
+    own = ratio[:, body, :, place]
+    own[np.isfinite(own)] = 1.0
+    covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)
+    for run in range(runs):
+        for start in range(0, lines, _LINES):
+            part = slice(start, start + _LINES)
+            alone = motion.covariance[run, :, part]
+            covariance[run, part] = _joint_covariance(alone, ratio[run, :, part], ref[run, part], body, place)
+    shared = None if motion.shared is None else _shared_errors(motion.shared, ratio, ref, body, place)
+    notices = [*motion.notices]
+    moved = np.any(np.all(np.isfinite(motion.q), axis=3), axis=1)
+    lost = np.asarray(moved & ~np.isfinite(ref))
+    if np.any(lost):
+        text = (
+            f"the reference {reference} has no motion at {int(np.sum(lost))} of {ref.size} lines where other "
+            f"bodies have one, {_places(motion, lost)}: no response is written there. Measure it there too, "
+            "or leave --reference out."
+        )
+        notices.append(Notice("reference_missing", text))
+    with np.errstate(invalid="ignore"):
+        weak = np.abs(ref) < LEAST_SIGNAL_TO_NOISE * motion.standard_deviation[:, body, :, place]
+    if np.any(weak):
+        text = (
+            f"the reference {reference} is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise at "
+            f"{int(np.sum(weak))} of {ref.size} lines, {_places(motion, weak)}; the covariance of the ratio "
+            "is widened there, and good down to three times. Leave these lines out of a fit, or take a "
+            "reference that is not near zero there."
+        )
+        notices.append(Notice("reference_noisy", text))
+    ratio[~np.isfinite(ratio)] = np.nan
+    return replace(
+        motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=tuple(notices)
+    )
+
+
+def _joint_covariance(
+    own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
+) -> ComplexArray:
+    """Return the joint covariance of ratios, (freq, body*dof, body*dof).
+
+    ``own`` is (body, freq, dof, dof), ``ratio`` (body, freq, dof). With c the column of the reference,
+    |q_ref|^2 C' = C - H c^H - c H^H + H var(q_ref) H^H. NaN where a motion or its noise is not known.
+    """
+    bodies, lines, n = ratio.shape
+    flat = ratio.transpose(1, 0, 2).reshape(lines, bodies * n)
+    missing = ~np.isfinite(flat)
+    h = np.where(missing, 0.0, flat)
+    joint = np.zeros((lines, bodies * n, bodies * n), dtype=complex)
+    for number in range(bodies):
+        part = slice(number * n, (number + 1) * n)
+        known = np.isfinite(own[number])
+        joint[:, part, part] = np.where(known, own[number], 0.0)
+        missing[:, part] |= ~np.all(known, axis=(1, 2))[:, None]
+    at = body * n + place
+    missing |= missing[:, at, None]
+    column = joint[:, :, at].copy()
+    variance = column[:, at].real[:, None, None]
+    cross = h[:, :, None] * column.conj()[:, None, :]
+    joint -= cross
+    joint -= cross.conj().transpose(0, 2, 1)
+    joint += h[:, :, None] * variance * h.conj()[:, None, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        square = (np.abs(ref) ** 2)[:, None, None]
+        second = np.minimum(2.0 * variance / square, _MOST_SECOND_ORDER)
+        h[:, at] = 0.0
+        joint += second * variance * h[:, :, None] * h.conj()[:, None, :]
+        joint /= square
+    joint[missing[:, :, None] | missing[:, None, :]] = np.nan
+    return joint
+
+
+def _shared_errors(
+    shared: SharedErrors, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
+) -> SharedErrors:
+    """Return shared errors of ratios: they depend on two bodies, so that no map of one gives them."""
+    moved = shared.derivatives[:, :, body, :, place]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = shared.derivatives - ratio[None] * moved[:, :, None, :, None]
+        derivatives = change / ref[None, :, None, :, None]
+    return SharedErrors(shared.names, shared.covariance, derivatives)
+
+
+def _places(motion: RigidMotion, chosen: NDArray[np.bool_]) -> str:
+    """Return the frequencies of chosen lines (run, freq), run by run where there are several."""
+    several = len(motion.runs) > 1
+    return "; ".join(
+        f"{format_stretches(motion.freq_hz, chosen[run])}{f' in run {name}' if several else ''}"
+        for run, name in enumerate(motion.runs)
+        if np.any(chosen[run])
+    )
+
+
+def format_stretches(freq_hz: Array, chosen: NDArray[np.bool_], most: int = _LISTED) -> str:
+    """Write stretches of chosen lines (L,) as frequencies, the widest where there are many."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
+    pairs = sorted(zip(edges[::2], edges[1::2] - 1, strict=True), key=lambda pair: pair[0] - pair[1])
+    listed = [
+        f"{freq_hz[start]:.5g} Hz" if start == stop else f"{freq_hz[start]:.5g} to {freq_hz[stop]:.5g} Hz"
+        for start, stop in sorted(pairs[:most])
+    ]
+    more = f" and {len(pairs) - most} stretches more" if len(pairs) > most else ""
+    return ", ".join(listed) + more
