@@ -1,0 +1,167 @@
+"""The generalized mass matrix of a rigid body with its uncertainty by source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import cross_matrix
+from stapeskit.spatial import (
+    check_inertia,
+    matrix_from_parameters,
+    parameter_basis,
+    parameters_from_matrix,
+    twist_transfer,
+)
+
+FRAME_SOURCE = "frame"
+"""The source of uncertainty that is an error of the footplate frame itself."""
+
+SOURCE_WORDS = {
+    "levels": "grey levels of air and bone",
+    "noise": "voxel noise",
+    "psf": "blur of the scan",
+    "coat": "soft coat on the bone",
+    "grey_scale": "grey scale that is not linear",
+    "surroundings": "fluid or tissue around the stapes",
+    "separation": "cut between stapes and what touches it",
+    "border": "what the border of the scan cuts",
+    "plate": "face of the plate",
+    "inhomogeneity": "uneven bone",
+    "cupping": "cupping of bone",
+    "threshold": "threshold that made the scan",
+    "voxel_size": "voxel size",
+    "density": "density",
+    "mass": "measured mass",
+    "calibration": "grey-to-density calibration",
+    "added_mass": "added masses",
+    FRAME_SOURCE: "footplate frame",
+}
+"""Sources in words, for tables of uncertainty; see `source_words`."""
+
+
+def source_words(source: str) -> str:
+    """Return the words for a source of uncertainty."""
+    return SOURCE_WORDS.get(source, source.replace("_", " "))
+
+
+@dataclass(frozen=True)
+class MassMatrix:
+    """Generalized mass matrix of a rigid body with its uncertainty by source.
+
+    Attributes
+    ----------
+    parameters : ndarray, (10,)
+        Inertial parameters about a point in some axes (kg, kg m, kg m2; PARAMETER_NAMES).
+    covariance : ndarray, (10, 10)
+        Their covariance, SI: the sum of ``contributions``. When it alone is given, its source is
+        ``unspecified``; when neither is given it is zero.
+    contributions : mapping of str to ndarray, (10, 10)
+        Covariance by independent source (``levels``, ``density``, ...). The source ``frame`` is what an
+        error of the footplate frame itself adds.
+    about, axes : str
+        Reference point and axes.
+
+    Raises
+    ------
+    StapeskitError
+        The parameters are not those of a possible body, or a covariance has another shape.
+    """
+
+    parameters: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    contributions: Mapping[str, Array] = field(default_factory=dict)
+    about: str = "footplate_centre"
+    axes: str = "footplate"
+
+    def __post_init__(self) -> None:
+        parameters = np.asarray(self.parameters, dtype=float)
+        if parameters.shape != (10,):
+            raise StapeskitError.of("the inertial parameters", "10 numbers", f"shape {parameters.shape}")
+        check_inertia(matrix_from_parameters(parameters))
+        parts = {name: np.asarray(part, dtype=float) for name, part in self.contributions.items()}
+        if not parts and np.size(self.covariance):
+            parts["unspecified"] = np.asarray(self.covariance, dtype=float)
+        for name, part in parts.items():
+            if part.shape != (10, 10) or not np.all(np.isfinite(part)):
+                raise StapeskitError.of(f"the covariance {name}", "a finite 10x10 matrix", part.shape)
+        object.__setattr__(self, "parameters", parameters)
+        object.__setattr__(self, "contributions", parts)
+        object.__setattr__(self, "covariance", sum(parts.values(), np.zeros((10, 10))))
+
+    @property
+    def matrix(self) -> Array:
+        """The 6x6 matrix, SI, in the order of DOF_NAMES."""
+        return matrix_from_parameters(self.parameters)
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Standard deviation of every entry of the matrix, (6, 6), SI."""
+        basis = parameter_basis()
+        return np.sqrt(np.maximum(np.einsum("aij,ab,bij->ij", basis, self.covariance, basis), 0.0))
+
+    def moved(self, axes_from_here: Array, shift_m: Array, about: str, axes: str) -> MassMatrix:
+        """Return the same body about another point and in other axes, uncertainty included.
+
+        Parameters
+        ----------
+        axes_from_here : ndarray, (3, 3)
+            Rotation from the present axes to the new ones.
+        shift_m : ndarray, (3,)
+            New reference point minus present one, in present axes, m.
+        about, axes : str
+            Their new names.
+
+        Notes
+        -----
+        M' = X^-T M X^-1 with q' = X q: kinetic energy does not depend on the frame.
+        """
+        linear = parameter_transfer(axes_from_here, shift_m)
+        parts = {name: linear @ part @ linear.T for name, part in self.contributions.items()}
+        return MassMatrix(linear @ self.parameters, contributions=parts, about=about, axes=axes)
+
+    def with_frame_error(self, pose_covariance: Array) -> MassMatrix:
+        """Return the matrix with another uncertainty of its own frame.
+
+        Parameters
+        ----------
+        pose_covariance : ndarray, (6, 6)
+            Of the displacement of the frame in its own axes, m and rad. Zero removes that source.
+        """
+        linear = frame_derivative(self.parameters)
+        parts = dict(self.contributions) | {FRAME_SOURCE: linear @ pose_covariance @ linear.T}
+        return MassMatrix(self.parameters, contributions=parts, about=self.about, axes=self.axes)
+
+
+def parameter_transfer(axes_from_here: Array, shift_m: Array) -> Array:
+    """Return the linear map (10, 10) of inertial parameters under a change of point and axes."""
+    inverse = np.linalg.inv(twist_transfer(axes_from_here, shift_m))
+    moved = [parameters_from_matrix(inverse.T @ part @ inverse) for part in parameter_basis()]
+    return np.stack(moved, axis=1)
+
+
+def frame_derivative(parameters: Array) -> Array:
+    """Return d(parameters)/d(frame displacement), (10, 6), per m and rad in the order of DOF_NAMES.
+
+    The displacement is that of the reference frame, in its own axes (RigidTransform.perturbed).
+
+    Notes
+    -----
+    M' = X^-T M X^-1 with q' = X q, so that dM = -(G^T M + M G) with G = dX: the derivative of
+    `twist_transfer` by its shift, and by its rotation, which is minus the rotation of the frame.
+    """
+    matrix = matrix_from_parameters(parameters)
+    columns = []
+    for axis in range(6):
+        turn = -cross_matrix(np.eye(3)[axis % 3])
+        transfer = np.zeros((6, 6))
+        if axis < 3:
+            transfer[:3, 3:] = turn
+        else:
+            transfer[:3, :3] = transfer[3:, 3:] = turn
+        columns.append(parameters_from_matrix(-(transfer.T @ matrix + matrix @ transfer)))
+    return np.column_stack(columns)

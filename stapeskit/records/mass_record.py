@@ -1,0 +1,132 @@
+"""What a ``mass.json`` says, and everything in it that follows from what defines the body.
+
+The ten inertial parameters, their covariance and the frames define the file. `statements` derives every
+other number from them: one function that both the writer and the checker use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.frames import RigidTransform
+from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, central_tensor, dof_indices
+from stapeskit.warnings import Notice
+
+SAME = 1e-6
+"""Relative difference by which redundant numbers of a file may round."""
+
+FLOOR = 1e-5
+"""Rounding of standard deviations, correlations and eigenvalues."""
+
+_FOOTPLATE = {"about": "footplate_centre", "axes": "footplate"}
+
+
+@dataclass(frozen=True)
+class MassRecord:
+    """What a ``mass.json`` says, checked.
+
+    Attributes
+    ----------
+    mass_matrix : MassMatrix
+        About the footplate centre, in footplate axes.
+    scan_from_footplate : RigidTransform
+        Pose of the footplate frame in scan coordinates (mm).
+    footplate_covariance : ndarray, (6, 6)
+        Covariance of the footplate frame's own displacement in footplate axes (m, rad).
+    scan_from_plate : RigidTransform or None
+        Pose of the plate frame; None when the scan holds no plate.
+    plate_covariance : ndarray, (6, 6) or None
+        As ``footplate_covariance``, of the plate frame in plate axes.
+    density_kg_m3, volume_m3 : float or None
+        Of the bone, without added masses.
+    notices : tuple of Notice
+        Warnings of ct2mass.
+    raw : mapping
+        The whole file.
+    """
+
+    mass_matrix: MassMatrix
+    scan_from_footplate: RigidTransform
+    footplate_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    scan_from_plate: RigidTransform | None = None
+    plate_covariance: Array | None = None
+    density_kg_m3: float | None = None
+    volume_m3: float | None = None
+    notices: tuple[Notice, ...] = ()
+    raw: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def plate_from_footplate(self) -> RigidTransform | None:
+        """Pose of the footplate frame in the plate frame; None when the scan holds no plate."""
+        return (
+            None
+            if self.scan_from_plate is None
+            else self.scan_from_plate.inverse() @ self.scan_from_footplate
+        )
+
+    @property
+    def plate_mass_matrix(self) -> MassMatrix | None:
+        """The mass matrix about the footplate centre in plate axes.
+
+        The footplate frame gives its origin and the plate frame its axes, and so do their errors.
+        """
+        plate = self.plate_from_footplate
+        if plate is None:
+            return None
+        pose = np.zeros((6, 6))
+        pose[:3, :3] = plate.rotation @ self.footplate_covariance[:3, :3] @ plate.rotation.T
+        if self.plate_covariance is not None:
+            pose[3:, 3:] = self.plate_covariance[3:, 3:]
+        return self.mass_matrix.moved(
+            plate.rotation, np.zeros(3), "footplate_centre", "plate"
+        ).with_frame_error(pose)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A number or array that follows, and the size (of each entry) that its rounding is measured by."""
+
+    value: Any
+    scale: Any
+
+
+def statements(record: MassRecord, reduced: Sequence[str]) -> dict[str, Any]:
+    """Return everything in a mass.json that follows from parameters, covariance and frames."""
+    matrix, parameters = record.mass_matrix, record.mass_matrix.parameters
+    mass, tensor = central_tensor(parameters)
+    scan = record.scan_from_footplate
+    centre_mm = scan.points(parameters[1:4] / mass * 1e3)
+    turned = scan.rotation @ tensor @ scan.rotation.T
+    places = np.ix_(*[dof_indices(tuple(reduced))] * 2)
+    found: dict[str, Any] = {
+        "mass_kg": Stated(mass, mass),
+        "center_of_mass_in_scan_mm": Stated(centre_mm, max(100.0, float(np.max(np.abs(centre_mm))))),
+        "inertia_about_center_of_mass_in_scan_axes_kg_m2": Stated(turned, np.trace(turned)),
+        "inertial_parameters": {"names": list(PARAMETER_NAMES), **_FOOTPLATE},
+        "mass_matrix": {**_FOOTPLATE, "dof": list(DOF_NAMES), **_entries(matrix)},
+        "mass_matrix_reduced": {**_FOOTPLATE, "dof": list(reduced), **_entries(matrix, places)},
+    }
+    plate, in_plate_axes = record.plate_from_footplate, record.plate_mass_matrix
+    if plate is not None and in_plate_axes is not None:
+        size = max(
+            1.0, float(np.linalg.norm(plate.translation_mm)), float(np.linalg.norm(scan.translation_mm))
+        )
+        found["frames"] = {"plate_from_footplate": Stated(plate.matrix, np.array([1.0, 1.0, 1.0, size]))}
+        axes = {"about": "footplate_centre", "axes": "plate"}
+        found["mass_matrix_plate_axes"] = {**axes, "dof": list(DOF_NAMES), **_entries(in_plate_axes)}
+    return found
+
+
+def _entries(mass: MassMatrix, places: tuple[Any, ...] = ()) -> dict[str, Stated]:
+    root = np.sqrt(np.diag(mass.matrix))
+    scale = np.outer(root, root)[places]
+    return {
+        "matrix_si": Stated(mass.matrix[places], scale),
+        "standard_deviation_si": Stated(mass.standard_deviation[places], scale * (FLOOR / SAME)),
+    }
