@@ -148,6 +148,18 @@ def _settings() -> dict[Any, Any]:
     return {**defaults, **_STYLE}
 
 
+def lighten(colour: str, share: float = 0.45) -> str:
+    """Return a colour mixed with a share of white: for areas beside lines of the colour itself.
+
+    Examples
+    --------
+    >>> lighten("#800000", 0.5)
+    '#c08080'
+    """
+    parts = (int(colour[place : place + 2], 16) for place in (1, 3, 5))
+    return "#" + "".join(f"{round(part + share * (255 - part)):02x}" for part in parts)
+
+
 def panels(
     rows: int = 1,
     columns: int = 1,

@@ -440,7 +440,7 @@ def viewer(scene: Scene) -> Markup:
 
     content = scene.content()
     motions = [motion.name for motion in scene.motions]
-    return _render("viewer", scene.title, Markup(content), motions, scene.groups(), scene.caption)
+    return _render("viewer", scene.title, Markup(content), motions, scene.groups, scene.caption)
 
 
 def _css(level: str) -> str:

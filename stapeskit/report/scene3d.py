@@ -1,0 +1,271 @@
+"""Describe a three-dimensional scene and pack it for the one viewer of all pages, ``viewer.js``.
+
+Surfaces, points, lines and motions of rigid bodies; all lengths in mm, motions in m and rad about the origin of the
+axes. ``page.viewer(scene)`` makes the block.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import RigidTransform
+from stapeskit.report.figures import AXIS_COLOURS, PAGE_COLOURS, VERDICT_COLOURS, lighten
+
+Faces = NDArray[np.int64]
+# Steps of 16 bit numbers over the span of a surface: 0.1 µm for a stapes.
+_STEPS = 32_000
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface.
+
+    Attributes
+    ----------
+    name : str
+        Also of the checkbox that hides it.
+    vertices_mm : ndarray, (n, 3)
+    faces : ndarray, (m, 3), int
+        Outward triangles.
+    colour : str
+        ``#rrggbb``, of `figures.BODY_COLOURS`; drawn lighter, as areas are.
+    opacity : float
+        1 is solid.
+    body : str, optional
+        The body that it moves with; its name by default.
+    most_faces : int
+        Triangles to which it is decimated: enough for a screen, few enough for a page.
+    in_view : bool
+        Whether the view at the start holds all of it.
+    """
+
+    name: str
+    vertices_mm: Array
+    faces: Faces
+    colour: str
+    opacity: float = 1.0
+    body: str | None = None
+    most_faces: int = 6000
+    in_view: bool = True
+
+
+@dataclass(frozen=True)
+class Point:
+    """A measured point: its colour is that of its verdict, its name appears under the mouse."""
+
+    name: str
+    position_mm: ArrayLike
+    body: str = ""
+    verdict: str = "ok"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A polyline (n, 3), mm: beams, axes of stiffness, an outline.
+
+    Attributes
+    ----------
+    group : str
+        Lines of a group are shown and hidden together.
+    shown : bool
+        Whether the group is shown at the start.
+    label : str
+        Written at its end.
+    body : str
+        The body that it moves with.
+    """
+
+    name: str
+    points_mm: Array
+    colour: str
+    group: str = "lines"
+    shown: bool = True
+    label: str = ""
+    arrow: bool = False
+    width: float = 2.0
+    body: str = ""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A harmonic motion of rigid bodies, played enlarged.
+
+    Attributes
+    ----------
+    name : str
+        Of its button.
+    amplitudes : ndarray, (6,) or (lines, 6), complex; or mapping of body to such an array
+        x, y, z in m, alpha, beta, gamma in rad, about the origin and along the axes of the scene; without bodies
+        it is the motion of ``stapes``. The displacement is the real part of amplitude times exp(+i omega t).
+    frequency_hz : float or ndarray, (lines,)
+        With several lines the viewer has a slider for them.
+    measured : bool
+        Whether amplitudes are lengths and not only a shape; the viewer then says how much it enlarges them.
+    """
+
+    name: str
+    amplitudes: ComplexArray | Mapping[str, ComplexArray]
+    frequency_hz: float | Array
+    measured: bool = False
+
+    def content(self) -> dict[str, Any]:
+        """Return the motion as the viewer reads it: real parts, then imaginary parts, line by line."""
+        bodies = self.amplitudes if isinstance(self.amplitudes, Mapping) else {"stapes": self.amplitudes}
+        lines = np.atleast_1d(np.asarray(self.frequency_hz, dtype=float))
+        parts = {name: np.nan_to_num(np.atleast_2d(value)) for name, value in bodies.items()}
+        size = sum(np.abs(value[:, :3]).max(axis=1) for value in parts.values())
+        return {
+            "name": self.name,
+            "hz": [float(f"{value:.7g}") for value in lines],
+            "measured": self.measured,
+            "start": int(np.argmax(size)),
+            "bodies": {
+                name: _packed(np.hstack([value.real, value.imag]).astype("<f4"))
+                for name, value in parts.items()
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a viewer shows.
+
+    Attributes
+    ----------
+    surfaces, points, motions, lines : sequence
+    axes : RigidTransform, optional
+        From the frame whose axes are drawn (and in which motions are given) to the frame of surfaces, points and
+        lines, such as ``scan_from_footplate``; None where they are the same frame.
+    directions : tuple of str
+        What x, y and z point to; empty where it is not known.
+    """
+
+    surfaces: Sequence[Mesh] = ()
+    points: Sequence[Point] = ()
+    axes: RigidTransform | None = None
+    motions: Sequence[Motion] = ()
+    lines: Sequence[Line] = ()
+    directions: tuple[str, str, str] = ("anterior", "lateral", "")
+    title: str = "The stapes in three dimensions"
+    caption: str = ""
+    axis_mm: float = 1.4
+    groups: list[dict[str, Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        shown = {mesh.name: True for mesh in self.surfaces}
+        shown |= {"axes": True} | ({"points": True} if self.points else {})
+        for line in self.lines:
+            shown.setdefault(line.group, line.shown)
+        object.__setattr__(self, "groups", [{"name": name, "shown": on} for name, on in shown.items()])
+
+    def content(self) -> str:
+        """Return the scene as JSON that can stand within a page."""
+        meshes = [self._mesh(mesh) for mesh in self.surfaces if len(mesh.faces)]
+        low, high = self._span()
+        data = {
+            "meshes": meshes,
+            "points": [
+                {
+                    "name": point.name,
+                    "body": point.body,
+                    "verdict": point.verdict,
+                    "colour": VERDICT_COLOURS.get(point.verdict, PAGE_COLOURS["do-not-use"]),
+                    "at": self._placed(point.position_mm).tolist(),
+                }
+                for point in self.points
+            ],
+            "lines": [*self._axes(), *(self._line(line) for line in self.lines)],
+            "motions": [motion.content() for motion in self.motions],
+            "middle": (0.5 * (low + high)).tolist(),
+            "reach": max(0.5 * float(np.linalg.norm(high - low)), 1e-6),
+        }
+        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+        return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+    def _placed(self, points_mm: ArrayLike) -> Array:
+        """Return points in the frame whose axes are drawn, mm, rounded to 10 nm."""
+        points = np.asarray(points_mm, dtype=float)
+        return np.round(points if self.axes is None else self.axes.inverse().points(points), 5)
+
+    def _span(self) -> tuple[Array, Array]:
+        """Return the corners of the box that the view at the start holds."""
+        held = [self._placed(mesh.vertices_mm) for mesh in self.surfaces if mesh.in_view and len(mesh.faces)]
+        held = held or [self._placed([point.position_mm for point in self.points])] if self.points else held
+        held = held or [np.array([[-1.0] * 3, [1.0] * 3]) * self.axis_mm]
+        every = np.vstack(held)
+        return np.asarray(every.min(axis=0)), np.asarray(every.max(axis=0))
+
+    def _mesh(self, mesh: Mesh) -> dict[str, Any]:
+        vertices, faces = decimate(mesh.vertices_mm, mesh.faces, mesh.most_faces)
+        vertices = self._placed(vertices)
+        low = vertices.min(axis=0)
+        step = max(float(np.max(np.ptp(vertices, axis=0))), 1e-9) / _STEPS
+        return {
+            "name": mesh.name,
+            "body": mesh.name if mesh.body is None else mesh.body,
+            "colour": lighten(mesh.colour),
+            "opacity": mesh.opacity,
+            "low": low.tolist(),
+            "step": step,
+            "vertices": _packed(np.round((vertices - low) / step).astype("<i2")),
+            "faces": _packed(faces.astype("<u2")),
+        }
+
+    def _line(self, line: Line) -> dict[str, Any]:
+        return {
+            "at": self._placed(line.points_mm).tolist(),
+            "colour": line.colour,
+            "group": line.group,
+            "label": line.label,
+            "arrow": line.arrow,
+            "width": line.width,
+            "body": line.body,
+        }
+
+    def _axes(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "at": [[0.0, 0.0, 0.0], (self.axis_mm * way).tolist()],
+                "colour": AXIS_COLOURS[name],
+                "group": "axes",
+                "label": f"{name} {direction}".strip(),
+                "arrow": True,
+                "width": 2.6,
+                "body": "",
+            }
+            for name, way, direction in zip("xyz", np.eye(3), self.directions, strict=True)
+        ]
+
+
+def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array, Faces]:
+    """Return a surface of about ``most`` triangles with the same shape as far as these can show it.
+
+    Parameters
+    ----------
+    vertices_mm : array_like, (n, 3)
+    faces : array_like, (m, 3), int
+
+    Notes
+    -----
+    Quadric error metrics (Garland and Heckbert 1997, doi:10.1145/258734.258849) of pyvista.
+    """
+    import pyvista as pv
+
+    listed = np.asarray(faces, dtype=np.int64)
+    surface = pv.PolyData.from_regular_faces(np.asarray(vertices_mm, dtype=float), listed)
+    if len(listed) > most:
+        surface = surface.decimate(1.0 - most / len(listed))
+    return np.asarray(surface.points, dtype=float), np.asarray(surface.regular_faces, dtype=np.int64)
+
+
+def _packed(values: NDArray[Any]) -> str:
+    """Return the bytes of an array as text."""
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
