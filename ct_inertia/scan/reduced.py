@@ -40,8 +40,7 @@ def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tup
     whole = box or (slice(None), slice(None), slice(None))
     starts = [along.indices(n)[0] for along, n in zip(whole, scan.shape, strict=True)]
     counts = [
-        len(range(n)[along]) // size
-        for along, n, size in zip(whole, scan.shape, (bz, by, bx), strict=True)
+        len(range(n)[along]) // size for along, n, size in zip(whole, scan.shape, (bz, by, bx), strict=True)
     ]
     exact = tuple(
         slice(start, start + count * size)

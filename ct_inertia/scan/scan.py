@@ -25,7 +25,9 @@ Fetch = Callable[[Box], NDArray[Any]]
 LARGEST_GREY = 1e15
 """Squares of larger grey values, summed over a scan, overflow in single precision."""
 
-_ORTHONORMAL = 1e-4  # of the products of directions: headers round cosines to four digits; .3 um over a stapes
+_ORTHONORMAL = (
+    1e-4  # of the products of directions: headers round cosines to four digits; .3 um over a stapes
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,8 @@ class Scan:
         Other programs read spacing, origin and direction of this format as they are read here.
     nan_as_air : bool
         Voxels that are not finite are read as `fill`; otherwise they are refused.
+    chunk_planes : int
+        Planes that are unpacked together: reading so many at a time unpacks every voxel once.
 
     Raises
     ------
@@ -81,6 +85,7 @@ class Scan:
     handedness_confirmed: bool = False
     carries_place: bool = False
     nan_as_air: bool = False
+    chunk_planes: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
@@ -89,7 +94,11 @@ class Scan:
         spacing = np.array(self.spacing_mm, dtype=float)
         if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
             raise StapeskitError.of(
-                "the voxel spacing", "three positive numbers in mm", spacing, self.name, "Give it with --spacing"
+                "the voxel spacing",
+                "three positive numbers in mm",
+                spacing,
+                self.name,
+                "Give it with --spacing",
             )
         origin = np.array(self.origin_mm, dtype=float)
         if origin.shape != (3,) or not np.all(np.isfinite(origin)):
@@ -172,7 +181,14 @@ class Scan:
         return self._finite(values) if self.dtype.kind == "f" else values
 
     def slabs(self, planes: int = 1, box: Box | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Read a box slab by slab along z, so that never more than ``planes`` planes are held.
+        """Read a box slab by slab along z, so that the whole scan is never held.
+
+        Parameters
+        ----------
+        planes : int
+            Planes of a slab but the last; so many times `chunk_planes` are read at a time.
+        box : tuple of 3 slice, optional
+            Along z, y, x; the whole scan without it.
 
         Yields
         ------
@@ -182,9 +198,12 @@ class Scan:
         """
         whole = box or (slice(None), slice(None), slice(None))
         every = range(self.shape[0])[whole[0]]
-        for first in range(0, len(every), planes):
-            some = every[first : first + planes]
-            yield first, self.read((slice(some[0], some[-1] + 1, every.step), whole[1], whole[2]))
+        together = planes * -(-self.chunk_planes // planes)
+        for first in range(0, len(every), together):
+            some = every[first : first + together]
+            values = self.read((slice(some[0], some[-1] + 1, every.step), whole[1], whole[2]))
+            for k in range(0, len(values), planes):
+                yield first + k, values[k : k + planes]
 
     def box_of(self, corners_mm: ArrayLike) -> Box:
         """Return the voxels whose centres lie between two corners x0, y0, z0, x1, y1, z1 in scan mm.

@@ -1,0 +1,339 @@
+"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK, every slice rescaled by its own.
+
+The standard: https://dicom.nema.org/medical/dicom/current/output/html/part03.html
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
+from ct_inertia.scan.opened import Opened, ReadOptions, several_values, wrong_header
+from ct_inertia.scan.scan import Box
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+_UNEVEN = 0.02  # share of the usual distance by which another one may differ: a missing slice doubles it
+_ASIDE = 0.1  # share of a pixel by which slices may lie beside their common normal: rounding of positions
+_APART = "Put the slices of one scan into a folder of their own"
+
+
+def open_file(path: Path, options: ReadOptions) -> Opened:
+    """Open the DICOM series of a folder, or a file of several frames.
+
+    Raises
+    ------
+    StapeskitError
+        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or colours.
+    """
+    if not path.is_dir():
+        return _frames(path, _head(path))
+    heads = {}
+    for file in sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")):
+        if has_preamble(file) or file.suffix.lower() in DICOM_SUFFIXES:
+            head = _head(file)
+            if "Rows" in head:  # others are directories of a disk, reports, presentation states
+                heads[file] = head
+    series = defaultdict(list)
+    for file, head in heads.items():
+        series[str(head.get("SeriesInstanceUID", ""))].append(file)
+    if len(series) != 1:
+        listed = ", ".join(
+            f"{_title(heads[files[0]])} ({len(files)} files)" for files in list(series.values())[:6]
+        )
+        got = f"{len(series)} series{': ' if listed else ''}{listed}"
+        raise StapeskitError.of("the folder", "one DICOM series", got, path.name, _APART)
+    if len(heads) == 1:
+        ((file, head),) = heads.items()
+        return _frames(file, head)
+    return _series(path, heads, options)
+
+
+def _head(file: Path) -> Any:
+    import pydicom
+
+    try:
+        head = pydicom.dcmread(file, stop_before_pixels=True, force=not has_preamble(file))
+        if "Rows" in head and not (int(head.Rows) > 0 and int(head.Columns) > 0):
+            raise ValueError("no pixels")
+        head.get("SeriesInstanceUID")
+    except Exception as fault:
+        raise wrong_header(file, "DICOM file", "one that pydicom cannot read") from fault
+    return head
+
+
+def _title(head: Any) -> str:
+    return str(head.get("SeriesDescription") or f"series {head.get('SeriesNumber', '')}").strip()
+
+
+def _series(folder: Path, heads: dict[Path, Any], options: ReadOptions) -> Opened:
+    """Return the slices of a series in the order of their positions along their normal."""
+    files = list(heads)
+    first = heads[files[0]]
+    for file in files:
+        _check_alike(file, heads[file], files[0], first)
+    place = np.array([_numbers(head, "ImagePositionPatient", 3) for head in heads.values()])
+    axes = _numbers(first, "ImageOrientationPatient", 6)
+    opened = Opened((len(files), int(first.Rows), int(first.Columns)), np.dtype(np.uint8), files=(folder,))
+    spacing_yx = _numbers(first, "PixelSpacing", 2)
+    if np.all(np.isfinite(place)) and np.all(np.isfinite(axes)):
+        direction = _directions(axes)
+        heights = place @ direction[:, 2]
+        if np.ptp(heights) > 0.0:
+            order = np.argsort(heights, kind="stable")
+            files = [files[k] for k in order]
+            step = _even_step(heights[order], folder)
+            _check_square(place[order] @ direction[:, :2], spacing_yx[::-1], folder)
+            opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], step])
+            opened.origin_mm, opened.direction, opened.anatomical = place[order[0]], direction, True
+    if opened.spacing_mm is None:
+        opened.known = "the slices have no positions"
+        files.sort(key=lambda file: int(heads[file].get("InstanceNumber") or 0))
+        if options.spacing_mm is not None:
+            text = f"The slices in {folder.name} have no positions: they were taken in the order of their numbers."
+            opened.notices.append(Notice("slice_positions_missing", text))
+    return _with_pixels(opened, [(file, 0) for file in files], [heads[file] for file in files])
+
+
+def _frames(path: Path, head: Any) -> Opened:
+    """Return the frames of a file in the order of their positions."""
+    count = int(head.get("NumberOfFrames") or 1)
+    if count < 2:
+        step = "Give the folder of the whole series"
+        raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", path.name, step)
+    frames = [_frame_head(head, k) for k in range(count)]
+    places = np.array([_numbers(frame, "ImagePositionPatient", 3) for frame in frames])
+    axes = _numbers(frames[0], "ImageOrientationPatient", 6)
+    spacing_yx = _numbers(frames[0], "PixelSpacing", 2)
+    opened = Opened((count, int(head.Rows), int(head.Columns)), np.dtype(np.uint8), files=(path,))
+    order = np.arange(count)
+    if np.all(np.isfinite(places)) and np.all(np.isfinite(axes)):
+        direction = _directions(axes)
+        heights = places @ direction[:, 2]
+        order = np.argsort(heights, kind="stable")
+        step = _even_step(heights[order], path)
+        _check_square(places[order] @ direction[:, :2], spacing_yx[::-1], path)
+        opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], step])
+        opened.origin_mm, opened.direction, opened.anatomical = places[order[0]], direction, True
+    else:
+        _place_plain_frames(opened, head, spacing_yx)
+    return _with_pixels(opened, [(path, int(k)) for k in order], [frames[k] for k in order])
+
+
+class _FrameHead:
+    """The fields of one frame: its own functional groups, the shared ones, then the file's (PS3.3, C.7.6.16)."""
+
+    def __init__(self, head: Any, groups: Sequence[Any]) -> None:
+        self._head, self._groups = head, groups
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a field, or the default where no group has it."""
+        for group in self._groups:
+            for element in group:
+                if element.VR == "SQ" and len(element.value) and name in element.value[0]:
+                    return element.value[0].get(name)
+        return self._head.get(name, default)
+
+
+def _frame_head(head: Any, number: int) -> _FrameHead:
+    own = head.get("PerFrameFunctionalGroupsSequence") or []
+    shared = head.get("SharedFunctionalGroupsSequence") or []
+    groups = [own[number]] if number < len(own) else []
+    return _FrameHead(head, [*groups, *shared[:1]])
+
+
+def _place_plain_frames(opened: Opened, head: Any, spacing_yx: Array) -> None:
+    """Place frames without positions of their own: one position, and a distance of frames or none."""
+    step = float(head.get("SpacingBetweenSlices") or np.nan)
+    offsets = np.array(head.get("GridFrameOffsetVector") or [], dtype=float)
+    if len(offsets) == opened.shape[0]:
+        step = float(np.mean(np.diff(offsets)))
+    opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], abs(step)])
+    opened.known = "the frames have no positions"
+    axes, place = _numbers(head, "ImageOrientationPatient", 6), _numbers(head, "ImagePositionPatient", 3)
+    if np.all(np.isfinite(axes)) and np.all(np.isfinite(place)):
+        opened.direction, opened.origin_mm = _directions(axes), place
+        opened.anatomical = bool(np.isfinite(step))
+        if step < 0.0:
+            opened.direction = opened.direction * [1.0, 1.0, -1.0]
+
+
+def _numbers(head: Any, name: str, count: int) -> Array:
+    """Return a field of so many numbers; NaN where the header does not have them."""
+    try:
+        values = np.array(head.get(name), dtype=float)
+    except (TypeError, ValueError):
+        return np.full(count, np.nan)
+    return values if values.shape == (count,) else np.full(count, np.nan)
+
+
+def _directions(axes: Array) -> Array:
+    return np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
+
+
+def _check_alike(file: Path, head: Any, other: Path, first: Any) -> None:
+    same = (int(head.Rows), int(head.Columns)) == (int(first.Rows), int(first.Columns))
+    for name, count, rounding in (("PixelSpacing", 2, 1e-6), ("ImageOrientationPatient", 6, 1e-4)):
+        one, two = _numbers(head, name, count), _numbers(first, name, count)
+        same = same and np.allclose(one, two, rtol=0.0, atol=rounding, equal_nan=True)
+    if not same:
+        spacing = _numbers(head, "PixelSpacing", 2)
+        raise StapeskitError.of(
+            f"slice {file.name}",
+            f"of the size, pixel spacing and orientation of {other.name}",
+            f"{int(head.Columns)} x {int(head.Rows)} at {spacing[1]:.6g} mm",
+            file.parent.name,
+            _APART,
+        )
+
+
+def _even_step(heights: Array, path: Path) -> float:
+    steps = np.diff(heights)
+    middle = float(np.median(steps))
+    worst = int(np.argmax(np.abs(steps - middle)))
+    if not middle > 0.0 or abs(steps[worst] - middle) > _UNEVEN * middle:
+        step = "Slices are missing, or several stacks are mixed: export the series again"
+        got = f"{steps[worst]:.6g} mm after slice {worst + 1}"
+        raise StapeskitError.of(
+            "the distance of DICOM slices", f"even ({middle:.6g} mm)", got, path.name, step
+        )
+    return float(np.mean(steps))
+
+
+def _check_square(aside: Array, spacing: Array, path: Path) -> None:
+    """Refuse slices that lie beside each other, as a tilted gantry makes them: their voxels are no boxes."""
+    shift = aside - aside[0]
+    worst = int(np.argmax(np.max(np.abs(shift), axis=1)))
+    if np.any(np.abs(shift[worst]) > _ASIDE * spacing):
+        got = f"slice {worst + 1} {np.linalg.norm(shift[worst]):.3g} mm beside the first one (tilted gantry)"
+        step = "Resample the series to a grid of right angles, and export that"
+        raise StapeskitError.of("the slices", "one behind the other along their normal", got, path.name, step)
+
+
+def _with_pixels(opened: Opened, places: Sequence[tuple[Path, int]], heads: Sequence[Any]) -> Opened:
+    """Set how the pixels of slices (file, frame) are read and rescaled.
+
+    Raises
+    ------
+    StapeskitError
+        Colours, several types of pixels, or packed frames whose rescaling differs.
+    """
+    first = heads[0]
+    if (
+        int(first.get("SamplesPerPixel") or 1) > 1
+        or str(first.get("PhotometricInterpretation")) == "PALETTE COLOR"
+    ):
+        raise several_values(places[0][0], "a colour image")
+    kinds = {_stored_type(head) for head in heads}
+    if len(kinds) != 1:
+        got = ", ".join(sorted(str(kind) for kind in kinds))
+        raise StapeskitError.of(
+            "the slices", "of one type of pixels", got, opened.files[0].name, "Export them again"
+        )
+    (opened.dtype,) = kinds
+    opened.white_is_zero = str(first.get("PhotometricInterpretation")) == "MONOCHROME1"
+    opened.slope = np.array([_rescaling(head, "RescaleSlope", 1.0) for head in heads])
+    opened.intercept = np.array([_rescaling(head, "RescaleIntercept", 0.0) for head in heads])
+    if (
+        np.any(~np.isfinite(opened.slope))
+        or np.any(opened.slope == 0.0)
+        or np.any(~np.isfinite(opened.intercept))
+    ):
+        got = "a slope of 0 or no number"
+        raise StapeskitError.of(
+            "the rescaling", "finite numbers", got, opened.files[0].name, "Export the series again"
+        )
+    rows = opened.shape[1:]
+    held: dict[Path, NDArray[Any]] = {}
+
+    def read(box: Box) -> NDArray[Any]:
+        planes = [_stored(file, frame, opened.dtype, held) for file, frame in places[box[0]]]
+        for (file, _), plane in zip(places[box[0]], planes, strict=True):
+            if plane.shape != rows:
+                raise wrong_header(file, "DICOM file", f"pixels of shape {plane.shape}")
+        return np.stack([plane[box[1:]] for plane in planes])
+
+    opened.read = read
+    return opened
+
+
+def _rescaling(head: Any, name: str, default: float) -> float:
+    value = head.get(name)
+    try:
+        return default if value is None or value == "" else float(value)
+    except (TypeError, ValueError):
+        return float("nan")
+
+
+def _stored_type(head: Any) -> np.dtype[Any]:
+    bits = int(head.get("BitsAllocated") or 0)
+    if bits not in (8, 16, 32):
+        raise StapeskitError.of(
+            "the DICOM pixels", "of 8, 16 or 32 bits", f"{bits} bits", next_step="Export grey values"
+        )
+    return np.dtype(f"{'i' if int(head.get('PixelRepresentation') or 0) else 'u'}{bits // 8}")
+
+
+def _stored(file: Path, frame: int, dtype: np.dtype[Any], held: dict[Path, NDArray[Any]]) -> NDArray[Any]:
+    """Return the stored pixels of one frame: by pydicom as they lie, packed ones by SimpleITK."""
+    import pydicom
+    from pydicom.pixels import pixel_array
+
+    if file not in held:
+        try:
+            with pydicom.dcmread(file, stop_before_pixels=True, force=True) as head:
+                packed = (
+                    head.file_meta.TransferSyntaxUID.is_compressed
+                    if "TransferSyntaxUID" in head.file_meta
+                    else False
+                )
+            if not packed:
+                frames = int(head.get("NumberOfFrames") or 1)
+                values = pixel_array(file, index=frame if frames > 1 else None, raw=True)
+                return values.astype(dtype, copy=False)
+        except Exception as fault:
+            raise wrong_header(file, "DICOM file", "one whose pixels pydicom cannot read") from fault
+        held.clear()
+        held[file] = _unpacked(file, head, dtype)
+    values = held[file]
+    return values[frame]
+
+
+def _unpacked(file: Path, head: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the stored pixels [frame, y, x] of a packed file.
+
+    Notes
+    -----
+    SimpleITK applies the rescaling of the file, or that of the first frame; it is undone here, so that every frame is
+    rescaled by its own.
+    """
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+    except RuntimeError as fault:
+        raise wrong_header(file, "DICOM file", "one whose packed pixels SimpleITK cannot read") from fault
+    values = values.reshape(-1, *values.shape[-2:])
+    slope = _rescaling(_frame_head(head, 0), "RescaleSlope", 1.0)
+    intercept = _rescaling(_frame_head(head, 0), "RescaleIntercept", 0.0)
+    if (slope, intercept) == (1.0, 0.0):
+        return values.astype(dtype, copy=False)
+    stored = np.rint((values - intercept) / slope)
+    limits = np.iinfo(dtype)
+    if stored.min() < limits.min or stored.max() > limits.max:
+        raise StapeskitError.of(
+            "the rescaled grey values",
+            "those of the stored pixels",
+            "others, which SimpleITK gives for this packing",
+            file.name,
+            "Export the series unpacked, or convert it to NRRD",
+        )
+    return stored.astype(dtype)

@@ -1,0 +1,202 @@
+"""The formats of scans, one entry each; a new format is a module with a function ``open_file`` and an entry here.
+
+The help of ``ct2mass``, messages and the table of docs/formats.md follow from it, and the contract tests ask for a
+writer of every entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from ct_inertia.scan.opened import Opened, ReadOptions
+from stapeskit.faults import StapeskitError
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of scans.
+
+    Attributes
+    ----------
+    title : str
+        For people.
+    module : str
+        In ``ct_inertia.scan``; its function ``open_file(path, options)`` returns `Opened`.
+    reads : str
+        What is read of it, for docs/formats.md.
+    suffixes : tuple of str
+        Of files, lower case.
+    libraries : tuple of str
+        Modules that read it; the reading then runs in a child process. Empty: own code of a few header fields.
+    matches : callable or None
+        Recognises a file or folder by its content, where no suffix decides.
+    carries_place : bool
+        Other programs read spacing, origin and direction of the format as they are read here.
+    function : str
+        Name of the function in ``module``.
+    """
+
+    title: str
+    module: str
+    reads: str
+    suffixes: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    matches: Callable[[Path], bool] | None = None
+    carries_place: bool = False
+    function: str = "open_file"
+
+    def open_file(self, path: Path, options: ReadOptions) -> Opened:
+        """Read the header of a scan."""
+        opened: Opened = getattr(import_module(f"ct_inertia.scan.{self.module}"), self.function)(
+            path, options
+        )
+        return opened
+
+
+def _is_zarr(path: Path) -> bool:
+    names = (".zattrs", ".zgroup", ".zarray", "zarr.json")
+    return path.is_dir() and any((path / name).is_file() for name in names)
+
+
+def _is_dicom(path: Path) -> bool:
+    files = [path]
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))[
+            :5
+        ]
+    return any(file.suffix.lower() in DICOM_SUFFIXES or has_preamble(file) for file in files)
+
+
+def has_preamble(path: Path) -> bool:
+    """Return whether a file begins as DICOM files do (PS3.10, 7.1)."""
+    with path.open("rb") as stream:
+        return stream.read(132)[128:] == b"DICM"
+
+
+DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")
+
+RAW = Format(
+    "raw voxels",
+    "raw",
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`), or as a "
+    "header in their folder says",
+    (".raw", ".vol", ".bin", ".dat", ".img"),
+)
+
+FORMATS = (
+    Format(
+        "TIFF",
+        "tiff",
+        "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any packing that "
+        "tifffile knows; one that says 0 is white is inverted, with a notice (`white_is_zero`)",
+        (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
+        ("tifffile",),
+    ),
+    Format(
+        "NRRD",
+        "itk",
+        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2, text, hex",
+        (".nrrd", ".nhdr"),
+        ("SimpleITK",),
+        carries_place=True,
+        function="open_nrrd",
+    ),
+    Format(
+        "MHA, MHD",
+        "itk",
+        "origin, direction and units, attached or detached; packed or text",
+        (".mha", ".mhd"),
+        ("SimpleITK",),
+        carries_place=True,
+        function="open_metaimage",
+    ),
+    Format(
+        "NIfTI",
+        "itk",
+        "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
+        (".nii", ".nii.gz", ".hdr"),
+        ("nibabel",),
+        carries_place=True,
+        function="open_nifti",
+    ),
+    Format(
+        "Scanco ISQ",
+        "scanners",
+        "spacing; its density line is shown for `--calibration`",
+        (".isq", ".rsq", ".rad"),
+        function="open_isq",
+    ),
+    Format(
+        "Scanco AIM",
+        "scanners",
+        "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`",
+        (".aim",),
+        function="open_aim",
+    ),
+    Format("VGStudio", "scanners", "a .vgi with its .vol files: spacing", (".vgi",), function="open_vgi"),
+    Format(
+        "Amira",
+        "scanners",
+        "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials",
+        (".am",),
+        function="open_amira",
+    ),
+    RAW,
+    Format("OME-Zarr", "zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
+    Format(
+        "DICOM",
+        "dicom",
+        "series and multi-frame: order by position, rescaling of every slice; several series are listed",
+        DICOM_SUFFIXES,
+        ("pydicom", "SimpleITK"),
+        _is_dicom,
+        carries_place=True,
+    ),
+    Format(
+        "a folder of slices",
+        "slices",
+        "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
+        "reconstruction log",
+        (),
+        ("tifffile", "imageio.v3", "PIL.Image"),
+        Path.is_dir,
+    ),
+)
+"""In this order a file or folder is recognised by its content; the last entry takes every other folder."""
+
+
+def format_of(path: Path, options: ReadOptions) -> Format:
+    """Return the format of a file or folder: raw where a layout is given, by suffix, or by content.
+
+    Raises
+    ------
+    StapeskitError
+        No format of the table.
+    """
+    if not path.is_dir():
+        if options.raw is not None:
+            return RAW
+        # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
+        name = path.name.lower().split(";")[0]
+        for entry in FORMATS:
+            if name.endswith(entry.suffixes):
+                return entry
+    for entry in FORMATS:
+        if entry.matches is not None and entry.matches(path):
+            return entry
+    raise StapeskitError.of(
+        "the scan",
+        f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
+        path.name,
+        next_step="Export it in one of these formats, or as raw voxels with --shape and --dtype",
+    )
+
+
+def stem_of(name: str) -> str:
+    """Return the name of a scan without its endings: ``ear`` of ``ear.nii.gz`` and of ``ear.ome.tif``."""
+    endings = [suffix for entry in FORMATS for suffix in entry.suffixes if name.lower().endswith(suffix)]
+    stem = name[: len(name) - len(max(endings, key=len, default=Path(name).suffix))]
+    return Path(stem).stem if stem.lower().endswith((".ome", ".seg")) else stem

@@ -1,0 +1,380 @@
+"""Formats of scanners and viewers that no library reads: Scanco ISQ and AIM, VGStudio, Amira and Avizo.
+
+The layouts of ISQ and AIM follow the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ct_inertia.scan.opened import Opened, ReadOptions, planes_in, several_values, wrong_header
+from ct_inertia.scan.place import mm_per_unit
+from ct_inertia.scan.scan import check_grey_values
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+_HEADER_BYTES = 1 << 20  # most bytes of a header or log that are read
+_BLOCK = 512  # bytes of a block of an ISQ header
+_AIM_TYPES = {
+    0x00010001: "<i1",
+    0x00160001: "<u1",
+    0x000D0001: "<u1",
+    0x00020002: "<i2",
+    0x00170002: "<u2",
+    0x00030004: "<i4",
+    0x001A0004: "<f4",
+}
+_VGI_KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
+_AMIRA_TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
+_BRACKET = re.compile(r'("[^"]{0,200}"|[\w.-]{1,200})?\s{0,20}([{}])')
+
+
+def open_isq(path: Path, _: ReadOptions) -> Opened:
+    """Open a Scanco ISQ volume.
+
+    Raises
+    ------
+    StapeskitError
+        Not such a file, or truncated.
+
+    Notes
+    -----
+    An ISQ stores the extent of the whole volume in whole micrometres: the voxel size is rounded to that over the
+    number of voxels.
+    """
+    head = _start(path)
+    if not head.startswith(b"CTDATA-HEADER_V1"):
+        raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}")
+    if len(head) < _BLOCK:
+        raise wrong_header(path, "ISQ file", f"{len(head)} bytes, less than its header of {_BLOCK}")
+    size = struct.unpack_from("<3i", head, 44)
+    extent = np.array(struct.unpack_from("<3i", head, 56), dtype=float) * 1e-3
+    (blocks,) = struct.unpack_from("<i", head, 508)
+    shape = _shape(size, path)
+    if blocks < 0:
+        raise wrong_header(path, "ISQ file", f"data at block {blocks}")
+    dtype = np.dtype("<i2")
+    planes = planes_in([(path, (blocks + 1) * _BLOCK)], shape, dtype, path.name)
+    spacing = extent / np.array(size)
+    notices = _isq_density(head[: (blocks + 1) * _BLOCK], path.name)
+    return Opened(shape, dtype, planes, spacing_mm=_positive(spacing), notices=notices)
+
+
+def _isq_density(head: bytes, name: str) -> list[Notice]:
+    """Return the line from grey value to density in the extended header."""
+    if len(head) < 4 * _BLOCK:
+        return []
+    scaling = struct.unpack_from("<i", head, 88)[0]
+    at, skipped = _BLOCK, 1
+    if head[at + 8 : at + 24] == b"MultiHeader     ":
+        at, skipped = at + _BLOCK, 2
+    for entry in range(4):
+        place = at + entry * 128
+        (blocks,) = struct.unpack_from("<i", head, place + 24)
+        if blocks < 0 or (1 + skipped + blocks) * _BLOCK > len(head):
+            break
+        if head[place + 8 : place + 24] == b"Calibration     " and blocks >= 2:
+            block = head[(1 + skipped) * _BLOCK :]
+            unit = block[648:664].split(b"\0")[0].decode("latin-1").strip()
+            slope, intercept = _vax_double(block[664:672]), _vax_double(block[672:680])
+            return _density_notice(name, float(scaling), slope, intercept, unit)
+        skipped += blocks
+    return []
+
+
+def _vax_double(eight: bytes) -> float:
+    """Return a VAX D float: four 16-bit words, high word first, excess 128, 55 bits of fraction."""
+    words = struct.unpack("<4H", eight)
+    bits = (words[0] << 48) | (words[1] << 32) | (words[2] << 16) | words[3]
+    exponent = (bits >> 55) & 0xFF
+    if exponent == 0:
+        return 0.0
+    value = (1.0 + (bits & ((1 << 55) - 1)) / float(1 << 55)) * 2.0 ** (exponent - 129)
+    return -value if bits >> 63 else value
+
+
+def _vax_float(four: bytes) -> float:
+    """Return a VAX F float: its two halves swapped, four times the IEEE number of the same bits."""
+    return float(struct.unpack("<f", four[2:] + four[:2])[0]) / 4.0
+
+
+def open_aim(path: Path, _: ReadOptions) -> Opened:
+    """Open a Scanco AIM volume of version 020 or 030; its place in the original scan gives the origin.
+
+    Raises
+    ------
+    StapeskitError
+        Not such a file, truncated, packed, or of a data type that is no grey value.
+
+    Notes
+    -----
+    The voxel size is a VAX float in mm in version 020 and whole nanometres in version 030.
+    """
+    head = _start(path)
+    if head.startswith(b"AIMDATA_V030"):
+        if len(head) < 280:
+            raise wrong_header(path, "AIM file", f"{len(head)} bytes")
+        pre, image, log_bytes = struct.unpack_from("<3q", head, 16)
+        if pre != 40 or not 204 <= image < 4096 or log_bytes < 0:
+            raise wrong_header(path, "AIM file", f"blocks of {pre}, {image} and {log_bytes} bytes")
+        at = 16 + pre
+        kind, *values = struct.unpack_from("<i6q", head, at + 12)
+        cell = np.array(struct.unpack_from("<3q", head, at + 16 + 21 * 8), dtype=float) * 1e-6
+        log = at + image
+    else:
+        if len(head) < 160 or head[:8] != struct.pack("<2i", 20, 140):
+            raise wrong_header(path, "AIM file", f"a file that begins with {head[:8]!r}")
+        pre, image, log_bytes = struct.unpack_from("<3i", head, 0)
+        kind, *values = struct.unpack_from("<7i", head, pre + 20)
+        place = pre + 24 + 21 * 4
+        cell = np.array([_vax_float(head[place + 4 * k : place + 4 * k + 4]) for k in range(3)])
+        log = pre + image
+    data = log + log_bytes
+    if not 0 <= log <= data <= path.stat().st_size:
+        raise wrong_header(path, "AIM file", f"data at byte {data}")
+    if kind not in _AIM_TYPES:
+        wanted, step = (
+            "8-bit, 16-bit, 32-bit or float voxels, not packed",
+            "Export it unpacked, or as ISQ or MHA",
+        )
+        raise StapeskitError.of("the AIM data", wanted, f"type {kind:#x}", path.name, step)
+    shape, dtype = _shape(values[3:], path), np.dtype(_AIM_TYPES[kind])
+    planes = planes_in([(path, data)], shape, dtype, path.name)
+    spacing = _positive(cell)
+    origin = np.zeros(3) if spacing is None else np.array(values[:3], dtype=float) * spacing
+    notices = _aim_density(head[log:data].decode("latin-1"), path.name)
+    return Opened(shape, dtype, planes, spacing_mm=spacing, origin_mm=origin, notices=notices)
+
+
+def _aim_density(log: str, name: str) -> list[Notice]:
+    """Return the line from grey value to density in the processing log."""
+    entries = {}
+    for line in log.splitlines():
+        key, _, value = line.partition("  ")
+        entries[key.strip()] = value.strip()
+    try:
+        words = [entries[key] for key in ("Mu_Scaling", "Density: slope", "Density: intercept")]
+        scaling, slope, intercept = (float(word) for word in words)
+    except (KeyError, ValueError):
+        return []
+    return _density_notice(name, scaling, slope, intercept, entries.get("Density: unit", ""))
+
+
+def _density_notice(name: str, scaling: float, slope: float, intercept: float, unit: str) -> list[Notice]:
+    """Return the notice with the density line of a header, as two points for a calibration file."""
+    if not (scaling > 0.0 and slope > 0.0 and np.isfinite(intercept) and np.isfinite(slope * scaling)):
+        return []
+    points = ", ".join(
+        f"[{grey:.0f}, {slope * grey / scaling + intercept:.6g}]" for grey in (0.0, 2.0 * scaling)
+    )
+    text = (
+        f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
+        f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the file of "
+        f"--calibration."
+    )
+    return [Notice("density_in_header", text)]
+
+
+def open_vgi(path: Path, _: ReadOptions) -> Opened:
+    """Open the volume that a VGStudio header describes.
+
+    Raises
+    ------
+    StapeskitError
+        A key is missing, a data file is missing or too short, or packed.
+
+    Notes
+    -----
+    A section ``[file1]`` says how the voxels are stored, which need not be how ``[representation]`` shows them.
+    Several files hold the slices one after another. The place and rotation of the volume in the scene of VGStudio
+    are not scan coordinates: origin 0, identity.
+    """
+    sections = _vgi_sections(path)
+    names = sorted((name for name in sections if re.fullmatch(r"file\d*", name)), key=_file_number)
+    if not names:
+        raise wrong_header(path, "VGI header", "no section [file1]")
+    shown = sections.get("representation", {})
+    parts = [shown | sections[name] for name in names]
+    if any(part.get("fileformat", "raw").lower() != "raw" for part in parts):
+        step = "Export the volume as raw, unsigned integer or float"
+        raise StapeskitError.of("FileFormat", "raw", parts[0].get("fileformat"), path.name, step)
+    sizes = [_shape(_integers(part, "size", path), path, least=1) for part in parts]
+    even = all(size[0] == sizes[0][0] for size in sizes[:-1]) and sizes[-1][0] <= sizes[0][0]
+    if not even or any(size[1:] != sizes[0][1:] for size in sizes):
+        raise wrong_header(path, "VGI header", f"files of different sizes {sizes}")
+    shape = (sum(size[0] for size in sizes), *sizes[0][1:])
+    kind, bits = _VGI_KINDS.get(parts[0].get("datatype", "").lower(), ""), parts[0].get("bitsperelement", "")
+    if (kind, bits) not in {("u", "8"), ("i", "8"), *((k, b) for k in "uif" for b in ("16", "32", "64"))} - {
+        ("f", "16")
+    }:
+        raise wrong_header(
+            path, "VGI header", f"Datatype = {parts[0].get('datatype')}, BitsPerElement = {bits}"
+        )
+    order = ">" if parts[0].get("byteorder", "").lower().startswith("big") else "<"
+    dtype = np.dtype(f"{order}{kind}{int(bits) // 8}")
+    pieces = []
+    for part in parts:
+        named = part.get("name") or path.with_suffix(".vol").name
+        file = path.parent / named.replace("\\", "/").rsplit("/", 1)[-1]
+        pieces.append((file, _integers(part, "skipheader", path, "0")[0]))
+    opened = Opened(shape, dtype, planes_in(pieces, shape, dtype, path.name, sizes[0][0]))
+    opened.files = (path, *(file for file, _ in pieces))
+    opened.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
+    mirrored = shown.get("mirror", "0").split()
+    if any(word not in ("0", "0.0") for word in mirrored):
+        text = (
+            f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were read as they "
+            f"are stored. Use --mirror if the ear is a mirror image."
+        )
+        opened.notices.append(Notice("mirrored_display", text))
+    return opened
+
+
+def _vgi_sections(path: Path) -> dict[str, dict[str, str]]:
+    """Return the sections of the first volume, names and keys in lower case."""
+    sections: dict[str, dict[str, str]] = {}
+    name = ""
+    for line in _start(path).decode("utf-8", "replace").splitlines():
+        line = line.strip()
+        if line.lower() == "{volume2}":
+            break
+        if line.startswith("["):
+            name = line.strip("[] ").lower()
+            sections.setdefault(name, {})
+        key, equals, value = line.partition("=")
+        if equals and not line.startswith(("{", "[")):
+            sections.setdefault(name, {}).setdefault(key.strip().lower(), value.strip())
+    if not sections:
+        raise wrong_header(path, "VGI header", "a text without sections")
+    return sections
+
+
+def _file_number(name: str) -> int:
+    return int(re.sub(r"\D", "", name)[:9] or 0)
+
+
+def _integers(part: dict[str, str], key: str, path: Path, default: str = "") -> list[int]:
+    words = part.get(key, default).split()
+    if not words or not all(re.fullmatch(r"\d{1,12}", word) for word in words):
+        raise wrong_header(path, "VGI header", f"{key} = {' '.join(words)}")
+    return [int(word) for word in words]
+
+
+def _vgi_spacing(geometry: dict[str, str]) -> Array | None:
+    """Return the voxel size from the resolution and its unit; None where one of them is missing."""
+    unit = mm_per_unit(geometry.get("unit"))
+    try:
+        values = np.array([float(word) for word in geometry.get("resolution", "").split()])
+        scale = np.array([float(word) for word in geometry.get("scale", "1 1 1").split()])
+    except ValueError:
+        return None
+    if unit is None or values.shape != (3,) or scale.shape != (3,):
+        return None
+    return _positive(values * scale * unit)
+
+
+def open_amira(path: Path, _: ReadOptions) -> Opened:
+    """Open an Avizo or Amira lattice of binary voxels with its bounding box.
+
+    Raises
+    ------
+    StapeskitError
+        Not such a file, text or packed voxels, or another lattice than a uniform one.
+
+    Notes
+    -----
+    The bounding box joins the centres of the outer voxels. ``Units`` gives its unit; without it the spacing must be
+    given.
+    """
+    head = _start(path)
+    first = head.split(b"\n", 1)[0].decode("latin-1")
+    if "AmiraMesh" not in first and "Avizo" not in first:
+        raise wrong_header(path, "Amira lattice", "a file that does not begin as one")
+    end = re.search(rb"^@1[ \t]*\r?\n", head, re.MULTILINE)
+    if end is None:
+        raise wrong_header(path, "Amira lattice", "a header without data @1")
+    text = _decoded(head[: end.start()])
+    lattice = re.search(r"define\s+Lattice\s+(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\b", text)
+    if lattice is None or re.search(r'CoordType\s+"(?!uniform)', text):
+        raise wrong_header(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
+    shape = _shape([int(word) for word in lattice.groups()], path)
+    field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
+    if field is None or field[1] not in _AMIRA_TYPES or field[2] not in (None, "[1]"):
+        raise several_values(path, field[0] if field else "no lattice")
+    if field[3] or "ASCII" in first.upper():
+        got, step = field[3] or "text", "Save it as AmiraMesh binary, without compression"
+        raise StapeskitError.of("the lattice", "of binary voxels that are not packed", got, path.name, step)
+    dtype = np.dtype(("<" if "LITTLE" in first.upper() else ">") + _AMIRA_TYPES[field[1]])
+    opened = Opened(shape, dtype, planes_in([(path, end.end())], shape, dtype, path.name))
+    opened.names = _materials(text)
+    _place_amira(opened, text, path)
+    return opened
+
+
+def _place_amira(opened: Opened, text: str, path: Path) -> None:
+    opened.known = "the lattice has no unit of length"
+    box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
+    unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
+    factor = mm_per_unit(unit[1]) if unit else None
+    if box is None or len(box[1].split()) != 6:
+        return
+    try:
+        ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
+    except ValueError as fault:
+        raise wrong_header(path, "Amira lattice", f"BoundingBox {box[1].strip()}") from fault
+    steps = (ends[:, 1] - ends[:, 0]) / (np.array(opened.shape[::-1]) - 1)
+    if factor is None:
+        opened.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
+        return
+    opened.spacing_mm = _positive(steps * factor)
+    if opened.spacing_mm is not None:
+        opened.origin_mm = ends[:, 0] * factor
+
+
+def _materials(text: str) -> dict[int, str]:
+    """Return the names of labels: the number of a label is the place of its material, from 0."""
+    begin = re.search(r"\bMaterials\s*\{", text)
+    names: list[str] = []
+    depth = 1
+    for mark in re.finditer(_BRACKET, text[begin.end() :] if begin else ""):
+        if mark[2] == "{" and depth == 1:
+            names.append((mark[1] or "").strip('"'))
+        depth += 1 if mark[2] == "{" else -1
+        if depth == 0:
+            break
+    return dict(enumerate(names))
+
+
+def _start(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_HEADER_BYTES)
+
+
+def _decoded(header: bytes) -> str:
+    try:
+        return header.decode("utf-8")
+    except UnicodeDecodeError:
+        return header.decode("latin-1")
+
+
+def _positive(spacing: Array) -> Array | None:
+    return spacing if np.all(np.isfinite(spacing)) and np.all(spacing > 0.0) else None
+
+
+def _shape(size: Sequence[int], path: Path, least: int = 2) -> tuple[int, int, int]:
+    """Return sizes x, y, z as a shape z, y, x."""
+    if len(size) != 3 or min(size) < 1:
+        got = " x ".join(map(str, size))
+        raise StapeskitError.of(
+            "the size in the header", "three positive numbers", got, path.name, "Export it again"
+        )
+    if least > 1:
+        check_grey_values(tuple(reversed(size)), np.dtype(np.uint8), path.name)
+    x, y, z = size
+    return int(z), int(y), int(x)

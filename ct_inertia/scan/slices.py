@@ -1,0 +1,343 @@
+"""A folder of numbered slice images, and the reconstruction log of Bruker/SkyScan beside them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.scan.opened import Opened, RawPlanes, ReadOptions
+from ct_inertia.scan.place import mm_per_unit
+from ct_inertia.scan.scan import Box
+from ct_inertia.scan.tiff import check_palette, listening, plane_spacing, white_is_zero
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError, list_some
+from stapeskit.warnings import Notice
+
+SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+
+_TIFF = (".tif", ".tiff")
+_PREVIEW = re.compile(r"_spr$|_arc$|^\.", re.IGNORECASE)  # pictures that SkyScan's programs add
+_RIVAL = 0.5  # share of the longest series from which on another one is no side product
+_MODES = {"L": "u1", "I;16": "<u2", "I;16L": "<u2", "I;16B": ">u2", "I": "i4", "F": "f4"}
+_APART = "Put the slices of one scan into a folder of their own"
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Rows and columns, type, and the byte at which the pixels begin where they are stored as they are."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    offset: int | None = None
+
+
+def open_file(folder: Path, options: ReadOptions) -> Opened:
+    """Open a folder of slices; slice k is the k-th in the order of the number that differs in their names.
+
+    Raises
+    ------
+    StapeskitError
+        No slices, several series, a slice of another size or type, a damaged slice, or a reconstruction log that
+        describes other slices.
+    """
+    files, notices = slice_files(folder)
+    looks = [_look(file) for file in files]
+    first = looks[0]
+    for file, look in zip(files, looks, strict=True):
+        _check_alike(file, look.shape, look.dtype, files[0], first)
+    shape = (len(files), *first.shape)
+    opened = Opened(shape, first.dtype, notices=notices)
+    logs = sorted(folder.glob("*.log"))
+    opened.files = (folder,)
+    if options.spacing_mm is None:
+        opened.spacing_mm, opened.known = log_spacing(logs, shape)
+    if files[0].suffix.lower() in _TIFF:
+        import tifffile
+
+        with listening(files[0]), tifffile.TiffFile(files[0]) as tif:
+            opened.white_is_zero = white_is_zero(tif.pages[0])
+            if opened.spacing_mm is None and not logs:
+                opened.spacing_mm, opened.known = plane_spacing(tif.pages[0])
+    offsets = [look.offset for look in looks if look.offset is not None]
+    if len(offsets) == len(files):
+        opened.planes = RawPlanes(tuple(files), np.arange(len(files)), np.array(offsets))
+        return opened
+
+    def read(box: Box) -> NDArray[Any]:
+        planes = []
+        for file in files[box[0]]:
+            image = _pixels(file)
+            _check_alike(file, image.shape, image.dtype, files[0], first)
+            planes.append(image[box[1:]])
+        return np.stack(planes).astype(first.dtype.newbyteorder("="), copy=False)
+
+    opened.read = read
+    return opened
+
+
+def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
+    """Return the slices of the folder's numbered series in natural order, and what is odd about them.
+
+    Raises
+    ------
+    StapeskitError
+        No series, two of them, or a number twice.
+    """
+    images = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.is_file() and path.suffix.lower() in SLICE_SUFFIXES and not _PREVIEW.search(path.stem)
+    ]
+    series: dict[tuple[str, str], list[tuple[int, Path]]] = defaultdict(list)
+    for (number, name), path in zip(_numbers([path.stem for path in images]), images, strict=True):
+        if number is not None:
+            series[name, path.suffix.lower()].append((number, path))
+    ranked = sorted(series, key=lambda name: (-len(series[name]), name))
+    if not ranked or len(series[ranked[0]]) < 2:
+        wanted = "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series"
+        step = "Give the folder that holds the slices themselves"
+        raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", folder.name, step)
+    if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
+        listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
+        raise StapeskitError.of("the folder", "one series of numbered slices", listed, folder.name, _APART)
+    chosen = sorted(series[ranked[0]], key=lambda pair: (pair[0], pair[1].name))
+    numbers = [number for number, _ in chosen]
+    doubled = [number for number, count in Counter(numbers).items() if count > 1]
+    if doubled:
+        step = "Leave one series of slices in the folder"
+        raise StapeskitError.of(
+            "the slice numbers", "unique", f"number {doubled[0]} twice", folder.name, step
+        )
+    notices = []
+    if len(images) > len(chosen):
+        text = (
+            f"{len(images) - len(chosen)} other image files in {folder.name} are not part of the series and were "
+            f"left out."
+        )
+        notices.append(Notice("files_ignored", text))
+    return [path for _, path in chosen], notices + _gaps(numbers, folder.name)
+
+
+def _numbers(stems: Sequence[str]) -> list[tuple[int | None, str]]:
+    """Return of each name the number that counts slices, and the name with ``#`` in its place.
+
+    Notes
+    -----
+    Of the names that differ in numbers only, it is the last number that differs: ``ear_0042_8bit`` counts by its
+    first one. A name without a number has none.
+    """
+    parts = [re.split(r"(\d+)", stem) for stem in stems]
+    alike = defaultdict(list)
+    for words in parts:
+        alike[tuple(words[::2])].append(words[1::2])
+    numbered: list[tuple[int | None, str]] = []
+    for words, stem in zip(parts, stems, strict=True):
+        columns = list(zip(*alike[tuple(words[::2])], strict=True))
+        if not columns:
+            numbered.append((None, stem))
+            continue
+        differing = [k for k, column in enumerate(columns) if len(set(column)) > 1]
+        at = 2 * (differing[-1] if differing else len(columns) - 1) + 1
+        numbered.append((int(words[at]), "".join([*words[:at], "#", *words[at + 1 :]])))
+    return numbered
+
+
+def _gaps(numbers: list[int], name: str) -> list[Notice]:
+    step = Counter(np.diff(numbers).tolist()).most_common(1)[0][0]
+    missing = sorted(set(range(numbers[0], numbers[-1] + 1, step)) - set(numbers))
+    if missing:
+        text = (
+            f"{len(missing)} slices are missing in {name} (number {list_some(map(str, missing), 5)}): the slices "
+            f"around each gap are taken as neighbours, which shortens the body there."
+        )
+        return [Notice("slices_missing", text)]
+    if step == 1:
+        return []
+    text = (
+        f"The slices in {name} are numbered in steps of {step}: where the others were left out, the distance of "
+        f"slices is {step} times that of the scan."
+    )
+    return [Notice("slices_in_steps", text)]
+
+
+def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | None, str]:
+    """Return the voxel spacing (3,), mm, in the reconstruction log among these, and what they say without one.
+
+    Parameters
+    ----------
+    logs : sequence of Path
+    shape : sequence of 3 int
+        Number of slices, rows and columns, which the log must describe.
+
+    Raises
+    ------
+    StapeskitError
+        Every reconstruction log describes other slices.
+
+    Notes
+    -----
+    The section ``[Reconstruction]`` counts: the pixel size of the acquisition is that of the projections, and nothing
+    says that the slices were reconstructed at it.
+    """
+    sizes: dict[tuple[float, float], str] = {}
+    faults = []
+    acquired = ""
+    for log in logs:
+        before, _, after = log.read_text(encoding="latin-1").partition("[Reconstruction]")
+        size = _log_length(after, "Pixel Size") or _log_length(after, r"(?:Scaled )?Image Pixel Size")
+        if size is None:
+            projected = _log_length(before, r"(?:Scaled )?Image Pixel Size")
+            if projected is not None:
+                acquired = (
+                    f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the pixel size of "
+                    f"the projections; nothing says at which size the slices were reconstructed"
+                )
+            continue
+        stated = [_log_number(after, key) for key in ("Sections Count", r"Result Image Height \(pixels\)")]
+        stated.append(_log_number(after, r"Result Image Width \(pixels\)"))
+        differing = [k for k, value in enumerate(stated) if value is not None and value != shape[k]]
+        if differing:
+            faults.append(_other_slices(log, stated, shape, differing))
+            continue
+        sizes.setdefault((size, max(1.0, _log_number(after, "Section to Section Step") or 1.0)), log.name)
+    if len(sizes) > 1:
+        listed = ", ".join(f"{name} {1e3 * size:.6g} um" for (size, _), name in sizes.items())
+        return None, f"the reconstruction logs disagree ({listed})"
+    if sizes:
+        ((size, step),) = sizes
+        return np.array([size, size, size * step]), ""
+    if faults:
+        raise faults[0]
+    return None, acquired or "slice images do not have it"
+
+
+def _log_number(text: str, key: str) -> float | None:
+    found = re.search(rf"^{key}\s*=\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*$", text, re.MULTILINE)
+    try:
+        return float(found[1]) if found else None
+    except ValueError:
+        return None
+
+
+def _log_length(text: str, key: str) -> float | None:
+    """Return a positive length in mm."""
+    for unit in ("um", "mm"):
+        value = _log_number(text, rf"{key} \({unit}\)")
+        if value:
+            return value * (mm_per_unit(unit) or 1.0)
+    return None
+
+
+def _other_slices(
+    log: Path, stated: Sequence[float | None], shape: Sequence[int], differing: Sequence[int]
+) -> StapeskitError:
+    names = ("slices", "rows", "columns")
+    told = ", ".join(f"{stated[k]:g} {names[k]}" for k in differing)
+    held = ", ".join(f"{shape[k]} {names[k]}" for k in differing)
+    return StapeskitError.of(
+        "the slices",
+        f"those that their reconstruction log describes ({told})",
+        held,
+        log.name,
+        "They were cropped, scaled or come from another scan: give their voxel size with --spacing, or copy the whole "
+        "folder again",
+    )
+
+
+def _check_alike(
+    file: Path, shape: tuple[int, ...], dtype: np.dtype[Any], other: Path, expected: _Look
+) -> None:
+    same = dtype.newbyteorder("=") == expected.dtype.newbyteorder("=")
+    if shape == expected.shape and same:
+        return
+    rows, columns = expected.shape
+    raise StapeskitError.of(
+        f"slice {file.name}",
+        f"{columns} x {rows} {expected.dtype.newbyteorder('=')} like {other.name}",
+        f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
+        next_step="Remove it from the folder or export it again",
+    )
+
+
+def _look(path: Path) -> _Look:
+    """Return size and type of a slice from its header; a picture in colours is read as a whole."""
+    look = _tiff_look(path) if path.suffix.lower() in _TIFF else _picture_look(path)
+    if look is not None:
+        return look
+    image = _pixels(path)
+    return _Look(image.shape, image.dtype)
+
+
+def _tiff_look(path: Path) -> _Look | None:
+    import tifffile
+
+    with listening(path), tifffile.TiffFile(path) as tif:
+        page: Any = tif.pages[0]
+        check_palette(page, path)
+        if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
+            return None
+        dtype = np.dtype(tif.byteorder + page.dtype.char)
+        whole = page.is_contiguous and page.bitspersample >= 8 and page.compression.name == "NONE"
+        if not whole:
+            return _Look(page.shape, dtype)
+        start = int(page.dataoffsets[0])
+        needed, stored = start + int(np.prod(page.shape)) * dtype.itemsize, path.stat().st_size
+        if needed > stored:
+            wanted = f"as long as its header says ({needed} bytes)"
+            raise StapeskitError.of(
+                "the slice", wanted, f"{stored} bytes", path.name, "Copy or export it again"
+            )
+        return _Look(page.shape, dtype, start)
+
+
+def _picture_look(path: Path) -> _Look | None:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.mode not in _MODES:
+                return None
+            return _Look((image.height, image.width), np.dtype(_MODES[image.mode]).newbyteorder("="))
+    except Exception as fault:
+        raise _damaged(path) from fault
+
+
+def _pixels(path: Path) -> NDArray[Any]:
+    """Return the pixels of a slice, of three equal values or grey with opacity the first one."""
+    if path.suffix.lower() in _TIFF:
+        import tifffile
+
+        with listening(path):
+            image = np.asarray(tifffile.imread(path))
+    else:
+        from PIL import Image
+
+        try:
+            with Image.open(path) as picture:
+                image = np.asarray(picture if picture.mode != "P" else picture.convert("RGB"))
+        except Exception as fault:
+            raise _damaged(path) from fault
+    if image.dtype.kind == "b":
+        image = image.astype(np.uint8)
+    if image.ndim == 3 and image.shape[-1] in (2, 3, 4):
+        if image.shape[-1] > 2 and np.any(image[..., 1:3] != image[..., :1]):
+            got = "a colour (RGB) image"
+            raise StapeskitError.of(f"slice {path.name}", "grey values", got, next_step="Export grey values")
+        image = np.ascontiguousarray(image[..., 0])
+    if image.ndim != 2:
+        step = "Give a stack as a file, not in a folder"
+        got = f"shape {' x '.join(map(str, image.shape))}"
+        raise StapeskitError.of(f"slice {path.name}", "one two-dimensional image", got, next_step=step)
+    return image
+
+
+def _damaged(path: Path) -> StapeskitError:
+    got = f"a truncated or damaged file of {path.stat().st_size} bytes"
+    return StapeskitError.of("the slice", "a readable image", got, path.name, "Copy or export it again")

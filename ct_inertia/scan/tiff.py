@@ -1,0 +1,360 @@
+"""TIFF stacks by tifffile: plain, ImageJ, OME (also in several files) and BigTIFF, with spacing and origin."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.scan.opened import (
+    Opened,
+    RawPlanes,
+    ReadOptions,
+    beside,
+    several_values,
+    too_short,
+    wrong_header,
+)
+from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
+from ct_inertia.scan.scan import Box, check_grey_values
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    import tifffile
+
+_DAMAGE = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
+_COLOURS = ("RGB", "YCBCR", "CMYK")
+_OTHER_AXES = "CTS"  # channels, times, samples
+_EVEN_STEPS = 1e-3  # relative range of plane distances that is rounding
+
+
+def open_file(path: Path, _: ReadOptions) -> Opened:
+    """Open a TIFF stack.
+
+    Raises
+    ------
+    StapeskitError
+        Damaged, truncated, two-dimensional, coloured, or with channels or times.
+    """
+    import tifffile
+
+    with listening(path):
+        tif = tifffile.TiffFile(path)
+        stated, held = _imagej_counts(tif, path)
+    if stated > held:
+        raise _wrong_count(path, stated, held)
+    with listening(path):
+        files = _ome_files(path, tif.ome_metadata if tif.is_ome else None)
+        series = next((one for one in tif.series if sum(n > 1 for n in one.shape) > 2), tif.series[0])
+        page: Any = series.keyframe
+        _check_kind(series, page, path)
+        shape = tuple(int(n) for n in series.shape if n > 1)
+        dtype = (
+            np.dtype(np.uint8)
+            if series.dtype.kind == "b"
+            else np.dtype(page.parent.byteorder + series.dtype.char)
+        )
+        opened = Opened(shape, dtype, files=files, white_is_zero=white_is_zero(page))
+        opened.spacing_mm, opened.origin_mm, opened.known = _place(tif, series)
+        opened.notices = _notices(tif, path)
+        opened.planes = _raw_planes(series, page, shape, dtype, path)
+    if opened.planes is None:
+        opened.read = _decoder(series, shape, path)
+        opened.depth = shape[0] if len(series.pages) != shape[0] else 1
+    return opened
+
+
+@contextmanager
+def listening(path: Path) -> Iterator[None]:
+    """Raise the damage that tifffile only logs.
+
+    Raises
+    ------
+    StapeskitError
+        tifffile raised, or logged that the file is damaged.
+    """
+    heard: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if any(word in record.getMessage().lower() for word in _DAMAGE):
+                heard.append(record.getMessage())
+
+    logger, listener = logging.getLogger("tifffile"), Listener(logging.WARNING)
+    logger.addHandler(listener)
+    propagate, logger.propagate = logger.propagate, False
+    try:
+        yield
+    except (StapeskitError, MemoryError):
+        if not heard:
+            raise
+    except Exception as fault:
+        heard.append(str(fault))
+    finally:
+        logger.removeHandler(listener)
+        logger.propagate = propagate
+    if heard:
+        got = f"a truncated or damaged file of {path.stat().st_size} bytes"
+        raise StapeskitError.of("the TIFF", "complete", got, path.name, "Copy or export it again")
+
+
+def white_is_zero(page: Any) -> bool:
+    """Return whether a page says that its lowest grey value is shown white (WhiteIsZero of TIFF 6.0)."""
+    return page.photometric is not None and page.photometric.name == "MINISWHITE"
+
+
+def check_palette(page: Any, path: Path) -> None:
+    """Refuse a page with a colour palette, unless brightness grows with the number, as in lookup tables.
+
+    Raises
+    ------
+    StapeskitError
+        It does not.
+    """
+    if page.photometric is None or page.photometric.name != "PALETTE":
+        return
+    if np.any(np.diff(np.asarray(page.colormap, dtype=float).reshape(3, -1).sum(axis=0)) < 0.0):
+        got = "numbers of colours whose brightness does not grow with them"
+        raise StapeskitError.of("the volume", "grey values", got, path.name, "Export it as grey values")
+
+
+def plane_spacing(page: Any) -> tuple[Array | None, str]:
+    """Return spacing x, y and NaN, mm, that the resolution tags of a page state, and what they say of it."""
+    pixels = _resolution(page)
+    tag = page.tags.get("ResolutionUnit")
+    unit = {2: 25.4, 3: 10.0}.get(int(tag.value) if tag is not None and tag.value else 0)
+    if pixels is None or unit is None:
+        return None, "the TIFF has no resolution with a unit"
+    x, y = pixels * unit
+    if is_printer_resolution(x):
+        return None, "the TIFF has the resolution of a screen or printer only"
+    return (
+        np.array([x, y, np.nan]),
+        f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices",
+    )
+
+
+def _resolution(page: Any) -> Array | None:
+    """Return units per pixel along x and y (2,), where the tags of a page state both."""
+    pair = []
+    for name in ("XResolution", "YResolution"):
+        tag = page.tags.get(name)
+        if tag is None or not tag.value[0] > 0 or not tag.value[1] > 0:
+            return None
+        pair.append(tag.value[1] / tag.value[0])
+    return np.array(pair)
+
+
+def _ome_files(path: Path, xml: str | None) -> tuple[Path, ...]:
+    """Return the files of an OME image, which lie in one folder."""
+    import re
+
+    names = dict.fromkeys(re.findall(r'FileName="([^"]*)"', xml or ""))
+    return tuple(dict.fromkeys([path, *(file for name in names if (file := beside(path, name)).is_file())]))
+
+
+def _check_kind(series: Any, page: Any, path: Path) -> None:
+    check_palette(page, path)
+    axes = dict(zip(series.axes, series.shape, strict=True))
+    if (page.photometric is not None and page.photometric.name in _COLOURS) or axes.get("S", 1) > 1:
+        raise several_values(path, "a colour (RGB) image or several samples per voxel")
+    extra = [f"{n} {axis}" for axis, n in axes.items() if axis in _OTHER_AXES and n > 1]
+    sizes = tuple(n for n in series.shape if n > 1)
+    if extra and (len(sizes) > 3 or "Z" in axes):
+        raise several_values(path, f"{', '.join(extra)} (channels or times)")
+    check_grey_values(sizes, np.dtype(np.uint8) if series.dtype.kind == "b" else series.dtype, path.name)
+
+
+def _imagej_counts(tif: tifffile.TiffFile, path: Path) -> tuple[int, int]:
+    """Return how many slices an ImageJ description counts, and how many the file holds; (0, 0) without one."""
+    meta = (tif.imagej_metadata or {}) if tif.is_imagej else {}
+    stated, pages = int(meta.get("images") or 0), len(tif.pages)
+    if stated < 2 or pages > 1:
+        return stated, max(pages, stated if stated < 2 else 0)
+    # One page describes all slices, which lie one behind the other.
+    page: Any = tif.pages[0]
+    plane = int(np.prod(page.shape)) * page.dtype.itemsize
+    return stated, (path.stat().st_size - int(page.dataoffsets[0])) // max(plane, 1)
+
+
+def _wrong_count(path: Path, stated: int, held: int) -> StapeskitError:
+    step = "A program has split it, or it is truncated: export the whole stack again"
+    return StapeskitError.of(
+        "the TIFF", f"as many slices as its description says ({stated})", f"{held} slices", path.name, step
+    )
+
+
+def _raw_planes(
+    series: Any, page: Any, shape: Sequence[int], dtype: np.dtype[Any], path: Path
+) -> RawPlanes | None:
+    """Return where uncompressed planes lie; None where they must be decoded.
+
+    Raises
+    ------
+    StapeskitError
+        The file ends before its last plane.
+    """
+    plane = shape[1] * shape[2] * dtype.itemsize
+    if page.compression.name != "NONE" or page.bitspersample < 8 or page.is_tiled or series.dtype.kind == "b":
+        return None
+    if series.dataoffset is not None:
+        files = (Path(page.parent.filehandle.path),)
+        number, offset = np.zeros(shape[0], np.int64), series.dataoffset + plane * np.arange(shape[0])
+    else:
+        if len(series.pages) != shape[0]:
+            return None
+        every: list[tuple[Path, int]] = []
+        for one in series.pages:
+            if one is None:
+                raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
+            ends = np.cumsum([one.dataoffsets[0], *one.databytecounts])
+            if not np.array_equal(ends[:-1], one.dataoffsets) or ends[-1] - ends[0] != plane:
+                return None
+            home = Path(one.parent.filehandle.path) if hasattr(one, "parent") else path
+            every.append((home, int(one.dataoffsets[0])))
+        files = tuple(dict.fromkeys(file for file, _ in every))
+        number = np.array([files.index(file) for file, _ in every])
+        offset = np.array([start for _, start in every])
+    for k, file in enumerate(files):
+        needed = int(offset[number == k].max()) + plane
+        stored = file.stat().st_size
+        if needed > stored:
+            raise too_short(shape, needed, stored, file.name)
+    return RawPlanes(files, number, offset)
+
+
+def _decoder(series: Any, shape: Sequence[int], path: Path) -> Any:
+    """Return a function that decodes planes one by one, or the whole image where its tiles have a depth."""
+    held: list[NDArray[Any]] = []
+
+    def read(box: Box) -> NDArray[Any]:
+        with listening(path):
+            if len(series.pages) != shape[0]:
+                if not held:
+                    held.append(np.asarray(series.asarray()).reshape(shape))
+                values = held[0][box]
+            else:
+                pages = [series.pages[z] for z in range(shape[0])[box[0]]]
+                if any(one is None for one in pages):
+                    raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
+                values = np.stack([np.asarray(one.asarray()).reshape(shape[1:])[box[1:]] for one in pages])
+        if values.dtype.kind == "b":
+            return values.astype(np.uint8)
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+    return read
+
+
+def _place(tif: tifffile.TiffFile, series: Any) -> tuple[Array | None, Array, str]:
+    """Return spacing and origin (3,), mm, and what the file says of an incomplete spacing."""
+    page: Any = series.keyframe
+    if tif.is_ome and tif.ome_metadata:
+        found = _ome_place(tif.ome_metadata, list(tif.series).index(series), len(tif.series), series.shape)
+        if found is not None:
+            return found
+    if tif.is_imagej and tif.imagej_metadata is not None:
+        return _imagej_place(tif.imagej_metadata, _resolution(page))
+    spacing, known = plane_spacing(page)
+    return spacing, np.zeros(3), known
+
+
+def _imagej_place(meta: dict[str, Any], pixels: Array | None) -> tuple[Array | None, Array, str]:
+    """Return the place that ImageJ states; its origin is the voxel at 0, counted in voxels."""
+    unit = mm_per_unit(str(meta.get("unit", "")))
+    if unit is None:
+        return None, np.zeros(3), f"the ImageJ unit is {meta.get('unit') or 'not set'}"
+    depth = abs(float(meta.get("spacing") or np.nan))
+    # Fiji writes a unit of its own for y and z where they differ from that of x.
+    units = np.array([unit, *(mm_per_unit(str(meta.get(f"{axis}unit", ""))) or unit for axis in "yz")])
+    spacing, known = believed_spacing(
+        np.array([*(pixels if pixels is not None else [np.nan] * 2), depth]), unit
+    )
+    spacing = spacing * units / unit
+    if not known and not np.all(np.isfinite(spacing)):
+        known = f"the ImageJ header has a unit but no complete spacing ({spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice)"
+    zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
+    return spacing, np.nan_to_num(-zero * spacing, posinf=0.0, neginf=0.0), known
+
+
+def _ome_place(
+    xml: str, number: int, count: int, shape: Sequence[int]
+) -> tuple[Array | None, Array, str] | None:
+    """Return the place that OME-XML states, or None where it has no image.
+
+    Notes
+    -----
+    Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame without
+    a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes.
+    """
+    from xml.etree import ElementTree
+
+    try:
+        root = ElementTree.fromstring(xml)
+    except ElementTree.ParseError:
+        return None
+    images = [element for element in root.iter() if element.tag.rsplit("}", 1)[-1] == "Pixels"]
+    if len(images) > 1 and len(images) != count:
+        # Readers leave out images without planes: the one meant has the same size.
+        wanted = sorted(n for n in shape if n > 1)
+        images = [
+            one
+            for one in images
+            if wanted == sorted(n for a in "XYZCT" if (n := int(one.get(f"Size{a}", 1))) > 1)
+        ]
+        if len(images) != 1:
+            return None, np.zeros(3), "the OME header has several images, and which one is this is open"
+    if not images:
+        return None
+    pixels = images[number if len(images) > 1 else 0]
+    size = np.array(
+        [_length(pixels.get(f"PhysicalSize{a}"), pixels.get(f"PhysicalSize{a}Unit", "µm")) for a in "XYZ"]
+    )
+    planes = [one for one in pixels if one.tag.rsplit("}", 1)[-1] == "Plane"]
+    planes.sort(key=lambda one: int(one.get("TheZ", "0") or 0))
+    places = np.array(
+        [
+            [_length(one.get(f"Position{a}"), one.get(f"Position{a}Unit", "reference frame")) for a in "XYZ"]
+            for one in planes
+        ]
+    ).reshape(-1, 3)
+    origin = np.nan_to_num(places[0]) if len(places) else np.zeros(3)
+    if np.isnan(size[2]) and len(places) > 1:
+        steps = np.abs(np.diff(places[:, 2]))
+        if np.ptp(steps) < _EVEN_STEPS * np.mean(steps):
+            size[2] = np.mean(steps)
+    size[size <= 0.0] = np.nan
+    shown = ", ".join(
+        f"{axis} {value:.6g} mm" for axis, value in zip("xyz", size, strict=True) if np.isfinite(value)
+    )
+    return size, origin, f"the OME header says {shown or 'no physical size'}"
+
+
+def _length(value: str | None, unit: str | None) -> float:
+    """Return a length in mm; NaN where it is none."""
+    factor = mm_per_unit(unit)
+    try:
+        return np.nan if value is None or factor is None else float(value) * factor
+    except ValueError:
+        return np.nan
+
+
+def _notices(tif: tifffile.TiffFile, path: Path) -> list[Notice]:
+    notices = []
+    if len(tif.series) > 1 and not tif.series[0].is_pyramidal:
+        text = f"{path.name} holds {len(tif.series)} images; the first stack was read."
+        notices.append(Notice("first_series_read", text))
+    meta = tif.imagej_metadata if tif.is_imagej else None
+    if meta and float(meta.get("spacing") or 1.0) < 0.0:
+        text = (
+            f"{path.name} has a negative slice distance; its size was used and the order of slices kept. Reverse "
+            f"them with --mirror z if the ear is a mirror image."
+        )
+        notices.append(Notice("negative_slice_distance", text))
+    return notices
