@@ -1,0 +1,333 @@
+"""An ear: its stapes, what surrounds it, and what it hangs in; and the same placed in a scan."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from simulate.ligament import Ligament
+from simulate.mass import MassProperties, graded_mass, point_mass, uniform_mass
+from simulate.solids import Solid, box, ellipsoid, outward, ring, rod
+from simulate.stapes import Stapes, stapes_solid
+from stapeskit.arrays import Array
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.spatial import matrix_from_parameters
+
+WINDOW_TOP_MM = 0.45
+_BONE_LOW_MM = -0.15
+_PLATE_LOW, _PLATE_HIGH = np.array([-2.2, -0.5, -1.5]), np.array([2.2, 0.0, 1.5])
+_PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))
+FIDUCIALS_MM = {
+    "corner_a": (-2.1, 0.0, -1.4),
+    "corner_b": (2.1, 0.0, -1.4),
+    "corner_c": (2.1, 0.0, 1.4),
+    "corner_d": (-2.1, 0.0, 1.4),
+    "pin_e": (_PINS[0][0], _PINS[0][2], _PINS[0][1]),
+    "pin_f": (_PINS[1][0], _PINS[1][2], _PINS[1][1]),
+}
+"""Marks on the plate in the frame it is built in, mm; its corners and pins name its sides."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ear:
+    """One ear.
+
+    Attributes
+    ----------
+    stapes : Stapes
+    density_kg_m3 : float
+        True density halfway up; 1382.4 gives the OpenEar stapes the paper's 3.2 mg.
+    density_gradient : float
+        Relative change of it from there to either end; grey values follow it.
+    density_sd : float
+        Relative standard deviation with which the study states the density, drawn around the true one.
+    ligament : Ligament
+    fluid_mass_kg : float
+        Moves along y with the stapes and is not in its mass.
+    loose_masses : tuple of (x, y, z in mm, kg)
+        Point masses on the stapes that the scan does not show.
+    gap_mm : float
+        Between the outline of the footplate and the bone around it.
+    bridges : int
+        Bony bridges across the gap, of radius ``bridge_radius_mm``.
+    bone, bone_reach : bool, float
+        Bone around the window; a reach above 1 runs out of the field of view.
+    plate, plate_reach : bool, float
+        The plastic plate below; a reach above 1 runs out of the field of view.
+    plate_distance_mm, plate_tilt_deg, plate_turn_deg
+        From the footplate centre, about x and z, and about y of the footplate.
+    plate_gap_mm : float or None
+        Distance of the plate from the nearest point of the stapes in place of ``plate_distance_mm``; 0: they
+        touch; negative: the stapes is sunk into the plate.
+    incus_gap_mm : float or None
+        Distance of the incus from the head; negative: grown together; None: incus removed.
+    coat_mm, fluid_depth_mm : float
+        Thickness of soft tissue on the stapes; fluid on the footplate up to this height. Their grey value is
+        that of Scan.soft.
+    dust : int
+        Loose bone fragments of about 0.1 mm.
+    seed : int
+        Of the dust.
+    """
+
+    stapes: Stapes = field(default_factory=Stapes)
+    density_kg_m3: float = 1382.4
+    density_gradient: float = 0.0
+    density_sd: float = 0.01
+    ligament: Ligament = field(default_factory=Ligament)
+    fluid_mass_kg: float = 0.0
+    loose_masses: tuple[tuple[float, float, float, float], ...] = ()
+    gap_mm: float = 0.2
+    bridges: int = 0
+    bridge_radius_mm: float = 0.05
+    bone: bool = True
+    bone_reach: float = 1.0
+    plate: bool = True
+    plate_reach: float = 1.0
+    plate_distance_mm: float = 0.8
+    plate_gap_mm: float | None = None
+    plate_tilt_deg: tuple[float, float] = (4.0, -3.0)
+    plate_turn_deg: float = 12.0
+    incus_gap_mm: float | None = None
+    coat_mm: float = 0.0
+    fluid_depth_mm: float = 0.0
+    dust: int = 0
+    seed: int = 1
+
+    @property
+    def side(self) -> str:
+        """``left``, or ``right`` for a mirrored stapes."""
+        return "right" if self.stapes.mirrored else "left"
+
+    @property
+    def solid(self) -> Solid:
+        """The stapes in its footplate frame, mm."""
+        return stapes_solid(self.stapes)
+
+    def mass(self) -> MassProperties:
+        """Return the exact mass properties of the bone in footplate axes."""
+        if self.density_gradient:
+            return graded_mass(self.solid, self.density_kg_m3, self.density_gradient)
+        return uniform_mass(self.solid.moments(), self.density_kg_m3)
+
+    def moving_mass_si(self) -> Array:
+        """Return the mass matrix (6, 6) of all that moves: bone, loose masses and fluid."""
+        matrix = self.mass().matrix()
+        for x, y, z, mass_kg in self.loose_masses:
+            matrix = matrix + matrix_from_parameters(point_mass(mass_kg, (x, y, z)))
+        matrix[1, 1] += self.fluid_mass_kg
+        return matrix
+
+    def footplate_from_plate(self) -> RigidTransform:
+        """Return the pose of the plate's face as it is built; +y looks towards the stapes."""
+        tilt = rotation_from_vector(np.radians([self.plate_tilt_deg[0], 0.0, self.plate_tilt_deg[1]]))
+        turn = rotation_from_vector(np.radians([0.0, self.plate_turn_deg, 0.0]))
+        shift = tilt @ [0.0, -self.face_distance_mm(), 0.0]
+        return RigidTransform.from_parts(tilt @ turn, shift, "footplate", "plate")
+
+    def face_distance_mm(self) -> float:
+        """Return the distance of the plate's face from the footplate centre."""
+        if self.plate_gap_mm is None:
+            return self.plate_distance_mm
+        tilt = rotation_from_vector(np.radians([self.plate_tilt_deg[0], 0.0, self.plate_tilt_deg[1]]))
+        return self.plate_gap_mm - float((self.solid.vertices_mm @ tilt[:, 1]).min())
+
+    def solids(self) -> list[tuple[Solid, str]]:
+        """Return all bodies in footplate coordinates, each with its material; the stapes comes first."""
+        made = [(self.solid, "bone")]
+        if self.bone:
+            made += [(solid, "bone") for solid in _bone_around(self)]
+        if self.plate:
+            made += [(solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate(self.plate_reach)]
+        if self.incus_gap_mm is not None:
+            made += [(solid, "bone") for solid in _incus(self.solid, self.incus_gap_mm)]
+        rng = np.random.default_rng(self.seed + 1000)
+        for _ in range(self.dust):
+            place = np.array([rng.uniform(-1.5, 1.5), rng.uniform(1.0, 2.5), rng.choice([-1.2, 1.2])])
+            size = rng.uniform(0.03, 0.08, 3)
+            made.append((box(place - size, place + size), "bone"))
+        if self.coat_mm:
+            made.append((_grown(self.solid, self.coat_mm), "soft"))
+        if self.fluid_depth_mm:
+            low, high = self.solid.vertices_mm.min(axis=0) - 0.3, self.solid.vertices_mm.max(axis=0) + 0.3
+            made.append((box(low, [high[0], self.fluid_depth_mm, high[2]]), "soft"))
+        return made
+
+
+def footplate_outline(solid: Solid, gap_mm: float, top_mm: float = WINDOW_TOP_MM) -> Array:
+    """Return the outline of what stands in the oval window, widened by ``gap_mm`` on all sides.
+
+    Parameters
+    ----------
+    solid : Solid
+        A stapes in its footplate frame.
+    gap_mm : float
+        Distance from the outline, kept all round, at the concave waist too.
+    top_mm : float
+        Height up to which the stapes stands in the window.
+
+    Returns
+    -------
+    ndarray, (192, 2)
+        x and z, mm, at equal angles around the footplate centre.
+    """
+    return _outline(solid, float(gap_mm), float(top_mm)).copy()
+
+
+@functools.lru_cache(maxsize=128)
+def _outline(solid: Solid, gap_mm: float, top_mm: float, count: int = 192, least_mm: float = 0.01) -> Array:
+    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    rim = _silhouette(solid, top_mm)
+    along = rim @ directions.T
+    beside = rim[:, :1] * directions[:, 1] - rim[:, 1:] * directions[:, 0]
+    around = max(gap_mm, least_mm)
+    reach = np.where(
+        np.abs(beside) < around, along + np.sqrt(np.maximum(around**2 - beside**2, 0.0)), -np.inf
+    ).max(axis=0)
+    return np.asarray(directions * (reach - (around - gap_mm))[:, None])
+
+
+def _silhouette(solid: Solid, top_mm: float, sectors: int = 20000) -> Array:
+    """Return the outermost points (n, 2) of a stapes below a height, seen along y, densely by angle."""
+    corners = solid.vertices_mm[solid.faces]
+    corners = corners[corners[:, :, 1].min(axis=1) < top_mm]
+    longest = np.ptp(corners, axis=1).max()
+    steps = np.linspace(0.0, 1.0, 2 + int(longest / 0.003))[:, None, None, None]
+    points = (corners + steps * (np.roll(corners, -1, axis=1) - corners)).reshape(-1, 3)
+    flat = points[points[:, 1] < top_mm][:, [0, 2]]
+    radius = np.hypot(flat[:, 0], flat[:, 1])
+    sector = np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5) * sectors).astype(int)
+    order = np.lexsort((-radius, sector))
+    _, first = np.unique(sector[order], return_index=True)
+    return np.asarray(flat[order[first]])
+
+
+def _bone_around(ear: Ear) -> list[Solid]:
+    """Return the bone around the oval window, its feet on the plate, and the bridges."""
+    inner = footplate_outline(ear.solid, ear.gap_mm)
+    angle = np.arctan2(inner[:, 1], inner[:, 0])
+    reach = 1.0 / (np.abs(np.cos(angle) / 2.0) ** 4 + np.abs(np.sin(angle) / 1.4) ** 4) ** 0.25
+    lumps = 1.0 + 0.03 * np.sin(3.0 * angle + 0.5) + 0.02 * np.sin(7.0 * angle)
+    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps * ear.bone_reach)[:, None]
+    parts = [ring(inner, outer, _BONE_LOW_MM, WINDOW_TOP_MM)]
+    deep = -ear.face_distance_mm() - 0.1
+    feet = ((-1.6, 0.88), (1.56, 0.9), (-1.55, -0.9), (1.6, -0.86))
+    parts += [box([x - 0.18, deep, z - 0.18], [x + 0.18, 0.0, z + 0.18]) for x, z in feet]
+    rim = footplate_outline(ear.solid, 0.0)
+    for number in range(ear.bridges):
+        place = int((0.12 + number / ear.bridges) * len(rim)) % len(rim)
+        (x0, z0), (x1, z1) = rim[place] * 0.93, inner[place] * 1.05
+        parts.append(rod([x0, 0.12, z0], [x1, 0.12, z1], ear.bridge_radius_mm))
+    return parts
+
+
+def _plate(reach: float) -> list[Solid]:
+    """Return the slab and its two pins of other heights, in the frame it is built in."""
+    wide = np.array([reach, 1.0, reach])
+    pins = [box([x - 0.12, -0.1, z - 0.12], [x + 0.12, height, z + 0.12]) for x, z, height in _PINS]
+    return [box(_PLATE_LOW * wide, _PLATE_HIGH * wide), *pins]
+
+
+def _incus(solid: Solid, gap_mm: float, thick: float = 0.22) -> list[Solid]:
+    """Return the lenticular process and the end of the long process of the incus, above the head."""
+    top = solid.vertices_mm[int(np.argmax(solid.vertices_mm[:, 1]))]
+    centre = top + np.array([0.0, gap_mm + thick, 0.0])
+    shaft = rod(centre, centre + np.array([0.25, 0.75, -0.2]), 0.26)
+    return [ellipsoid(centre, [0.42, thick, 0.34]), shaft]
+
+
+def vertex_normals(solid: Solid) -> Array:
+    """Return area-weighted unit normals (n, 3) at the vertices."""
+    corners = solid.vertices_mm[solid.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    at_vertex = np.zeros_like(solid.vertices_mm)
+    for k in range(3):
+        np.add.at(at_vertex, solid.faces[:, k], normal)
+    return np.asarray(at_vertex / np.linalg.norm(at_vertex, axis=1)[:, None])
+
+
+def _grown(solid: Solid, thickness_mm: float) -> Solid:
+    return outward(solid.vertices_mm + thickness_mm * vertex_normals(solid), solid.faces)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Placed:
+    """The bodies of an ear placed in a scan.
+
+    Attributes
+    ----------
+    ear : Ear
+    shape : tuple of int
+        Voxels x, y, z.
+    voxel_mm : ndarray, (3,)
+    scan_from_footplate, scan_from_plate : RigidTransform
+        The plate frame is that of the contract: x towards the larger positive component along scan x.
+    plate_turn : ndarray, (3,)
+        What coordinates in the frame that the plate is built in are multiplied with.
+    solids : tuple of (Solid, str)
+        In scan coordinates, each with its material.
+    """
+
+    ear: Ear
+    shape: tuple[int, int, int]
+    voxel_mm: Array
+    scan_from_footplate: RigidTransform
+    scan_from_plate: RigidTransform
+    plate_turn: Array
+    solids: tuple[tuple[Solid, str], ...]
+
+    def fiducials_mm(self) -> dict[str, Array]:
+        """Return the true places of the marks in the plate frame of the contract, mm."""
+        return {name: self.plate_turn * place for name, place in FIDUCIALS_MM.items()}
+
+
+def place(
+    ear: Ear,
+    voxel_mm: Array,
+    rotation: Array,
+    rng: np.random.Generator,
+    shape: tuple[int, int, int] | None = None,
+    margin_mm: float = 0.25,
+    shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Placed:
+    """Place an ear in the middle of a scan, off by a random part of a voxel.
+
+    Parameters
+    ----------
+    ear : Ear
+    voxel_mm : ndarray, (3,)
+    rotation : ndarray, (3, 3)
+        scan_from_footplate.
+    rng : Generator
+    shape : tuple of int, optional
+        Voxels x, y, z; the smallest box that holds everything with a margin when not given.
+    margin_mm : float
+    shift_mm : tuple of float
+        Moves the ear in its volume.
+    """
+    turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
+    seen = replace(ear, bone_reach=min(ear.bone_reach, 1.0), plate_reach=min(ear.plate_reach, 1.0))
+    points = np.concatenate([turned.points(solid.vertices_mm) for solid, _ in seen.solids()])
+    low, high = points.min(axis=0), points.max(axis=0)
+    count = np.ceil((high - low + 2.0 * margin_mm) / voxel_mm).astype(int) if shape is None else np.array(shape)
+    centre = 0.5 * (count - 1) * voxel_mm + np.asarray(shift_mm)
+    offset = centre - 0.5 * (low + high) + rng.uniform(-0.5, 0.5, 3) * voxel_mm
+    pose = RigidTransform.from_parts(rotation, offset, "scan", "footplate")
+    plate = pose @ ear.footplate_from_plate()
+    leading = next((part for part in plate.rotation[:, 0] if abs(part) > 1e-6), 1.0)
+    turn = np.ones(3) if leading > 0.0 else np.array([-1.0, 1.0, -1.0])
+    plate = plate @ RigidTransform.from_parts(np.diag(turn), np.zeros(3), "plate", "plate")
+    placed = tuple((solid.moved(pose), material) for solid, material in ear.solids())
+    nx, ny, nz = (int(n) for n in count)
+    return Placed(
+        ear=ear,
+        shape=(nx, ny, nz),
+        voxel_mm=voxel_mm,
+        scan_from_footplate=pose,
+        scan_from_plate=plate,
+        plate_turn=turn,
+        solids=placed,
+    )

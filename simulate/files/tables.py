@@ -1,0 +1,81 @@
+"""Write a recording as the tables of a study: ldv.csv (tidy), points.csv and fiducials.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from simulate.vibrometer import Recording
+from stapeskit.arrays import Array
+
+
+def write_tables(folder: Path, recording: Recording) -> Path:
+    """Write ldv.csv, points.csv and, where there are any, fiducials.csv; return the first."""
+    write_points(folder / "points.csv", recording)
+    if recording.fiducials:
+        write_fiducials(folder / "fiducials.csv", recording)
+    return write_tidy(folder / "ldv.csv", recording)
+
+
+def write_tidy(path: Path, recording: Recording) -> Path:
+    """Write one row a run, channel and frequency; missing values stay empty."""
+    many = len(recording.runs) > 1
+    digits = ".15g" if recording.stated == "none" and not recording.position_sd_mm else ".7g"
+    columns = {
+        "sd": (["sd_m_s"], [recording.sd_m_s]),
+        "coherence": (["n_avg", "coherence"], [_averages(recording), recording.coherence()]),
+        "n_avg": (["n_avg"], [_averages(recording)]),
+        "none": ([], []),
+    }
+    names, values = columns[recording.stated]
+    formats = {"sd_m_s": ".5g", "n_avg": ".0f", "coherence": ".9f"}
+    header = ["body,point,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s", *names, *(["run"] if many else [])]
+    lines = [",".join(header)]
+    freq = [f"{value:.12g}" for value in recording.freq_hz]
+    for run, excitation in enumerate(recording.runs):
+        tail = f",{excitation}" if many else ""
+        for channel, body in enumerate(recording.body):
+            direction = ",".join(f"{part:.12g}" for part in recording.direction[channel])
+            head = f"{body},{recording.point[channel]},{direction}"
+            more = [
+                [f",{number:{formats[name]}}" for number in column[run, channel].tolist()]
+                for name, column in zip(names, values, strict=True)
+            ]
+            for line, value in enumerate(recording.velocity_m_s[run, channel].tolist()):
+                reading = "," if value != value else f"{value.real:{digits}},{value.imag:{digits}}"
+                lines.append(f"{head},{freq[line]},{reading}{''.join(part[line] for part in more)}{tail}")
+    return _write(path, lines)
+
+
+def _averages(recording: Recording) -> Array:
+    return np.full(recording.sd_m_s.shape, float(recording.averages))
+
+
+def write_points(path: Path, recording: Recording) -> Path:
+    """Write the reported places of all points."""
+    keys = zip(recording.body, recording.point, strict=True)
+    places = dict(zip(keys, recording.position_mm, strict=True))
+    sd = recording.position_sd_mm
+    rows = [f"{body},{point},{_numbers(place, sd)}" for (body, point), place in places.items()]
+    return _write(path, ["body,point,x_mm,y_mm,z_mm" + (",sd_mm" if sd else ""), *rows])
+
+
+def write_fiducials(path: Path, recording: Recording) -> Path:
+    """Write the places of all fiducials, seen and true."""
+    sd, frame = recording.fiducial_sd_mm, recording.fiducial_frame
+    rows = [
+        f"{name},{_numbers([*seen, *place], sd, frame)}" for name, seen, place in recording.fiducials
+    ]
+    head = "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame" + (",sd_mm" if sd else "")
+    return _write(path, [head, *rows])
+
+
+def _numbers(values: Array | list[float], sd_mm: float, *words: str) -> str:
+    digits = ".4f" if sd_mm else ".15g"
+    return ",".join([*(f"{value:{digits}}" for value in values), *words, *([f"{sd_mm:g}"] if sd_mm else [])])
+
+
+def _write(path: Path, lines: list[str]) -> Path:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

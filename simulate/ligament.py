@@ -1,0 +1,225 @@
+"""The annular ligament as stiffness and damping about the footplate centre, and the stapes that hangs in it.
+
+Signals are e^{+i w t}; all matrices are SI, about the footplate centre in footplate axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import cross_matrix, rotation_from_vector
+from stapeskit.spatial import DOF_NAMES, dof_indices
+
+# CURAC 2019, p. 98 ff., "Results": y, alpha, gamma. D with the exponents of D12 and D13 corrected from -5 to
+# -7, which restores the paper's Table 2 (as printed it is neither stable nor passive).
+PAPER_STIFFNESS = np.array([[1722.0, 0.414, -0.48], [0.414, 1.37e-3, -6.41e-5], [-0.48, -6.41e-5, 3.79e-3]])
+PAPER_DAMPING = np.array(
+    [[22.89e-3, 61.42e-7, -36.79e-7], [61.42e-7, 30.15e-9, -67.56e-13], [-36.79e-7, -67.56e-13, 56.46e-9]]
+)
+PISTON_DOF = ("y", "alpha", "gamma")
+ALIKE_HZ = 2200.0
+"""Where the laws of `damped_alike` dissipate as much as a viscous one."""
+
+
+def _relaxing(omega: Array, *times_s: float) -> ComplexArray:
+    return np.asarray(np.mean([1j * omega / (1.0 + 1j * omega * time) for time in times_s], axis=0))
+
+
+LAWS: dict[str, tuple[Callable[[Array, float], ComplexArray], float, Callable[[float], float]]] = {
+    "viscous": (lambda omega, _: 1j * omega, 1.0, lambda _: 1.0),
+    "hysteretic": (lambda omega, _: np.full(omega.shape, 1j), 0.0, lambda _: 0.0),
+    "fractional": (lambda omega, power: (1j * omega) ** power, 0.5, lambda power: power),
+    "relaxation": (lambda omega, time: _relaxing(omega, time), 30e-6, lambda _: 1.0),
+    "two_relaxations": (lambda omega, time: _relaxing(omega, time, 10.0 * time), 20e-6, lambda _: 1.0),
+}
+"""Damping laws: s(w, exponent) in K + s(w) D, the usual exponent, and the power of time in the unit of D."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ligament:
+    """What ties the stapes to the bone: K + s(w) D of some degrees of freedom; the others move with the bone.
+
+    Attributes
+    ----------
+    stiffness_si, damping_si : ndarray, (n, n)
+    dof : tuple of str, (n,)
+        In the order of DOF_NAMES.
+    law : str
+        One of LAWS.
+    exponent : float or None
+        Power of a fractional law, or relaxation time in s; None: the usual one of the law.
+    drift, step, run_change : float
+        Relative change of K and D from the first to the last line, from the middle line on, and from one run
+        to the next.
+    """
+
+    stiffness_si: Array = field(default_factory=PAPER_STIFFNESS.copy)
+    damping_si: Array = field(default_factory=PAPER_DAMPING.copy)
+    dof: tuple[str, ...] = PISTON_DOF
+    law: str = "viscous"
+    exponent: float | None = None
+    drift: float = 0.0
+    step: float = 0.0
+    run_change: float = 0.0
+
+    def __post_init__(self) -> None:
+        count = len(self.dof)
+        if self.stiffness_si.shape != (count, count) or self.damping_si.shape != (count, count):
+            raise ValueError(f"K and D must be {count} x {count}, as the degrees of freedom are.")
+        if self.law not in LAWS:
+            raise ValueError(f"the law must be one of {', '.join(LAWS)}; got {self.law}.")
+
+    def damping_factor(self, omega: Array) -> ComplexArray:
+        """Return s(w) at angular frequencies (L,), rad/s."""
+        factor, usual, _ = LAWS[self.law]
+        return np.asarray(factor(omega, usual if self.exponent is None else self.exponent))
+
+    def dynamic_stiffness(self, freq_hz: Array, run: int = 0) -> ComplexArray:
+        """Return K + s(w) D of a run, (L, n, n), with its changes over time."""
+        factor = self.damping_factor(2.0 * np.pi * freq_hz)
+        dynamic = self.stiffness_si + factor[:, None, None] * self.damping_si
+        course = 1.0 + self.drift * np.linspace(0.0, 1.0, len(freq_hz))
+        course[len(freq_hz) // 2 :] += self.step
+        return np.asarray(dynamic * (course * (1.0 + self.run_change * run))[:, None, None])
+
+    def scaled(self, factors: ArrayLike) -> Ligament:
+        """Return the ligament with rows and columns of K and D multiplied by factors (n,)."""
+        both = np.outer(factors, factors)
+        return replace(self, stiffness_si=self.stiffness_si * both, damping_si=self.damping_si * both)
+
+
+def damped_alike(ligament: Ligament, law: str, exponent: float | None = None) -> Ligament:
+    """Return the ligament with another law whose D is rescaled to damp as much at ALIKE_HZ."""
+    power = LAWS[law][2](LAWS[law][1] if exponent is None else exponent)
+    scale = (2.0 * np.pi * ALIKE_HZ) ** (1.0 - power)
+    return replace(ligament, law=law, exponent=exponent, damping_si=ligament.damping_si * scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ring:
+    """An elliptic ring of springs and dashpots in a plane of its own around the rim of the footplate.
+
+    Attributes
+    ----------
+    half_axes_mm : tuple of float
+        Along x and z.
+    centre_mm : tuple of float
+        Centre of the ring from the footplate centre; its y is the height of the plane.
+    tilt_deg : tuple of float
+        Of the plane about x and z.
+    radial, tangential, normal : float
+        Stiffness per length against displacement in each direction, N/m per m.
+    loss_s : float
+        Damping over stiffness, with ``loss_ratios`` for radial, tangential and normal.
+    uneven : float
+        By how much the strength varies around the rim in its first and second harmonic (drawn by ``seed``).
+    warp_mm : float
+        Height of the second harmonic of the rim out of its plane.
+    pieces : int
+    """
+
+    half_axes_mm: tuple[float, float] = (1.4, 0.65)
+    centre_mm: tuple[float, float, float] = (-0.1, 0.1, 0.05)
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    radial: float = 7.7e5
+    tangential: float = 2.7e5
+    normal: float = 2.6e5
+    loss_s: float = 1.4e-5
+    loss_ratios: tuple[float, float, float] = (1.1, 0.9, 1.0)
+    uneven: float = 0.0
+    warp_mm: float = 0.0
+    pieces: int = 90
+    seed: int = 1
+
+    def matrix(self, radial: float, tangential: float, normal: float) -> Array:
+        """Return the (6, 6) matrix of the ring about the footplate centre for three constants per length."""
+        angle = (np.arange(self.pieces) + 0.5) * 2.0 * np.pi / self.pieces
+        rng = np.random.default_rng([self.seed, 23])
+        size, phase = rng.standard_normal(3), rng.uniform(0.0, 2.0 * np.pi, 3)
+        waves = size[:, None] * np.cos(np.outer([1, 2, 2], angle) + phase[:, None])
+        strength = np.maximum(1.0 + self.uneven * (waves[0] + waves[1]), 0.05)
+        a, b = np.asarray(self.half_axes_mm) * 1e-3
+        turn = rotation_from_vector(np.radians([self.tilt_deg[0], 0.0, self.tilt_deg[1]]))
+        places = np.column_stack([a * np.cos(angle), self.warp_mm * 1e-3 * waves[2], b * np.sin(angle)])
+        tangents = np.column_stack([-a * np.sin(angle), np.zeros(self.pieces), b * np.cos(angle)])
+        length = np.linalg.norm(tangents, axis=1)
+        up = np.array([0.0, 1.0, 0.0])
+        total = np.zeros((6, 6))
+        for place, along, share in zip(places, tangents / length[:, None], strength * length, strict=True):
+            axes = turn @ np.column_stack([np.cross(along, up), along, up])
+            local = axes @ np.diag([radial, tangential, normal]) @ axes.T * (share * angle[0] * 2.0)
+            arm = turn @ place + np.asarray(self.centre_mm) * 1e-3
+            rows = np.hstack([np.eye(3), -cross_matrix(arm)])
+            total += rows.T @ local @ rows
+        return total
+
+
+def ring_ligament(ring: Ring | None = None, **options: object) -> Ligament:
+    """Return the ligament of a ring in all six degrees of freedom; options are fields of `Ligament`."""
+    ring = ring or Ring()
+    stiffness = np.array([ring.radial, ring.tangential, ring.normal])
+    damping = ring.loss_s * stiffness * ring.loss_ratios
+    made = Ligament(stiffness_si=ring.matrix(*stiffness), damping_si=ring.matrix(*damping), dof=DOF_NAMES)
+    return replace(made, **options)  # type: ignore[arg-type]
+
+
+def draw_ring(rng: np.random.Generator, height_mm: float = 0.1, tilt_sd_deg: float = 1.0) -> Ring:
+    """Draw a ring as human ears may have it: K11 near the paper's, plane and centre off by a little."""
+    level = 1700.0 / 6.6e-3 * rng.uniform(0.7, 1.4)
+    radial, tangential = level * rng.uniform(2.0, 4.0), level * rng.uniform(0.8, 1.3)
+    tilt = tilt_sd_deg * rng.standard_normal(2)
+    return Ring(
+        centre_mm=(float(-0.2 * rng.uniform()), height_mm, float(0.2 * rng.uniform(-1.0, 1.0))),
+        tilt_deg=(float(tilt[0]), float(tilt[1])),
+        radial=float(radial),
+        tangential=float(tangential),
+        normal=float(level),
+        loss_s=float(rng.uniform(0.9e-5, 2.0e-5)),
+    )
+
+
+def stapes_motion(
+    freq_hz: Array, base: ComplexArray, mass_si: Array, ligament: Ligament, run: int = 0
+) -> ComplexArray:
+    """Return the motion of the stapes that the base drives through the ligament.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (L,)
+    base : ndarray, (L, 6), complex
+        Motion of the bone at the footplate centre, m and rad.
+    mass_si : ndarray, (6, 6)
+        All that moves with the stapes.
+    ligament : Ligament
+    run : int
+
+    Returns
+    -------
+    ndarray, (L, 6), complex
+        It obeys w^2 (M_rr q_r + M_rc q_c) = Z (q_r - b_r), the paper's Eq. 2, in the degrees of freedom r of
+        the ligament; the others, c, move with the base, and their inertia loads the ligament.
+    """
+    r = dof_indices(ligament.dof)
+    c = [place for place in range(6) if place not in r]
+    square = (2.0 * np.pi * freq_hz)[:, None, None] ** 2
+    dynamic = ligament.dynamic_stiffness(freq_hz, run)
+    load = dynamic @ base[:, r, None] + square * (mass_si[np.ix_(r, c)] @ base[:, c, None])
+    motion = base.astype(complex).copy()
+    motion[:, r] = np.linalg.solve(dynamic - square * mass_si[np.ix_(r, r)], load)[..., 0]
+    return motion
+
+
+def reaction(
+    freq_hz: Array, motion: ComplexArray, base: ComplexArray, mass_si: Array, ligament: Ligament
+) -> ComplexArray:
+    """Return what is left (L, n) of the equation of motion in the degrees of freedom of the ligament, SI."""
+    r = dof_indices(ligament.dof)
+    square = (2.0 * np.pi * freq_hz)[:, None] ** 2
+    strain = motion[:, r] - base[:, r]
+    pull = np.einsum("lij,lj->li", ligament.dynamic_stiffness(freq_hz), strain)
+    return np.asarray(square * (motion @ mass_si[r].T) - pull)

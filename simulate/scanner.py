@@ -1,0 +1,390 @@
+"""A micro-CT scanner: grey values of a placed ear from exact partial volumes to stored numbers, slab by slab.
+
+The order is that of a scanner: partial volumes of bone, plastic and soft tissue; motion; point spread; edge
+fringes; cupping; rings; noise; tone curve; storing. No slab of slices depends on how a volume is cut into slabs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.coverage import Crossings, crossings
+from simulate.ear import Ear, Placed, place
+from simulate.mass import relative_density
+from simulate.solids import Solid
+from stapeskit.arrays import Array
+from stapeskit.frames import rotation_from_vector
+
+Floats = NDArray[np.float32]
+STORED = {"uint8": (1.0 / 257.0, 0.0), "int16": (1.0, -32768.0), "uint16": (1.0, 0.0), "float32": (1.0, 0.0)}
+"""Numbers of a file by type: factor and offset of grey values 0 to 65535."""
+MATERIALS = ("bone", "plastic", "soft")
+_TRUNCATE = 5.0
+_SLICE_OF_SEED = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scan:
+    """How an ear is scanned. Blurs are in voxels; noise, fringes and rings in contrasts between bone and air.
+
+    Attributes
+    ----------
+    voxel_um : float or tuple of float
+        One number, or x, y, z.
+    shape : tuple of int or None
+        Voxels x, y, z; None: the smallest box with ``margin_mm`` around everything.
+    margin_mm, shift_mm
+        Air around everything; shift of the ear in its volume (out of the field of view on purpose).
+    upright : str
+        Scan axis near the lateral direction.
+    tilt_deg : float
+        How far the ear may lean in the scanner, drawn by ``seed``.
+    rotation_vector_deg : tuple of float or None
+        scan_from_footplate, given instead of drawn.
+    blur_voxels, noise, noise_correlation_voxels
+        Sigma of the point spread; standard deviation of the noise; sigma of the blur of the noise.
+    cupping : float
+        Share of the contrast lost in the middle of the view: a parabola that vanishes at the border.
+    rings : float
+        Standard deviation of the height of rings about the rotation axis.
+    motion_voxels, jump_voxels
+        Blur along x; distance by which the ear has moved half way through the scan.
+    fringe : float
+        Share of the Laplacian that is subtracted (bright and dark edges of phase contrast).
+    gamma : float
+        Exponent of a tone curve from 0.2 contrasts below air to 0.5 above bone.
+    levels : tuple of float
+        Grey values of air, plastic and bone as 16 bit numbers.
+    soft : float
+        Contrast of soft tissue and fluid.
+    dtype : str
+        One of STORED.
+    window : tuple of float or None
+        Grey values (16 bit) of the lowest and the highest stored number: all beyond is clipped.
+    steps : int or None
+        Only so many different stored numbers.
+    round_field : bool
+        Only the circle within the slices is reconstructed; outside it is ``padding`` (a stored number).
+    mirror : str
+        Scan axis along which the slices are stored in reverse order, or empty.
+    samples : int or None
+        Sub-columns along each side of a voxel; None: 3 um apart, from 2 to 16.
+    format : str
+        One of simulate.files.volumes.WRITERS.
+    seed, noise_seed : int, int or None
+        Of the pose, and of noise, rings and stated density (that of the pose when None).
+    """
+
+    voxel_um: float | tuple[float, float, float] = 25.0
+    shape: tuple[int, int, int] | None = None
+    margin_mm: float = 0.25
+    shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    upright: str = "z"
+    tilt_deg: float = 18.0
+    rotation_vector_deg: tuple[float, float, float] | None = None
+    blur_voxels: float = 1.2
+    noise: float = 0.04
+    noise_correlation_voxels: float = 0.0
+    cupping: float = 0.0
+    rings: float = 0.0
+    motion_voxels: float = 0.0
+    jump_voxels: float = 0.0
+    fringe: float = 0.0
+    gamma: float = 1.0
+    levels: tuple[float, float, float] = (8000.0, 15000.0, 30000.0)
+    soft: float = 0.2
+    dtype: str = "uint16"
+    window: tuple[float, float] | None = None
+    steps: int | None = None
+    round_field: bool = False
+    padding: float = 0.0
+    mirror: str = ""
+    samples: int | None = None
+    format: str = "tif"
+    seed: int = 1
+    noise_seed: int | None = None
+
+    @property
+    def voxel_mm(self) -> Array:
+        """Voxel size x, y, z, mm."""
+        return np.broadcast_to(np.asarray(self.voxel_um, dtype=float) * 1e-3, 3).copy()
+
+    @property
+    def noises(self) -> int:
+        """The seed of the noise."""
+        return self.seed if self.noise_seed is None else self.noise_seed
+
+    def placed(self, ear: Ear) -> Placed:
+        """Return the ear placed in the scan."""
+        rng = np.random.default_rng(self.seed)
+        if self.rotation_vector_deg is None:
+            rotation = _UPRIGHT[self.upright] @ _random_tilt(rng, self.tilt_deg)
+        else:
+            rotation = rotation_from_vector(np.radians(self.rotation_vector_deg))
+        return place(ear, self.voxel_mm, rotation, rng, self.shape, self.margin_mm, self.shift_mm)
+
+    def stored_levels(self) -> list[float]:
+        """Return the grey values of air, plastic and bone as they stand in the file, before rounding."""
+        factor, offset = self._to_stored()
+        return [level * factor + offset for level in self.levels]
+
+    def _to_stored(self) -> tuple[float, float]:
+        if self.window is None:
+            return STORED[self.dtype]
+        low, high = self.window
+        ends = (0.0, 1.0) if self.dtype == "float32" else (np.iinfo(self.dtype).min, np.iinfo(self.dtype).max)
+        factor = (ends[1] - ends[0]) / (high - low)
+        return factor, ends[0] - factor * low
+
+
+_UPRIGHT = {
+    axis: rotation_from_vector(np.radians(turn))
+    for axis, turn in {"x": [0.0, 0.0, -90.0], "y": [0.0, 0.0, 0.0], "z": [90.0, 0.0, 0.0]}.items()
+}
+
+
+def _random_tilt(rng: np.random.Generator, most_deg: float) -> Array:
+    lean = rng.normal(size=3) * np.array([1.0, 0.0, 1.0])
+    lean *= np.radians(most_deg) * rng.uniform(0.4, 1.0) / np.linalg.norm(lean)
+    turn = rotation_from_vector([0.0, np.radians(rng.uniform(-most_deg, most_deg)), 0.0])
+    return rotation_from_vector(lean) @ turn
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One body on its own grid: first column and row in the volume, crossings, material."""
+
+    corner: tuple[int, int]
+    grid: Crossings
+    material: str
+
+
+class Renderer:
+    """Grey values of a placed ear, any range of slices at a time."""
+
+    def __init__(self, placed: Placed, scan: Scan) -> None:
+        self.placed, self.scan = placed, scan
+        self.margin = int(_TRUNCATE * scan.blur_voxels + 0.5)
+        spacing, shape = placed.voxel_mm, np.asarray(placed.shape)
+        solids = [(solid, material, _box(solid, spacing)) for solid, material in _copies(placed, scan)]
+        reach = self.margin + 1
+        low = np.min([box[0] for _, _, box in solids], axis=0) - reach
+        high = np.max([box[1] for _, _, box in solids], axis=0) + reach
+        self.low = np.clip(low, -self.margin, shape + self.margin)
+        self.high = np.clip(high, self.low, shape + self.margin)
+        samples = scan.samples or int(np.clip(np.ceil(spacing[:2].max() / 0.003 - 1e-9), 2, 16))
+        parts = (self._part(*entry, samples) for entry in solids)
+        self.parts = [part for part in parts if part is not None]
+
+    def _part(
+        self, solid: Solid, material: str, box: tuple[NDArray[np.int64], NDArray[np.int64]], samples: int
+    ) -> _Part | None:
+        low, high = np.maximum(box[0], self.low)[:2], np.minimum(box[1], self.high)[:2]
+        if np.any(high <= low):
+            return None
+        shift = np.array([int(low[0]), int(low[1]), 0])
+        shape = (int(high[0] - low[0]), int(high[1] - low[1]))
+        grid = crossings(solid.vertices_mm / self.placed.voxel_mm - shift, solid.faces, shape, samples)
+        return _Part((int(low[0]), int(low[1])), grid, material)
+
+    def _filled(self, first: int, count: int, material: str) -> Floats:
+        """Return how far a material fills the box around the bodies, overlapping bodies counted once."""
+        size = self.high - self.low
+        filled = np.zeros((count, size[1], size[0]), dtype=np.float32)
+        share = np.float32(0.5 if self.scan.jump_voxels else 1.0)
+        for part in self.parts:
+            if part.material != material or not part.grid.touches(first, count):
+                continue
+            x, y = part.corner[0] - self.low[0], part.corner[1] - self.low[1]
+            nx, ny = part.grid.shape
+            filled[:, y : y + ny, x : x + nx] += share * part.grid.slab(first, count)
+        return np.minimum(filled, 1.0, out=filled)
+
+    def coverage(self, first: int, count: int) -> Floats:
+        """Return bone, and what else fills voxels in its contrast, of the box around all; not blurred."""
+        air, plastic, bone = self.scan.levels
+        grey = self._filled(first, count, "bone")
+        free = 1.0 - grey
+        if self.placed.ear.density_gradient:
+            grey *= self._relative_density(first, count)
+        contrasts = {"plastic": (plastic - air) / (bone - air), "soft": self.scan.soft}
+        for material, contrast in contrasts.items():
+            if any(part.material == material for part in self.parts):
+                other = np.minimum(self._filled(first, count, material), free)
+                free -= other
+                other *= np.float32(contrast)
+                grey += other
+        return grey
+
+    def contrast(self, first: int, count: int) -> Floats:
+        """Return noise-free grey values above air, (count, y, x), in units of the bone contrast."""
+        if not self.scan.fringe:
+            return self._blurred(first, count)
+        from scipy.ndimage import laplace
+
+        wide = self._blurred(first - 1, count + 2)
+        return np.asarray((wide - np.float32(self.scan.fringe) * laplace(wide))[1:-1])
+
+    def _blurred(self, first: int, count: int) -> Floats:
+        from scipy.ndimage import gaussian_filter1d
+
+        nx, ny, _ = self.placed.shape
+        grey = np.zeros((count, ny, nx), dtype=np.float32)
+        start, stop = max(first, int(self.low[2])), min(first + count, int(self.high[2]))
+        if start >= stop or np.any(self.high <= self.low):
+            return grey
+        box = self.coverage(start - self.margin, stop - start + 2 * self.margin)
+        sigma = self.scan.blur_voxels
+        if self.margin:
+            box = gaussian_filter1d(box, sigma, axis=0, truncate=_TRUNCATE)[self.margin : -self.margin]
+            for axis in (1, 2):
+                box = gaussian_filter1d(box, sigma, axis=axis, truncate=_TRUNCATE)
+        if self.scan.motion_voxels:
+            box = gaussian_filter1d(box, self.scan.motion_voxels, axis=2, truncate=_TRUNCATE)
+        low, high = np.maximum(self.low[:2], 0), np.minimum(self.high[:2], [nx, ny])
+        (x0, y0), (x1, y1) = low - self.low[:2], high - self.low[:2]
+        grey[start - first : stop - first, low[1] : high[1], low[0] : high[0]] = box[:, y0:y1, x0:x1]
+        return grey
+
+    def _relative_density(self, first: int, count: int) -> Floats:
+        """Return density over that halfway up at the voxel centres of the box around the bodies."""
+        pose, ear = self.placed.scan_from_footplate, self.placed.ear
+        height_mm = ear.solid.vertices_mm[:, 1]
+        x, y = (np.arange(self.low[axis], self.high[axis]) for axis in (0, 1))
+        z = np.arange(first, first + count)
+        lateral = pose.rotation[:, 1] * self.placed.voxel_mm
+        start = -pose.rotation[:, 1] @ pose.translation_mm
+        height = (lateral[2] * z + start)[:, None, None] + (lateral[1] * y)[:, None] + lateral[0] * x
+        ends = (float(height_mm.min()), float(height_mm.max()))
+        return relative_density(height, ends, ear.density_gradient).astype(np.float32)
+
+    def slices(self, first: int, count: int) -> NDArray[Any]:
+        """Return slices as the scanner stores them, noise included."""
+        scan = self.scan
+        air, _, bone = scan.levels
+        grey = self.contrast(first, count)
+        if scan.cupping:
+            cup(grey, scan.cupping)
+        if scan.rings:
+            grey += _rings(grey.shape, scan)
+        if scan.noise > 0.0:
+            add_noise(grey, first, scan)
+        if scan.gamma != 1.0:
+            share = np.clip((grey + np.float32(0.2)) / np.float32(1.7), 0.0, 1.0)
+            grey = np.asarray(np.float32(1.7) * share**scan.gamma - np.float32(0.2), dtype=np.float32)
+        grey *= np.float32(bone - air)
+        return self._stored(grey)
+
+    def _stored(self, grey: Floats) -> NDArray[Any]:
+        """Return grey values above air as numbers of the file's type, rounded and clipped; overwrites them."""
+        scan = self.scan
+        factor, offset = scan._to_stored()
+        if factor != 1.0:
+            grey *= np.float32(factor)
+        whole = scan.dtype != "float32"
+        grey += np.float32(scan.levels[0] * factor + offset + (0.5 if whole else 0.0))
+        if whole:
+            np.floor(grey, out=grey)
+            ends = np.iinfo(scan.dtype)
+            np.clip(grey, ends.min, ends.max, out=grey)
+        if scan.steps is not None:
+            step = np.float32((65536.0 if scan.dtype != "uint8" else 256.0) / scan.steps)
+            grey = np.asarray(np.floor(grey / step) * step, dtype=np.float32)
+        if scan.round_field:
+            grey[:, _radius2(grey.shape) > 1.0] = scan.padding
+        return grey.astype(scan.dtype)
+
+
+def _copies(placed: Placed, scan: Scan) -> Iterator[tuple[Solid, str]]:
+    """Yield the bodies; both places of each when the ear moves half way through the scan."""
+    step = np.random.default_rng([scan.noises, 29]).normal(size=3)
+    step *= 0.5 * scan.jump_voxels / np.linalg.norm(step) * placed.voxel_mm
+    for solid, material in placed.solids:
+        if scan.jump_voxels:
+            yield Solid(solid.vertices_mm - step, solid.faces), material
+            yield Solid(solid.vertices_mm + step, solid.faces), material
+        else:
+            yield solid, material
+
+
+def _box(solid: Solid, spacing: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first voxel of a body and the one after its last."""
+    low = np.floor(solid.vertices_mm.min(axis=0) / spacing + 0.5).astype(np.int64)
+    return low, np.floor(solid.vertices_mm.max(axis=0) / spacing + 0.5).astype(np.int64) + 1
+
+
+def _radius2(shape: tuple[int, ...]) -> Array:
+    """Return the squared distance (y, x) from the rotation axis over that of the border of the slices."""
+    _, ny, nx = shape
+    x, y = ((np.arange(n) - 0.5 * (n - 1)) / (0.5 * n) for n in (nx, ny))
+    return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
+
+
+def cup(grey: Floats, cupping: float) -> None:
+    """Darken a slab (z, y, x) of contrast towards the rotation axis by a share of it, in place.
+
+    Beam hardening as it is left after a scanner's own correction: a parabola that vanishes at the border.
+    """
+    grey *= (1.0 - cupping * (1.0 - np.minimum(_radius2(grey.shape), 1.0))).astype(np.float32)
+
+
+def _rings(shape: tuple[int, ...], scan: Scan) -> Floats:
+    """Return the heights (y, x) of rings one voxel wide about the middle of the slices."""
+    rng = np.random.default_rng([scan.noises, 31])
+    radius = np.hypot(*np.meshgrid(*(np.arange(n) - 0.5 * (n - 1) for n in shape[:0:-1])))
+    count = int(radius.max()) + 2
+    return np.interp(radius, np.arange(count), rng.normal(0.0, scan.rings, count)).astype(np.float32)
+
+
+def add_noise(grey: Floats, first: int, scan: Scan) -> None:
+    """Add Gaussian noise to slices from slice ``first`` on, in place.
+
+    Correlated noise is white noise blurred by a Gaussian and brought back to its standard deviation.
+    """
+    count, ny, nx = grey.shape
+    sigma = scan.noise_correlation_voxels
+    if sigma <= 0.0:
+        for k in range(count):
+            rng = np.random.default_rng([scan.noises, first + k])
+            grey[k] += np.float32(scan.noise) * rng.standard_normal((ny, nx), dtype=np.float32)
+        return
+    from scipy.ndimage import correlate1d
+
+    reach = int(np.ceil(4.0 * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel = (kernel / np.sqrt((kernel**2).sum())).astype(np.float32)
+    white = np.empty((count + 2 * reach, ny, nx), dtype=np.float32)
+    for k in range(len(white)):
+        rng = np.random.default_rng([scan.noises, _SLICE_OF_SEED + first + k - reach])
+        rng.standard_normal(out=white[k], dtype=np.float32)
+        for axis in (0, 1):
+            white[k] = correlate1d(white[k], kernel, axis=axis, mode="wrap")
+    grey += np.float32(scan.noise) * correlate1d(white, kernel, axis=0, mode="wrap")[reach : reach + count]
+
+
+def render_into(target: Any, placed: Placed, scan: Scan, most_bytes: int = 1 << 28) -> None:
+    """Write all slices into an array (z, y, x), in slabs of at most so many bytes of floats."""
+    renderer = Renderer(placed, scan)
+    nx, ny, nz = placed.shape
+    built = np.flip(target, axis="zyx".index(scan.mirror)) if scan.mirror else target
+    height = max(1, min(nz, most_bytes // (4 * nx * ny)))
+    for first in range(0, nz, height):
+        count = min(height, nz - first)
+        built[first : first + count] = renderer.slices(first, count)
+
+
+def render(placed: Placed, scan: Scan) -> NDArray[Any]:
+    """Return the whole volume as it is stored, (z, y, x)."""
+    volume = np.empty(placed.shape[::-1], dtype=scan.dtype)
+    render_into(volume, placed, scan)
+    return volume
+
+
+def clean(scan: Scan) -> Scan:
+    """Return the same scan without noise, rings and quantisation: float32 grey values."""
+    return replace(scan, noise=0.0, rings=0.0, dtype="float32", steps=None, window=None)

@@ -1,0 +1,200 @@
+"""Stapes to simulate: the real one of the OpenEar library, made ones, and foreign families of anatomy.
+
+Body axes are x anterior, y lateral, z superior in a left ear; mm. A stapes is given in its own footplate
+frame (simulate.footplate), so the truth of every frame is exact.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from simulate.footplate import footplate_frame
+from simulate.foreign import FAMILIES, Anatomy, anatomy_field, draw_anatomy
+from simulate.solids import Solid, outward, solid_of_field
+from stapeskit.arrays import Array
+from stapeskit.frames import RigidTransform
+
+OPENEAR_PLY = Path(__file__).resolve().parents[1] / "sample_volumes" / "openear_stapes.ply"
+# Where its footplate frame lies in the file's coordinates, by the definition in `simulate.footplate`.
+_FILE_FROM_FOOTPLATE = (
+    (0.1347595590000634, -0.4982430365505006, -0.8565008685267315, 0.6718597072713908),
+    (-0.6547993844050465, 0.6039758318672568, -0.4543687496989945, -0.7883387098216601),
+    (0.7436918901271419, 0.622066773786538, -0.24485771686824087, -0.619355057242155),
+    (0.0, 0.0, 0.0, 1.0),
+)
+SIDES = {
+    "anterior": (1.4, 0.15, 0.0),
+    "posterior": (-1.4, 0.15, 0.0),
+    "superior": (0.0, 0.15, 0.68),
+    "inferior": (0.0, 0.15, -0.68),
+    "head": (0.1, 3.1, 0.1),
+    "footplate_centre": (0.0, 0.0, 0.0),
+}
+"""Landmarks that the parts of the made stapes (``analytic``, ``gutter``) are named by, left ear, mm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stapes:
+    """Which stapes, and how it is deformed.
+
+    Attributes
+    ----------
+    family : str
+        One of STAPES: ``openear`` (a real one), ``analytic`` (symmetric, frame known by construction),
+        ``gutter`` (crura of 80 um walls), or ``foreign `` with one of simulate.foreign.FAMILIES.
+    scale : float
+        Of all lengths.
+    stretch : tuple of float
+        Of x, y, z.
+    warp : float
+        Amplitude of a smooth random displacement, mm.
+    mirrored : bool
+        A right ear: z reversed.
+    seed : int
+        Of the warp and of a foreign anatomy.
+    step_mm : float
+        Mesh of the made ones.
+    """
+
+    family: str = "openear"
+    scale: float = 1.0
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    warp: float = 0.0
+    mirrored: bool = False
+    seed: int = 1
+    step_mm: float = 0.04
+
+
+@functools.lru_cache(maxsize=64)
+def stapes_solid(stapes: Stapes) -> Solid:
+    """Return the exact mesh of a stapes in its own footplate frame, mm.
+
+    Raises
+    ------
+    ValueError
+        The family is unknown.
+    """
+    plain = replace(stapes, scale=1.0, stretch=(1.0, 1.0, 1.0), warp=0.0, mirrored=False)
+    if plain == stapes:
+        return _in_own_frame(stapes)
+    solid = stapes_solid(plain)
+    if stapes.warp:
+        solid = _warped(solid, stapes.warp, stapes.seed)
+    factors = stapes.scale * np.asarray(stapes.stretch) * [1.0, 1.0, -1.0 if stapes.mirrored else 1.0]
+    solid = solid.stretched(factors)
+    if np.array_equal(np.abs(factors), np.ones(3)) and not stapes.warp:
+        return solid  # a reflection takes the frame with it
+    return solid.moved(footplate_frame(solid).inverse())
+
+
+def _in_own_frame(stapes: Stapes) -> Solid:
+    if stapes.family not in STAPES:
+        raise ValueError(f"the family must be one of {', '.join(STAPES)}; got {stapes.family}.")
+    if stapes.family == "openear":
+        frame = RigidTransform(np.array(_FILE_FROM_FOOTPLATE), "file", "footplate")
+        return read_ply(OPENEAR_PLY).moved(frame.inverse())
+    solid = STAPES[stapes.family](stapes)
+    return solid.moved(footplate_frame(solid).inverse())
+
+
+def read_ply(path: Path) -> Solid:
+    """Read a binary PLY of float corners and triangles; corners are sorted and joined where they coincide."""
+    content = path.read_bytes()
+    end = content.index(b"end_header\n") + len(b"end_header\n")
+    words = content[:end].decode("ascii").split()
+    corners, triangles = (int(words[words.index(name) + 1]) for name in ("vertex", "face"))
+    vertices = np.frombuffer(content, "<f4", 3 * corners, end).reshape(-1, 3).astype(float)
+    rows = np.frombuffer(content, np.dtype([("n", "u1"), ("corner", "<i4", (3,))]), triangles, end + 12 * corners)
+    unique, place = np.unique(vertices, axis=0, return_inverse=True)
+    return outward(unique, np.ascontiguousarray(place.reshape(-1)[rows["corner"].astype(np.int64)]))
+
+
+def _warped(solid: Solid, size_mm: float, seed: int) -> Solid:
+    """Displace a solid by a sum of three smooth waves of about 4 mm; no fold for sizes up to 0.3 mm."""
+    rng = np.random.default_rng([seed, 17])
+    moved = solid.vertices_mm.copy()
+    for _ in range(3):
+        wave = rng.normal(size=3)
+        wave *= 2.0 * np.pi / 4.0 / np.linalg.norm(wave)
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        way = rng.normal(size=3) / np.sqrt(9.0)
+        moved += size_mm * np.sin(solid.vertices_mm @ wave + phase)[:, None] * way
+    return outward(moved, solid.faces)
+
+
+def _made(field: Callable[[Array], Array], stapes: Stapes) -> Solid:
+    """Mesh a field over the box of a stapes; nodes lie symmetric about x = 0 and z = 0."""
+    step = stapes.step_mm
+    half = [step * (0.5 + np.floor(reach / step)) for reach in (1.8, 1.0)]
+    low, high = (-half[0], -0.2 + 0.31 * step, -half[1]), (half[0], 3.9, half[1])
+    return solid_of_field(field, low, high, step)
+
+
+def rounded_footplate(points: Array) -> Array:
+    """Return about the distance (mm) from an elliptic plate of 2.8 x 1.3 x 0.3 mm with a rounded rim."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    a, b, thick, rim = 1.4, 0.65, 0.3, 0.1
+    level = np.hypot(x / a, z / b)
+    across = level * (level - 1.0) / np.maximum(np.hypot(x / a**2, z / b**2), 1e-9) + rim
+    along = np.abs(y - 0.5 * thick) - 0.5 * thick + rim
+    inside = np.minimum(np.maximum(across, along), 0.0) - rim
+    return np.asarray(inside + np.hypot(np.maximum(across, 0.0), np.maximum(along, 0.0)))
+
+
+def capsule(points: Array, start: object, end: object, radius: float) -> Array:
+    """Return the distance in mm from a capsule's surface, negative inside."""
+    a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    share = np.clip(((points - a) @ (b - a)) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - a - share[..., None] * (b - a), axis=-1) - radius)
+
+
+_HEAD = np.array([0.05, 3.1, 0.0])
+
+
+def _analytic(points: Array) -> Array:
+    parts = [
+        rounded_footplate(points),
+        capsule(points, (-0.95, 0.25, 0.0), _HEAD - [0.35, 0.6, 0.0], 0.2),
+        capsule(points, (0.95, 0.25, 0.0), _HEAD - [-0.25, 0.6, 0.0], 0.17),
+        capsule(points, _HEAD - [0.0, 0.45, 0.0], _HEAD, 0.42),
+    ]
+    return np.asarray(np.minimum.reduce(parts))
+
+
+def _gutter(points: Array, wall: float = 0.08, radius: float = 0.26) -> Array:
+    """Crura are tubes with their inner sides cut away."""
+    parts = [rounded_footplate(points), capsule(points, _HEAD - [0.0, 0.45, 0.0], _HEAD, 0.42)]
+    for side in (-1.0, 1.0):
+        foot, top = np.array([0.95 * side, 0.25, 0.0]), np.array([0.3 * side, 2.5, 0.0])
+        end = foot + 0.8 * (top - foot)
+        lumen = [
+            capsule(points, foot - [away * side, 0.0, 0.0], end - [away * side, 0.0, 0.0], radius - wall)
+            for away in np.arange(0.0, 0.4, 0.07)
+        ]
+        parts.append(np.maximum(capsule(points, foot, top, radius), -np.minimum.reduce(lumen)))
+    return np.asarray(np.minimum.reduce(parts))
+
+
+def _foreign(stapes: Stapes) -> Solid:
+    anatomy = draw_anatomy(stapes.family.removeprefix("foreign "), np.random.default_rng([stapes.seed, 19]))
+    return foreign_solid(anatomy, stapes.step_mm)
+
+
+def foreign_solid(anatomy: Anatomy, step_mm: float = 0.04) -> Solid:
+    """Return the mesh of a foreign anatomy in its body axes, mm; its frame is that of `footplate_frame`."""
+    low, high = (-2.1, -0.6, -1.25), (2.1, 4.5, 1.25)
+    return solid_of_field(lambda points: anatomy_field(anatomy, points), low, high, step_mm)
+
+
+STAPES: dict[str, Callable[[Stapes], Solid]] = {
+    "openear": lambda _: read_ply(OPENEAR_PLY),
+    "analytic": lambda stapes: _made(_analytic, stapes),
+    "gutter": lambda stapes: _made(_gutter, stapes),
+    **{f"foreign {family}": _foreign for family in FAMILIES},
+}
+"""Makers of stapes by family; a foreign family of the table in `simulate.foreign` is named with a prefix."""

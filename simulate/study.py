@@ -1,0 +1,241 @@
+"""Write a whole simulated study in one call, and keep the truth behind it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulate.ear import Ear, Placed
+from simulate.files.recordings import write_recording
+from simulate.files.volumes import write_scan
+from simulate.mass import MassProperties
+from simulate.scanner import Scan
+from simulate.vibrometer import Experiment, Recording, measure
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import RigidTransform
+
+_SIMULATED = (
+    "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
+    "measurement."
+)
+_REAL = (
+    f"SIMULATED on real geometry: the stapes is a real one (OpenEar library, Sieber et al. 2019, CC BY 4.0); "
+    f"{_SIMULATED}"
+)
+_MADE = f"SIMULATED: the stapes is a made one; {_SIMULATED}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """The exact truth of a simulated study.
+
+    Attributes
+    ----------
+    ear : Ear
+    mass : MassProperties
+        Of the bone, in footplate axes.
+    volume_m3 : float
+    parameters_si : ndarray, (10,)
+        About the footplate centre in footplate axes.
+    mass_matrix_si, moving_mass_matrix_si : ndarray, (6, 6)
+        Of the bone alone, and of all that moves (loose masses and fluid, too).
+    stated_density_kg_m3, stated_density_sd_kg_m3 : float
+        What the study says.
+    scan_from_footplate, scan_from_plate, plate_from_footplate : RigidTransform
+    centre_of_mass_in_scan_mm : ndarray, (3,)
+    placed : Placed
+    scan : Scan
+    recording : Recording or None
+        The measurement with the true motion and the channels at fault; None when only scanned.
+    study : Path or None
+        The study file, when one was written.
+    """
+
+    ear: Ear
+    mass: MassProperties
+    volume_m3: float
+    parameters_si: Array
+    mass_matrix_si: Array
+    moving_mass_matrix_si: Array
+    stated_density_kg_m3: float
+    stated_density_sd_kg_m3: float
+    scan_from_footplate: RigidTransform
+    scan_from_plate: RigidTransform
+    plate_from_footplate: RigidTransform
+    centre_of_mass_in_scan_mm: Array
+    placed: Placed
+    scan: Scan
+    recording: Recording | None = None
+    study: Path | None = None
+
+    @property
+    def dof(self) -> tuple[str, ...]:
+        """Degrees of freedom of the ligament."""
+        return self.ear.ligament.dof
+
+    @property
+    def stiffness_si(self) -> Array:
+        """K of the ligament, (n, n)."""
+        return self.ear.ligament.stiffness_si
+
+    @property
+    def damping_si(self) -> Array:
+        """D of the ligament, (n, n)."""
+        return self.ear.ligament.damping_si
+
+    @property
+    def motion_m(self) -> Mapping[str, ComplexArray]:
+        """True motion of each body, (run, freq, 6), m and rad."""
+        return {} if self.recording is None else self.recording.motion_m
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the truth in the keys of mass.json and kd.json where they exist."""
+        ear, scan, placed = self.ear, self.scan, self.placed
+        centroid = ear.solid.moments().centroid_mm
+        return {
+            "density_kg_m3": ear.density_kg_m3,
+            "volume_m3": self.volume_m3,
+            "mass_kg": self.mass.mass_kg,
+            "center_of_mass_in_scan_mm": self.centre_of_mass_in_scan_mm.tolist(),
+            "centroid_in_scan_mm": self.scan_from_footplate.points(centroid).tolist(),
+            "scan_from_footplate": self.scan_from_footplate.matrix.tolist(),
+            "scan_from_plate": self.scan_from_plate.matrix.tolist(),
+            "plate_from_footplate": self.plate_from_footplate.matrix.tolist(),
+            "mass_matrix_si": self.mass_matrix_si.tolist(),
+            "inertial_parameters_si": self.parameters_si.tolist(),
+            "fiducials_in_plate_mm": {name: mark.tolist() for name, mark in placed.fiducials_mm().items()},
+            "voxel_mm": placed.voxel_mm.tolist(),
+            "gap_mm": ear.gap_mm,
+            "levels": scan.stored_levels(),
+            "gradient": ear.density_gradient,
+            "stapes_voxels_noise_free": self.volume_m3 * 1e9 / float(np.prod(placed.voxel_mm)),
+            "dof": list(self.dof),
+            "stiffness_si": self.stiffness_si.tolist(),
+            "damping_si": self.damping_si.tolist(),
+        }
+
+
+def simulate_truth(ear: Ear, scan: Scan | None = None) -> Truth:
+    """Return the truth of an ear in a scan; nothing is rendered, measured or written."""
+    scan = scan or Scan()
+    placed, body = scan.placed(ear), ear.mass()
+    pose = placed.scan_from_footplate
+    draw = np.random.default_rng([scan.noises, 11]).standard_normal()
+    sd = ear.density_sd * ear.density_kg_m3
+    return Truth(
+        ear=ear,
+        mass=body,
+        volume_m3=ear.solid.moments().volume_mm3 * 1e-9,
+        parameters_si=body.parameters(),
+        mass_matrix_si=body.matrix(),
+        moving_mass_matrix_si=ear.moving_mass_si(),
+        stated_density_kg_m3=ear.density_kg_m3 + sd * draw,
+        stated_density_sd_kg_m3=sd,
+        scan_from_footplate=pose,
+        scan_from_plate=placed.scan_from_plate,
+        plate_from_footplate=placed.scan_from_plate.inverse() @ pose,
+        centre_of_mass_in_scan_mm=pose.points(body.centre_of_mass_mm),
+        placed=placed,
+        scan=scan,
+    )
+
+
+def simulate_recording(truth: Truth, experiment: Experiment | None = None) -> Recording:
+    """Return the measurement of an ear whose fiducials lie on its plate, or in the scan where it has none."""
+    marks = truth.placed.fiducials_mm()
+    frame = truth.plate_from_footplate.inverse()
+    if not truth.ear.plate:
+        marks = {name: truth.scan_from_plate.points(mark) for name, mark in marks.items()}
+        frame = truth.scan_from_footplate.inverse()
+    return measure(truth.ear, experiment or Experiment(), frame, marks)
+
+
+def simulate_study(
+    ear: Ear,
+    scan: Scan | None,
+    experiment: Experiment | None,
+    folder: Path,
+    *,
+    name: str = "simulated ear",
+    about: Mapping[str, Any] | None = None,
+    fit: Mapping[str, Any] | None = None,
+) -> Truth:
+    """Write a study into a folder and return the truth behind it.
+
+    Parameters
+    ----------
+    ear : Ear
+    scan : Scan or None
+        None: the scan is left away (the truth is that of a usual one).
+    experiment : Experiment or None
+        None: the measurement is left away.
+    folder : Path
+        Made when missing.
+    name : str
+    about, fit : mapping, optional
+        Further keys of [study] and [fit].
+
+    Returns
+    -------
+    Truth
+        Also in truth.json.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    truth = simulate_truth(ear, scan)
+    tables: dict[str, dict[str, Any]] = {"study": _about(ear, name, about), "scan": {}}
+    if scan is not None:
+        tables["scan"] = {"file": write_scan(folder, truth.placed, scan).name}
+    tables["scan"] |= _scan_keys(truth, scan or Scan())
+    recording = None
+    if experiment is not None:
+        recording = simulate_recording(truth, experiment)
+        tables["ldv"] = {"file": write_recording(folder, recording, experiment.format).name}
+        tables["ldv"] |= {"points": "points.csv"}
+        if recording.fiducials:
+            tables["ldv"] |= {"fiducials": "fiducials.csv"}
+        if experiment.mirror:
+            tables["ldv"] |= {"mirror": experiment.mirror}
+    tables["fit"] = {"dof": ",".join(truth.dof), "estimator": "ml", **(fit or {})}
+    study = folder / "study.toml"
+    study.write_text(study_text(tables), encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(truth.to_json(), indent=1) + "\n", encoding="utf-8")
+    return replace(truth, recording=recording, study=study)
+
+
+def _about(ear: Ear, name: str, about: Mapping[str, Any] | None) -> dict[str, Any]:
+    state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
+    notes = f"{_REAL if ear.stapes.family == 'openear' else _MADE} {state}, cochlea open."
+    return {"name": name, "notes": notes, "truth": "truth.json", **(about or {})}
+
+
+def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
+    stated, sd = truth.stated_density_kg_m3, truth.stated_density_sd_kg_m3
+    anterior = [round(float(part), 1) for part in truth.scan_from_footplate.rotation[:, 0]]
+    keys = {
+        "density_kg_m3": f"{stated:.1f}+-{sd:.1f}" if sd else f"{stated:.1f}",
+        "side": truth.ear.side,
+        "anterior": anterior,
+    }
+    return keys | ({"mirror": scan.mirror} if scan.mirror else {})
+
+
+def study_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return tables of words, numbers and lists as TOML."""
+    parts = [
+        "\n".join([f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())])
+        for name, table in tables.items()
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(part) for part in value)}]"
+    return json.dumps(value) if isinstance(value, str) else f"{value}"

@@ -1,0 +1,481 @@
+"""A simulated 3D laser Doppler vibrometer that looks at a shaken stapes and at the bone around it.
+
+Signals are e^{+i w t}, velocities are peak; a channel reads v . d with d the unit vector towards its laser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from simulate.ear import WINDOW_TOP_MM, Ear, footplate_outline, vertex_normals
+from simulate.faults import MeasurementFault, TrueState, apply_fault
+from simulate.ligament import stapes_motion
+from simulate.solids import Solid
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.spatial import point_rows
+
+BASE_PEAK_M = 1.0e-7
+NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """How an ear is shaken and measured.
+
+    Attributes
+    ----------
+    lines, band_hz, log : int, tuple of float, bool
+        Frequencies, evenly or logarithmically spaced.
+    excitations : tuple of str
+        Main direction (x, y or z) of the shaker in each run.
+    others : float
+        How much the bone moves in its other degrees of freedom, 1: rocking and in-plane motion as usual.
+    stapes_points, bone_points : int
+    lasers : int
+        On a cone of ``beam_cone_deg`` around the optical axis; one laser looks along the axis.
+    head_distance_mm : float or None
+        Distance of the laser heads, so that no two beams of one are parallel; None: parallel beams.
+    in_footplate : bool
+        Positions and directions are given in footplate axes; else in coordinates of the vibrometer.
+    noise : float
+        Standard deviation of a channel's real part over its root mean square; each channel has its own,
+        between ``noise_spread`` times this.
+    noise_course : float
+        Power of frequency that the noise follows (0: white in velocity, -1: white in displacement).
+    common_noise : float
+        Relative noise that all channels of a line share: that of the signal they refer to.
+    stated : str
+        What the file says of the noise, one of NOISE_COLUMNS.
+    averages : int
+        Stated with ``coherence`` and ``n_avg``.
+    position_sd_mm, fiducial_sd_mm : float
+        Error with which points and fiducials are known, per coordinate.
+    missing, missing_band : float, bool
+        Share of single values that are missing; one channel is missing over half of the lines.
+    faults : tuple of MeasurementFault
+    mirror : str
+        Axis of the vibrometer's coordinates that points the wrong way (a left-handed scanner), or empty.
+    exact : bool
+        Leave all random errors away: the data obey the equation of motion to rounding.
+    format : str
+        One of simulate.files.recordings.WRITERS.
+    seed : int
+    """
+
+    lines: int = 200
+    band_hz: tuple[float, float] = (400.0, 5000.0)
+    log: bool = False
+    excitations: tuple[str, ...] = ("y",)
+    others: float = 1.0
+    stapes_points: int = 10
+    bone_points: int = 9
+    lasers: int = 3
+    beam_cone_deg: float = 20.0
+    head_distance_mm: float | None = None
+    in_footplate: bool = False
+    noise: float = 0.01
+    noise_spread: tuple[float, float] = (0.6, 1.6)
+    noise_course: float = 0.0
+    common_noise: float = 0.0
+    stated: str = "sd"
+    averages: int = 16
+    position_sd_mm: float = 0.01
+    fiducial_sd_mm: float = 0.01
+    missing: float = 0.0
+    missing_band: bool = False
+    faults: tuple[MeasurementFault, ...] = ()
+    mirror: str = ""
+    exact: bool = False
+    format: str = "csv"
+    seed: int = 1
+
+    @property
+    def freq_hz(self) -> Array:
+        """Frequencies (L,), Hz."""
+        space = np.geomspace if self.log else np.linspace
+        return np.asarray(space(*self.band_hz, self.lines))
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs: their excitation, numbered where one is repeated."""
+        names = self.excitations
+        return tuple(
+            name if names.count(name) == 1 else f"{name}{names[: k + 1].count(name)}" for k, name in enumerate(names)
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """What the vibrometer writes, in its own coordinates, and what was wrong with it.
+
+    Attributes
+    ----------
+    runs : tuple of str, (R,)
+    freq_hz : ndarray, (L,)
+    body, point : tuple of str, (C,)
+    laser : ndarray of int, (C,)
+    position_mm, direction : ndarray, (C, 3)
+        As reported.
+    velocity_m_s : ndarray, (R, C, L), complex
+        NaN where missing.
+    sd_m_s : ndarray, (R, C, L)
+        True standard deviation of the real (= imaginary) part, but for faults.
+    stated : str
+        What the file says of it.
+    averages : int
+    position_sd_mm, fiducial_sd_mm : float
+        0 for exact data.
+    fiducials : tuple of (name, place seen (3,), reference (3,)), mm
+    fiducial_frame : str
+        Frame of the references.
+    frame : str
+        ``vibrometer`` or ``footplate``: coordinates of positions and directions.
+    culprits : mapping of int to str
+        Channels at fault, each with the right verdict.
+    motion_m : mapping of str to ndarray, (R, L, 6), complex
+        True motion of each body about the footplate centre in footplate axes, m and rad.
+    vibrometer_from_footplate : RigidTransform
+    """
+
+    runs: tuple[str, ...]
+    freq_hz: Array
+    body: tuple[str, ...]
+    point: tuple[str, ...]
+    laser: Array
+    position_mm: Array
+    direction: Array
+    velocity_m_s: ComplexArray
+    sd_m_s: Array
+    stated: str = "sd"
+    averages: int = 16
+    position_sd_mm: float = 0.0
+    fiducial_sd_mm: float = 0.0
+    fiducials: tuple[tuple[str, Array, Array], ...] = ()
+    fiducial_frame: str = "plate"
+    frame: str = "vibrometer"
+    culprits: Mapping[int, str] = field(default_factory=dict)
+    motion_m: Mapping[str, ComplexArray] = field(default_factory=dict)
+    vibrometer_from_footplate: RigidTransform
+
+    def channels(self, body: str, point: str | None = None) -> list[int]:
+        """Return the channels of a body, or of one of its points."""
+        pairs = zip(self.body, self.point, strict=True)
+        return [c for c, pair in enumerate(pairs) if pair[0] == body and point in (None, pair[1])]
+
+    def coherence(self) -> Array:
+        """Return g2 (R, C, L) that states the noise: sd = |v| sqrt((1 - g2) / (2 n g2))."""
+        relative = self.sd_m_s / np.maximum(np.abs(self.velocity_m_s), 1e-300)
+        return np.asarray(1.0 / (1.0 + 2.0 * self.averages * relative**2))
+
+
+def base_motion(freq_hz: Array, excitation: str, others: float = 1.0) -> ComplexArray:
+    """Return the motion of the bone at the footplate centre, (L, 6), m and rad: some rocking, too."""
+    main = "xyz".index(excitation)
+    amplitude = np.array([0.06, 0.06, 0.05, 50.0, 15.0, -35.0]) * BASE_PEAK_M * others
+    amplitude[main] = BASE_PEAK_M
+    delay = np.array([0.4, 0.0, -0.3, 0.6, 1.1, -0.5])
+    ripple = 1.0 + 0.15 * np.sin(freq_hz[:, None] / 700.0 + np.arange(6.0))
+    decay = (1000.0 / freq_hz[:, None]) ** 0.5
+    phase = np.exp(1j * (delay - 2.0 * np.pi * freq_hz[:, None] * 3.0e-5))
+    return np.asarray(amplitude * ripple * decay * phase)
+
+
+def measure(
+    ear: Ear,
+    experiment: Experiment,
+    footplate_from_reference: RigidTransform | None = None,
+    fiducials_mm: Mapping[str, Array] | None = None,
+) -> Recording:
+    """Shake an ear and measure it.
+
+    Parameters
+    ----------
+    ear : Ear
+    experiment : Experiment
+    footplate_from_reference : RigidTransform, optional
+        True pose of the frame of the fiducials; the footplate frame itself when not given.
+    fiducials_mm : mapping of str to ndarray, (3,), optional
+        True places of the fiducials in that frame; none when not given.
+    """
+    freq_hz, mass = experiment.freq_hz, ear.moving_mass_si()
+    bases = [base_motion(freq_hz, name, experiment.others) for name in experiment.excitations]
+    stapes = [stapes_motion(freq_hz, base, mass, ear.ligament, run) for run, base in enumerate(bases)]
+    motions = {"stapes": np.array(stapes), "base": np.array(bases)}
+    rng = np.random.default_rng([experiment.seed, 7])
+    pose = vibrometer_pose(rng)
+    beams = laser_directions(experiment.lasers, experiment.beam_cone_deg)
+    places = {
+        "stapes": visible_points(ear.solid, experiment.stapes_points, pose.inverse().vectors(beams)),
+        "base": bone_points(ear.solid, experiment.bone_points),
+    }
+    reference = footplate_from_reference or RigidTransform.identity("footplate", "reference")
+    return measure_motion(motions, places, experiment, pose, rng, (reference, fiducials_mm or {}))
+
+
+def measure_motion(
+    motions: Mapping[str, ComplexArray],
+    places_mm: Mapping[str, Array],
+    experiment: Experiment,
+    pose: RigidTransform | None = None,
+    rng: np.random.Generator | None = None,
+    references: tuple[RigidTransform, Mapping[str, Array]] | None = None,
+) -> Recording:
+    """Measure bodies of any motion at any points.
+
+    Parameters
+    ----------
+    motions : mapping of str to ndarray, (R, L, 6), complex
+        Displacement of each body about the footplate centre in footplate axes, m and rad.
+    places_mm : mapping of str to ndarray, (P, 3)
+        True points of each body, footplate coordinates.
+    experiment : Experiment
+        Its excitations name the runs.
+    pose : RigidTransform, optional
+        vibrometer_from_footplate; drawn when not given.
+    rng : Generator, optional
+    references : (RigidTransform, mapping), optional
+        footplate_from_reference, and places of fiducials in that frame, mm.
+    """
+    rng = np.random.default_rng([experiment.seed, 7]) if rng is None else rng
+    pose = vibrometer_pose(rng) if pose is None else pose
+    towards = laser_directions(experiment.lasers, experiment.beam_cone_deg)
+    wobble = 0.0 if experiment.exact else experiment.position_sd_mm
+    bodies, points, lasers, truly, reported, beams = [], [], [], [], [], []
+    for body, places in places_mm.items():
+        for number, true_place in enumerate(places, start=1):
+            seen = pose.points(true_place) + wobble * rng.standard_normal(3)
+            for laser, axis in enumerate(towards):
+                bodies.append(body)
+                points.append(str(number))
+                lasers.append(laser)
+                truly.append(true_place)
+                reported.append(seen)
+                beams.append(_beam(axis, pose.points(true_place), experiment.head_distance_mm))
+    direction = np.array(beams)
+    state = TrueState(
+        rng=np.random.default_rng([experiment.seed, 13]),
+        freq_hz=experiment.freq_hz,
+        body=tuple(bodies),
+        point=tuple(points),
+        laser=np.array(lasers),
+        place_mm=np.array(truly),
+        beam=pose.inverse().vectors(direction),
+        motion_m={body: np.array(motion) for body, motion in motions.items()},
+        runs=len(experiment.excitations),
+    )
+    faultless = state.readings()
+    for fault in experiment.faults:
+        apply_fault(state, fault)
+    size = np.sqrt(np.mean(np.abs(faultless) ** 2, axis=2))
+    sd = experiment.noise * size * rng.uniform(*experiment.noise_spread, size.shape)
+    course = (experiment.freq_hz / np.sqrt(np.prod(experiment.band_hz))) ** experiment.noise_course
+    sd = np.broadcast_to(sd[:, :, None] * course, faultless.shape).copy()
+    sd = sd[:, state.order] * state.unit[:, None]
+    noise = rng.standard_normal((*faultless.shape, 2)) @ np.array([1.0, 1j])
+    velocity = state.faulty()
+    if not experiment.exact:
+        velocity = velocity + sd * state.loud[:, None] * state.live() * noise
+        velocity = _common_noise(velocity, experiment)
+    recording = Recording(
+        runs=experiment.runs,
+        freq_hz=experiment.freq_hz,
+        body=tuple(bodies),
+        point=tuple(points),
+        laser=state.laser,
+        position_mm=np.array(reported),
+        direction=direction,
+        velocity_m_s=_with_gaps(velocity, experiment),
+        sd_m_s=sd,
+        stated="none" if experiment.exact else experiment.stated,
+        averages=experiment.averages,
+        position_sd_mm=wobble,
+        fiducial_sd_mm=0.0 if experiment.exact else experiment.fiducial_sd_mm,
+        fiducials=_fiducials(pose, references, experiment, rng),
+        fiducial_frame="plate" if references is None else references[0].source,
+        culprits=dict(state.culprits),
+        motion_m=dict(motions),
+        vibrometer_from_footplate=pose,
+    )
+    if experiment.in_footplate:
+        back = pose.inverse()
+        recording = replace(
+            recording,
+            frame="footplate",
+            position_mm=back.points(recording.position_mm),
+            direction=back.vectors(recording.direction),
+            fiducials=(),
+        )
+    return _mirrored(recording, experiment.mirror)
+
+
+def _beam(axis: Array, place_mm: Array, distance_mm: float | None) -> Array:
+    if distance_mm is None:
+        return axis
+    beam = axis * distance_mm - place_mm
+    return np.asarray(beam / np.linalg.norm(beam))
+
+
+def _common_noise(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:
+    """Multiply all channels of a line with the same noise."""
+    if not experiment.common_noise:
+        return velocity
+    rng = np.random.default_rng([experiment.seed, 37])
+    runs, _, lines = velocity.shape
+    error = rng.standard_normal((runs, 1, lines, 2)) @ np.array([1.0, 1j])
+    return np.asarray(velocity * (1.0 + experiment.common_noise * error))
+
+
+def _with_gaps(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:
+    rng = np.random.default_rng([experiment.seed, 61])
+    gappy = velocity.copy()
+    if experiment.missing:
+        gappy[rng.random(gappy.shape) < experiment.missing] = np.nan
+    if experiment.missing_band:
+        half = gappy.shape[2] // 2
+        start = int(rng.integers(half))
+        gappy[:, int(rng.integers(gappy.shape[1])), start : start + half] = np.nan
+    return gappy
+
+
+def _fiducials(
+    pose: RigidTransform,
+    references: tuple[RigidTransform, Mapping[str, Array]] | None,
+    experiment: Experiment,
+    rng: np.random.Generator,
+) -> tuple[tuple[str, Array, Array], ...]:
+    if references is None:
+        return ()
+    frame, places = references
+    wobble = 0.0 if experiment.exact else experiment.fiducial_sd_mm
+    seen_from = pose @ frame
+    return tuple(
+        (name, seen_from.points(place) + wobble * rng.standard_normal(3), np.asarray(place, dtype=float))
+        for name, place in places.items()
+    )
+
+
+def _mirrored(recording: Recording, axis: str) -> Recording:
+    if not axis:
+        return recording
+    flip = np.ones(3)
+    flip["xyz".index(axis)] = -1.0
+    return replace(
+        recording,
+        position_mm=recording.position_mm * flip,
+        direction=recording.direction * flip,
+        fiducials=tuple((name, seen * flip, place) for name, seen, place in recording.fiducials),
+    )
+
+
+def vibrometer_pose(rng: np.random.Generator) -> RigidTransform:
+    """Return vibrometer_from_footplate: the optical axis (z) looks down on the stapes, up to some degrees."""
+    lay = rotation_from_vector([np.pi / 2.0, 0.0, 0.0])
+    turn = rotation_from_vector([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    lean = rotation_from_vector(np.radians(rng.uniform(-8.0, 8.0, 3)))
+    return RigidTransform.from_parts(lean @ turn @ lay, rng.uniform(-20.0, 20.0, 3), "vibrometer", "footplate")
+
+
+def laser_directions(count: int, cone_deg: float) -> Array:
+    """Return the unit vectors towards laser heads on a cone around z, (count, 3); a single one is z itself."""
+    if count == 1:
+        return np.array([[0.0, 0.0, 1.0]])
+    turn = np.radians(90.0 + 360.0 / count * np.arange(count))
+    cone = np.radians(cone_deg)
+    return np.column_stack([np.sin(cone) * np.cos(turn), np.sin(cone) * np.sin(turn), np.full(count, np.cos(cone))])
+
+
+def visible_points(solid: Solid, count: int, beams: Array) -> Array:
+    """Return vertices that all lasers reach, spread over head, crura and footplate.
+
+    Parameters
+    ----------
+    solid : Solid
+        In the footplate frame.
+    count : int
+    beams : ndarray, (n, 3)
+        Unit vectors towards the laser heads, in footplate axes.
+
+    Returns
+    -------
+    ndarray, (count, 3)
+        mm.
+    """
+    normals, corners = vertex_normals(solid), solid.vertices_mm[solid.faces]
+    facing = np.all(normals @ beams.T > 0.2, axis=1)
+    starts, open_to = solid.vertices_mm[facing] + 1e-6 * normals[facing], solid.vertices_mm[facing]
+    nearest = open_to[:, 1] - open_to[:, 1].min()
+    chosen: list[int] = []
+    while len(chosen) < count and nearest.max() > 0.0:
+        best = int(np.argmax(nearest))
+        if any(_shaded(starts[best], corners, beam) for beam in beams):
+            nearest[best] = 0.0
+            continue
+        away = np.linalg.norm(open_to - open_to[best], axis=1)
+        nearest = np.where(nearest > 0.0, away if not chosen else np.minimum(nearest, away), 0.0)
+        chosen.append(best)
+    return open_to[chosen]
+
+
+def _shaded(start: Array, corners: Array, beam: Array) -> bool:
+    """Return whether triangles (m, 3, 3) hide a point (3,) from a laser in the direction ``beam``.
+
+    Moeller and Trumbore 1997, J. Graphics Tools 2:21, doi:10.1080/10867651.1997.10487468.
+    """
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
+    across = np.cross(beam, second)
+    scale = np.einsum("mk,mk->m", across, first)
+    cut = np.flatnonzero(scale)
+    away = start - corners[cut, 0]
+    turned = np.cross(away, first[cut])
+    u = np.einsum("mk,mk->m", away, across[cut]) / scale[cut]
+    v = turned @ beam / scale[cut]
+    distance = np.einsum("mk,mk->m", turned, second[cut]) / scale[cut]
+    return bool(np.any((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)))
+
+
+def bone_points(solid: Solid, count: int) -> Array:
+    """Return points on the lateral side of the bone around the oval window, (count, 3) mm."""
+    near, far = footplate_outline(solid, 0.32), footplate_outline(solid, 0.48)
+    turn = np.linspace(0, len(near), count, endpoint=False).astype(int)
+    places = np.where((np.arange(count) % 2 == 0)[:, None], near[turn], far[turn])
+    return np.insert(places, 1, WINDOW_TOP_MM, axis=1)
+
+
+def scattered_points(rng: np.random.Generator, count: int, flat: bool = False) -> Array:
+    """Return random points on a footplate of 2.8 x 1.2 mm, and on crura and head unless flat, (count, 3) mm."""
+    low = count if flat else count // 2
+    turn = 2.0 * np.pi * (np.arange(low) + rng.uniform()) / max(low, 1)
+    rim = np.column_stack([1.3 * np.cos(turn), rng.uniform(0.0, 0.3, low), 0.6 * np.sin(turn)])
+    high = count - low
+    arch = np.column_stack(
+        [rng.uniform(-0.7, 0.7, high), np.linspace(1.0, 3.2, high), rng.uniform(-0.4, 0.4, high)]
+    )
+    return np.concatenate([rim + 0.1 * rng.normal(size=rim.shape), arch])
+
+
+def resonant_motion(rng: np.random.Generator, freq_hz: Array) -> ComplexArray:
+    """Return a random motion (L, 6), m and rad, with three resonances in all degrees of freedom."""
+    motion = np.zeros((len(freq_hz), 6), dtype=complex)
+    for resonance, damping in ((1753.0, 0.12), (2783.0, 0.14), (3862.0, 0.16)):
+        ratio = freq_hz / resonance
+        shape = rng.normal(size=6) * np.array([25e-9, 100e-9, 25e-9, 35e-6, 15e-6, 35e-6])
+        motion += np.outer(1.0 / (1.0 - ratio**2 + 2j * damping * ratio), shape)
+    motion[:, 1] += 100e-9
+    return motion
+
+
+def rows_of(recording: Recording, body: str) -> tuple[list[int], Array]:
+    """Return the channels of a body, and what each reports of its six degrees of freedom, (C, 6), by m.
+
+    From the reported positions and directions mapped into footplate axes by the true pose.
+    """
+    own = recording.channels(body)
+    pose = recording.vibrometer_from_footplate
+    back = RigidTransform.identity("footplate", "footplate") if recording.frame == "footplate" else pose.inverse()
+    places, beams = back.points(recording.position_mm[own]), back.vectors(recording.direction[own])
+    return own, point_rows(places * 1e-3, beams)
