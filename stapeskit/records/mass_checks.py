@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,10 @@ class MassReader:
         text = str(got)
         shown = text if len(text) <= 60 else text[:57] + "..."
         self.faults.append(Fault(thing, expected, shown, self.file, MADE_BY))
+
+    def add(self, faults: Sequence[Fault]) -> None:
+        """Add faults that were found elsewhere, with what to do where they do not name it."""
+        self.faults += [replace(fault, next_step=fault.next_step or MADE_BY) for fault in faults]
 
     def get(self, path: str, optional: bool = False) -> Any:
         """Return the value at a dotted path; None, and a fault unless optional, when null or missing."""
@@ -131,7 +135,7 @@ class MassReader:
         path = f"frames.scan_from_{name}"
         matrix = self.numbers(path, (4, 4), optional=name == "plate")
         faults = [] if matrix is None else transform_faults(matrix, path, self.file)
-        self.faults += faults
+        self.add(faults)
         covariance = None
         poses = self.mapping("frames.pose_covariance")
         if poses.get(f"scan_from_{name}") is not None:
@@ -150,7 +154,7 @@ class MassReader:
             return None
         where = "inertial_parameters.values_si"
         impossible = inertia_faults(matrix_from_parameters(parameters), where, self.file)
-        self.faults += impossible
+        self.add(impossible)
         if impossible:
             return None
         mass, tensor = central_tensor(parameters)

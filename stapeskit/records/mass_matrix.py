@@ -49,7 +49,7 @@ def source_words(source: str) -> str:
     return SOURCE_WORDS.get(source, source.replace("_", " "))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MassMatrix:
     """Generalized mass matrix of a rigid body with its uncertainty by source.
 
@@ -92,6 +92,11 @@ class MassMatrix:
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "contributions", parts)
         object.__setattr__(self, "covariance", sum(parts.values(), np.zeros((10, 10))))
+
+    def __repr__(self) -> str:
+        mass, sd = 1e6 * self.parameters[0], 1e6 * self.standard_deviation[0, 0]
+        frame = f"about {self.about}, axes {self.axes}"
+        return f"MassMatrix({mass:.4g} mg, sd {sd:.2g} mg, {frame}, sources {list(self.contributions)})"
 
     @property
     def matrix(self) -> Array:

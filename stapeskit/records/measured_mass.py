@@ -1,0 +1,95 @@
+"""A mass record with the surfaces and labels of its scan, from files or from memory.
+
+The room that measures motion reads mass, frames and surfaces from here, whether they come from the folder of
+a mass.json or straight from the result of ct2mass.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array
+from stapeskit.records.mass import MassRecord, read_mass_json
+
+Mesh = tuple[Array, NDArray[np.int64]]
+"""Vertices (n, 3) in scan coordinates, mm, and faces (m, 3)."""
+
+
+@dataclass(frozen=True)
+class LabelVolume:
+    """A label volume: 0 background, 1 stapes, 2 plate, 3 other bone.
+
+    Attributes
+    ----------
+    array : ndarray, [z, y, x], int
+    scan_from_index : ndarray, (3, 4)
+        Maps index (x, y, z) to scan coordinates, mm.
+    """
+
+    array: NDArray[np.integer]
+    scan_from_index: Array
+
+
+@dataclass(frozen=True)
+class MeasuredMass:
+    """Mass, frames and surfaces of a stapes.
+
+    Attributes
+    ----------
+    record : MassRecord
+    file : Path or None
+        The mass.json; surfaces and labels are in its folder. None: everything is in memory.
+    meshes : mapping of str to Mesh
+        ``stapes`` and ``plate``, when they are in memory.
+    labels : callable
+        Returns the label volume when it is in memory, else None.
+    source : mapping
+        What the provenance of a result says about a mass in memory: an entry of its ``inputs``.
+    """
+
+    record: MassRecord
+    file: Path | None = None
+    meshes: Mapping[str, Mesh] = field(default_factory=dict, repr=False)
+    labels: Callable[[], LabelVolume | None] = field(default=lambda: None, repr=False)
+    source: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def provenance_input(self) -> Path | Mapping[str, Any] | None:
+        """The file, or a description of a mass in memory; an input of `stapeskit.provenance.record`."""
+        return self.file or self.source or None
+
+
+@runtime_checkable
+class HasMass(Protocol):
+    """A result that holds a mass record, as that of ct2mass."""
+
+    def measured_mass(self) -> MeasuredMass:
+        """Return mass, frames and surfaces."""
+
+
+MassInput = str | os.PathLike[str] | MeasuredMass | MassRecord | HasMass
+"""What gives a mass: the path of a mass.json, a record, or a result that holds one."""
+
+
+def measured_mass(source: MassInput) -> MeasuredMass:
+    """Return the mass that a path, a record or a result gives.
+
+    Raises
+    ------
+    StapeskitError
+        The file is not what ct2mass writes; see `read_mass_json`.
+    """
+    if isinstance(source, MeasuredMass):
+        return source
+    if isinstance(source, MassRecord):
+        return MeasuredMass(source)
+    if isinstance(source, HasMass):
+        return source.measured_mass()
+    return MeasuredMass(read_mass_json(Path(source)), Path(source))
