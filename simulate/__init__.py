@@ -1,1 +1,145 @@
-"""x"""
+"""One simulator of ears, their micro-CT scans and their vibrometer data, with the exact truth behind them.
+
+Samples, tests and benchmarks use it; it imports nothing of the rooms that it tests. All is decided by seeds.
+
+One study in one call:
+
+    from pathlib import Path
+    from simulate import Ear, Experiment, MeasurementFault, Scan, Stapes, simulate_study
+
+    truth = simulate_study(
+        Ear(gap_mm=0.06, bridges=2, stapes=Stapes(scale=0.9)),
+        Scan(voxel_um=50.0, noise=0.04, seed=2),
+        Experiment(lines=60, faults=(MeasurementFault(kind="gain", point="3", laser=1, size=0.05),), seed=2),
+        Path("ear2"),
+    )
+    truth.parameters_si, truth.mass_matrix_si            # about the footplate centre, footplate axes
+    truth.scan_from_footplate, truth.plate_from_footplate, truth.centre_of_mass_in_scan_mm
+    truth.dof, truth.stiffness_si, truth.damping_si      # K and D of the ligament
+    truth.motion_m["stapes"]                             # (run, freq, 6), m and rad
+    truth.recording.culprits                             # {channel: right verdict}
+    truth.placed.solids                                  # all bodies in scan coordinates, mm
+
+It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.json. Parts of it on their own:
+
+* ``simulate_truth(ear, scan)``: frames and matrices, nothing rendered; ``simulate_recording(truth, experiment)``:
+  a `Recording` in memory (60 lines: 30 ms); ``render(truth.placed, scan)``: the volume in memory (50 um: 0.1 s
+  with ``Scan(samples=6)``). ``simulate_study(ear, None, experiment, folder)`` leaves the scan away.
+* ``measure_motion(motions, places, experiment)``: any bodies, motions and points, for example
+  ``{"a": resonant_motion(rng, freq_hz)[None]}`` at ``{"a": scattered_points(rng, 9)}``.
+* ``motion_of(recording)``: the rigid motion with its covariance and shared errors, by plain least squares with
+  the reported positions: what a fit of K and D starts from, without a scan or files.
+* ``ring_ligament(Ring(...))`` and ``draw_ring(rng)``: K and D in six degrees of freedom of a ring of springs whose
+  plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
+* ``multisine``, ``stepped_sine``: time series of a recording. ``cohort``: many ears with a planted law.
+* ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
+  ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study).
+* Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``solid_of_field``, ``stapes_solid(Stapes(...))``,
+  ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition; ``coverage_of(solid,
+  ...)``: exact partial volumes of one body.
+
+Stated standard deviations of a study are true: density (Ear.density_sd, drawn), points and fiducials
+(position_sd_mm, fiducial_sd_mm), channels (Recording.sd_m_s). Kinds of faults: ``KINDS``; families of stapes:
+``STAPES``.
+"""
+
+from simulate.cohort import Population, cohort
+from simulate.coverage import coverage_of
+from simulate.ear import FIDUCIALS_MM, Ear, Placed, footplate_outline
+from simulate.faults import KINDS, MeasurementFault, TrueState, apply_fault
+from simulate.files.recordings import WRITERS as RECORDING_WRITERS
+from simulate.files.recordings import write_recording
+from simulate.files.volumes import WRITERS as SCAN_WRITERS
+from simulate.files.volumes import write_scan
+from simulate.footplate import footplate_frame
+from simulate.ligament import (
+    LAWS,
+    PAPER_DAMPING,
+    PAPER_STIFFNESS,
+    Ligament,
+    Ring,
+    damped_alike,
+    draw_ring,
+    reaction,
+    ring_ligament,
+    stapes_motion,
+)
+from simulate.mass import MassProperties, displaced, graded_mass, point_mass, uniform_mass
+from simulate.motion import motion_of
+from simulate.scanner import Renderer, Scan, render
+from simulate.series import TimeSeries, multisine, stepped_sine
+from simulate.solids import Moments, Solid, box, ellipsoid, joined, ring, rod, solid_of_field
+from simulate.stapes import STAPES, Stapes, stapes_solid
+from simulate.study import Truth, simulate_recording, simulate_study, simulate_truth
+from simulate.vibrometer import (
+    Experiment,
+    Recording,
+    base_motion,
+    measure,
+    measure_motion,
+    resonant_motion,
+    scattered_points,
+)
+
+__all__ = [
+    "FIDUCIALS_MM",
+    "KINDS",
+    "LAWS",
+    "PAPER_DAMPING",
+    "PAPER_STIFFNESS",
+    "RECORDING_WRITERS",
+    "SCAN_WRITERS",
+    "STAPES",
+    "Ear",
+    "Experiment",
+    "Ligament",
+    "MassProperties",
+    "MeasurementFault",
+    "Moments",
+    "Placed",
+    "Population",
+    "Recording",
+    "Renderer",
+    "Ring",
+    "Scan",
+    "Solid",
+    "Stapes",
+    "TimeSeries",
+    "TrueState",
+    "Truth",
+    "apply_fault",
+    "base_motion",
+    "box",
+    "cohort",
+    "coverage_of",
+    "damped_alike",
+    "displaced",
+    "draw_ring",
+    "ellipsoid",
+    "footplate_frame",
+    "footplate_outline",
+    "graded_mass",
+    "joined",
+    "measure",
+    "measure_motion",
+    "motion_of",
+    "multisine",
+    "point_mass",
+    "reaction",
+    "render",
+    "resonant_motion",
+    "ring",
+    "ring_ligament",
+    "rod",
+    "scattered_points",
+    "simulate_recording",
+    "simulate_study",
+    "simulate_truth",
+    "solid_of_field",
+    "stapes_motion",
+    "stapes_solid",
+    "stepped_sine",
+    "uniform_mass",
+    "write_recording",
+    "write_scan",
+]

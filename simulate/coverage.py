@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from simulate.solids import Solid
 from stapeskit.arrays import Array
 
 _OFFSET = 1.234567e-7
@@ -177,3 +178,20 @@ def _sample_range(
     last = np.floor((high[:, :2] + 0.5) * samples - 0.5)
     ends = count * samples
     return np.clip(first, 0, ends).astype(np.int64), np.clip(last, -1, ends - 1).astype(np.int64)
+
+
+def coverage_of(solid: Solid, shape: tuple[int, int, int], voxel_mm: ArrayLike, samples: int = 8) -> Array:
+    """Return how much of each voxel (z, y, x) a solid fills, 0 to 1; the centre of voxel 0 is the origin.
+
+    Parameters
+    ----------
+    solid : Solid
+    shape : tuple of int
+        Voxels x, y, z.
+    voxel_mm : array_like, (3,)
+    samples : int
+        Sub-columns along x and y of a voxel; along z the share is exact.
+    """
+    nx, ny, nz = shape
+    grid = crossings(solid.vertices_mm / np.asarray(voxel_mm, dtype=float), solid.faces, (nx, ny), samples)
+    return grid.slab(0, nz).astype(float)

@@ -1,0 +1,152 @@
+"""The rigid motion of a recording by plain least squares, with its covariance and the errors common to all lines.
+
+What a fit of K and D starts from, without the room that estimates motion: no search for faults, no files. It
+maps the reported places and directions by the true pose of the vibrometer, and draws an error of that pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulate.vibrometer import Recording, rows_of
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import cross_matrix, rotation_from_vector
+from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
+from stapeskit.spatial import DOF_NAMES, dof_indices, shifted_point_rows, twist_transfer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _BodyFit:
+    """Least squares of one body: q (R, L, n), its covariance, and what else a derivative needs."""
+
+    channels: list[int]
+    beams: Array
+    rows: Array
+    q: ComplexArray
+    residual: ComplexArray
+    weight: Array
+    normal_inverse: Array
+
+
+def motion_of(
+    recording: Recording,
+    *,
+    dof: tuple[str, ...] = DOF_NAMES,
+    registration_sd: tuple[float, float] = (0.0, 0.0),
+    seed: int = 1,
+) -> RigidMotion:
+    """Estimate the motion of all bodies about the footplate centre in footplate axes.
+
+    Parameters
+    ----------
+    recording : Recording
+    dof : tuple of str
+        Degrees of freedom that are solved for; the others are taken to rest.
+    registration_sd : (float, float)
+        Standard deviation per axis with which the pose of the footplate is known, m and rad; an error of it is
+        drawn by ``seed``. With (0, 0) it is exact and no shared error.
+    seed : int
+
+    Returns
+    -------
+    RigidMotion
+        ``shared`` holds ``position.BODY_POINT_AXIS`` where the recording states a standard deviation of
+        positions, and ``registration.DOF``.
+    """
+    bodies = tuple(dict.fromkeys(recording.body))
+    fits = [_fit(recording, body, dof) for body in bodies]
+    used = np.ix_(dof_indices(dof), dof_indices(dof))
+    spread = np.repeat(np.asarray(registration_sd, dtype=float), 3)
+    error = spread * np.random.default_rng([seed, 47]).standard_normal(6)
+    frame = twist_transfer(rotation_from_vector(error[3:]).T, error[:3])[used]
+    q = np.stack([fit.q @ frame.T for fit in fits], axis=1)
+    covariance = np.stack([frame @ fit.normal_inverse @ frame.T * 2.0 for fit in fits], axis=1)
+    chi2 = np.stack([np.sum(np.abs(fit.residual) ** 2 * fit.weight, axis=1) for fit in fits], axis=1)
+    count = np.stack([np.count_nonzero(fit.weight, axis=1) for fit in fits], axis=1)
+    names, sds, slopes, maps = [], [], [], []
+    none = np.full((len(bodies), 6, 6), np.nan + 0j)
+    for place, (body, fit) in enumerate(zip(bodies, fits, strict=True)):
+        if not recording.position_sd_mm:
+            continue
+        for point in dict.fromkeys(recording.point[channel] for channel in fit.channels):
+            for axis in range(3):
+                change = np.zeros(q.shape, dtype=complex)
+                own = [recording.point[channel] == point for channel in fit.channels]
+                change[:, place] = _slope_of_place(fit, np.array(own), axis, dof) @ frame.T
+                names.append(f"position.{body}_{point}_{'xyz'[axis]}")
+                sds.append(recording.position_sd_mm * 1e-3)
+                slopes.append(change)
+                maps.append(none)
+    for place, name in enumerate(DOF_NAMES):
+        if not spread[place]:
+            continue
+        step = _frame_slope(place)
+        names.append(f"registration.{name}")
+        sds.append(spread[place])
+        slopes.append(q @ step[used].T)
+        maps.append(np.broadcast_to(step + 0j, none.shape))
+    shared = None
+    if names:
+        powers = np.zeros(len(names), dtype=int)
+        shared = SharedErrors(
+            tuple(names), np.diag(np.square(sds)), np.array(slopes), maps=np.array(maps), powers=powers
+        )
+    return RigidMotion(
+        runs=recording.runs,
+        bodies=bodies,
+        dof=dof,
+        freq_hz=recording.freq_hz,
+        q=q,
+        covariance=covariance.astype(complex),
+        chi2=chi2,
+        n_dof=2 * (count - len(dof)),
+        shared=shared,
+    )
+
+
+def _frame_slope(place: int) -> Array:
+    """Return the derivative (6, 6) of the map of the motion by a displacement of its frame."""
+    unit = np.eye(6)[place]
+    step = np.zeros((6, 6))
+    step[:3, :3] = step[3:, 3:] = -cross_matrix(unit[3:])
+    step[:3, 3:] = -cross_matrix(unit[:3])
+    return step
+
+
+def _fit(recording: Recording, body: str, dof: tuple[str, ...]) -> _BodyFit:
+    """Solve weighted least squares at every line of every run; missing values have no weight."""
+    channels, rows = rows_of(recording, body)
+    beams, rows = rows[:, :3], rows[:, dof_indices(dof)]
+    omega = 2.0 * np.pi * recording.freq_hz
+    values = recording.velocity_m_s[:, channels] / (1j * omega)
+    missing = np.isnan(values)
+    weight = np.where(missing, 0.0, (recording.sd_m_s[:, channels] / omega) ** -2.0)
+    values = np.where(missing, 0.0, values)
+    normal_inverse = np.linalg.inv(np.einsum("ci,rcl,cj->rlij", rows, weight, rows))
+    right = np.einsum("ci,rcl,rcl->rli", rows, weight, values)
+    q = np.einsum("rlij,rlj->rli", normal_inverse, right)
+    residual = values - np.einsum("ci,rli->rcl", rows, q)
+    return _BodyFit(
+        channels=channels,
+        beams=beams,
+        rows=rows,
+        q=q,
+        residual=residual,
+        weight=weight,
+        normal_inverse=normal_inverse,
+    )
+
+
+def _slope_of_place(fit: _BodyFit, own: Array, axis: int, dof: tuple[str, ...]) -> ComplexArray:
+    """Return the derivative (R, L, n) of q by the reported place of a point along an axis, per m.
+
+    dq = N^-1 (dA^T W r - A^T W dA q), from the normal equations N q = A^T W y.
+    """
+    step = shifted_point_rows(fit.beams, np.eye(3)[axis])[:, dof_indices(dof)] * own[:, None]
+    seen = np.einsum("ci,rli->rcl", step, fit.q)
+    change = np.einsum("ci,rcl,rcl->rli", step, fit.weight, fit.residual)
+    change -= np.einsum("ci,rcl,rcl->rli", fit.rows, fit.weight, seen)
+    return np.asarray(np.einsum("rlij,rlj->rli", fit.normal_inverse, change))
+
