@@ -1,0 +1,239 @@
+"""Finished studies side by side: one row an ear, and whether they differ by more than their uncertainty."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.report.quantities import si_unit
+
+SHARED_SOURCES = ("density", "calibration", "voxel_size", "mass")
+"""Sources of errors of the mass that ears can share."""
+# Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
+# both), entries that couple an odd with an even of these degrees of freedom change their sign.
+_ODD = ("z", "alpha", "beta")
+SCHEMAS = {"mass.json": "stapeskit.mass/1", "kd.json": "stapeskit.kd/1"}
+
+
+@dataclass(frozen=True)
+class Ear:
+    """One finished study.
+
+    Attributes
+    ----------
+    name, folder, side : str
+        Side is empty when the study does not name it.
+    mass, kd : mapping
+        Content of mass.json and kd.json.
+    about : mapping
+        What the study states of the ear: subject, age, sex, group and further covariates.
+    """
+
+    name: str
+    folder: str
+    side: str
+    mass: Mapping[str, Any]
+    kd: Mapping[str, Any]
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """The level of the verdict of kd.json; empty in files that state none."""
+        return str((self.kd.get("verdict") or {}).get("level", ""))
+
+    @property
+    def warnings(self) -> int:
+        """How many different warnings there are; those of the scan stand in both files and count once."""
+        notices = (*self.mass.get("warnings", ()), *self.kd.get("warnings", ()))
+        return len({(notice["code"], notice["text"]) for notice in notices})
+
+    @property
+    def damping_exponent(self) -> float:
+        """Power of time in the unit of D."""
+        return float((self.kd.get("model") or {}).get("damping_exponent", 1.0))
+
+
+def read_ear(folder: Path, name: str, about: Mapping[str, Any] | None = None) -> Ear:
+    """Read the results of one study, called ``name``, from its output folder.
+
+    Raises
+    ------
+    OSError, KeyError, ValueError
+        A file is missing or is not what ct2mass or dof2kd writes.
+    """
+    found = {}
+    for file, schema in SCHEMAS.items():
+        content = json.loads((Path(folder) / file).read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or content.get("schema") != schema:
+            raise ValueError(f"{file} is not of the schema {schema}")
+        found[file] = content
+    side = found["mass.json"]["frames"].get("side") or ""
+    return Ear(name, Path(folder).name, side, found["mass.json"], found["kd.json"], about or {})
+
+
+def unique_names(ears: Sequence[Ear]) -> list[str]:
+    """Return a unique name for each ear: with its folder where studies share a name."""
+    times = Counter(ear.name for ear in ears)
+    return [ear.name if times[ear.name] == 1 else f"{ear.name} ({ear.folder})" for ear in ears]
+
+
+def common_damping_exponent(ears: Sequence[Ear]) -> float | None:
+    """Return the power of time in the unit of D; None where ears differ, whose D cannot be compared."""
+    exponents = {ear.damping_exponent for ear in ears}
+    return exponents.pop() if len(exponents) == 1 else None
+
+
+def source_id(ear: Ear, source: str) -> str:
+    """Name a source of errors so that ears which share the error have one name for it."""
+    provenance = ear.mass.get("provenance") or {}
+    line = ((provenance.get("inputs") or {}).get("calibration") or {}).get("hash")
+    if source == "density" and ear.mass.get("mass_known_by", "density") == "density":
+        return f"density {float(ear.mass.get('density_kg_m3') or np.nan):.6g}"
+    if source == "calibration" and line:
+        return f"calibration {line}"
+    if source == "voxel_size":
+        stated = (provenance.get("parameters") or {}).get("voxel_size_sd_percent", "")
+        return f"voxel size of scanner {ear.about.get('scanner', '')} {stated}".strip()
+    return f"{source} of {ear.folder}"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of every ear, SI.
+
+    Attributes
+    ----------
+    values, sd : ndarray, (ears,)
+        NaN where an ear has none.
+    own_sd : ndarray, (ears,)
+        Without errors that all ears share.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    sd: Array
+    own_sd: Array
+
+    def homogeneity(self) -> tuple[float, int, float]:
+        """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
+
+        Notes
+        -----
+        Q = sum w (x - xw)^2 with w = 1/sd^2 and xw the weighted mean (Cochran 1954, doi:10.2307/3001666),
+        from the errors of each ear alone: an error that all ears share makes them differ in nothing.
+        """
+        from scipy.special import chdtrc
+
+        good = np.isfinite(self.values) & np.isfinite(self.own_sd) & (self.own_sd > 0.0)
+        count = int(np.sum(good)) - 1
+        if count < 1:
+            return float("nan"), 0, float("nan")
+        weight = self.own_sd[good] ** -2.0
+        middle = np.sum(weight * self.values[good]) / np.sum(weight)
+        q = float(np.sum(weight * (self.values[good] - middle) ** 2))
+        return q, count, float(chdtrc(count, q))
+
+
+def quantities(ears: Sequence[Ear]) -> list[Quantity]:
+    """Return mass, K, D and modes of all ears; right ears as their mirror images on the left."""
+    common = [source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1]
+    right = np.array([ear.side == "right" for ear in ears])
+    sds = [ear.mass["mass_matrix"]["standard_deviation_si"][0][0] for ear in ears]
+    shared = [_shared_variance_of_mass(ear, common) for ear in ears]
+    rows = [_quantity("mass", "kg", [ear.mass["mass_kg"] for ear in ears], sds, shared)]
+    dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
+    exponent = common_damping_exponent(ears)
+    for letter, key in (("K", "stiffness"), ("D", "damping")):
+        for first, second in combinations_with_replacement(dof, 2):
+            turns = ((first in _ODD) != (second in _ODD)) & right
+            values = [_entry(ear, f"{key}_si", first, second) for ear in ears]
+            sds = [_entry(ear, f"{key}_sd_si", first, second) for ear in ears]
+            shared = [_shared_variance_of_entry(ear, common, letter, first, second) for ear in ears]
+            unit = si_unit(letter, first, second, exponent)
+            signed = np.where(turns, -1.0, 1.0) * np.array(values, dtype=float)
+            rows.append(_quantity(f"{letter}_{first}_{second}", unit, signed, sds, shared))
+    for mode in range(max((len(ear.kd.get("modes") or []) for ear in ears), default=0)):
+        for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "")):
+            values = [_mode(ear, mode, name) for ear in ears]
+            sd_name = "frequency_sd_hz" if unit else "damping_ratio_sd"
+            sds = [_mode(ear, mode, sd_name) for ear in ears]
+            name = name.removesuffix("_hz")
+            rows.append(_quantity(f"mode{mode + 1}_{name}", unit, values, sds, [0.0] * len(ears)))
+    return rows
+
+
+def _quantity(name: str, unit: str, values: Any, sds: Sequence[Any], shared: Sequence[float]) -> Quantity:
+    value, sd = np.array(values, dtype=float), np.array(sds, dtype=float)
+    variance = sd**2 - np.array(shared)
+    # what rounding leaves of a difference is no error of an ear
+    own = np.sqrt(np.where(variance < 1e-9 * sd**2, 0.0, variance))
+    return Quantity(name, unit, value, sd, own)
+
+
+def _shared_variance_of_mass(ear: Ear, common: Sequence[str]) -> float:
+    parts = ear.mass["inertial_parameters"].get("contributions_si") or {}
+    return float(sum(parts[source][0][0] for source in common if source in parts))
+
+
+def _shared_variance_of_entry(ear: Ear, common: Sequence[str], letter: str, first: str, second: str) -> float:
+    dof, budget = list(ear.kd["dof"]), ear.kd.get("budget") or {}
+    if first not in dof or second not in dof:
+        return 0.0
+    name = f"{letter}{dof.index(first) + 1}{dof.index(second) + 1}"
+    return float(sum((budget.get(f"mass.{source}", {}).get(name) or 0.0) ** 2 for source in common))
+
+
+def _entry(ear: Ear, key: str, first: str, second: str) -> float | None:
+    dof = list(ear.kd["dof"])
+    if first not in dof or second not in dof or ear.kd.get(key) is None:
+        return None
+    value: float | None = ear.kd[key][dof.index(first)][dof.index(second)]
+    return value
+
+
+def _mode(ear: Ear, mode: int, key: str) -> float | None:
+    modes = ear.kd.get("modes") or []
+    return modes[mode].get(key) if mode < len(modes) else None
+
+
+def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:
+    """Return a pandas table of cohort.csv, SI: an ear a row, each quantity with its sd, the verdict.
+
+    Parameters
+    ----------
+    failed : mapping of str to str, optional
+        Studies that failed, by name, and why: rows at the end with nothing but the column error.
+    """
+    import pandas as pd
+
+    from stapeskit.tables import as_text_cell
+
+    columns: dict[str, Any] = {
+        "study": [as_text_cell(ear.name) for ear in ears],
+        "folder": [as_text_cell(ear.folder) for ear in ears],
+        "side": [ear.side for ear in ears],
+        "verdict": [ear.verdict for ear in ears],
+        "estimator": [ear.kd["estimator"] for ear in ears],
+        "damping_exponent": [ear.damping_exponent for ear in ears],
+        "warnings": [ear.warnings for ear in ears],
+    }
+    for quantity in quantities(ears) if ears else []:
+        end = f"_{quantity.unit}".replace("/", "_per_").replace(" ", "_").lower() if quantity.unit else ""
+        columns[f"{quantity.name}{end}"] = quantity.values
+        columns[f"{quantity.name}_sd{end}"] = quantity.sd
+    table = pd.DataFrame(columns).assign(error="")
+    if not failed:
+        return table
+    names = [as_text_cell(name) for name in failed]
+    errors = [as_text_cell(" ".join(text.split())) for text in failed.values()]
+    empty = pd.DataFrame({"study": names, "folder": names, "error": errors})
+    return pd.concat([table.astype({"warnings": "Int64"}), empty], ignore_index=True)

@@ -1,0 +1,385 @@
+"""A power law between two quantities of an ear, both measured with errors, by restricted likelihood.
+
+The logarithms v_i = (x_i, y_i) of ear i follow N(m, Psi + S_i) with Psi = [[tau^2, b tau^2], [b tau^2, b^2
+tau^2 + sigma^2]]: x scatters by tau, y about the law by sigma, S_i is the covariance of the measurement.
+Ears of one person share a part rho of Psi. Errors that only some ears share are a batch effect G G' in the
+covariance of all ears. The means, and the effects of covariates on them, are integrated out (Patterson and
+Thompson 1971, doi:10.1093/biomet/58.3.545).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array
+
+# Natural logarithms of scatter are kept within these: e^-9 is far below, e^2.5 far above what ears can show.
+_LOWEST, _HIGHEST = -9.0, 2.5
+# The largest correlation of two ears of one person: at 1 the second ear would add nothing.
+_MOST_ALIKE = 0.97
+# An interval that is not closed within so many widenings of 1.7 has no end: the widest is some thousand
+# times the standard error of least squares.
+_WIDENINGS = 14
+
+
+@dataclass(frozen=True)
+class LogPairs:
+    """Natural logarithms of a predictor x and a response y of n ears.
+
+    Attributes
+    ----------
+    x, y : ndarray, (n,)
+    own : ndarray, (n, 2, 2)
+        Covariance of the measurement errors of (x, y) that belong to each ear alone, with the covariance of x
+        and y: without it the exponent is pulled towards their ratio.
+    shared : ndarray, (n, 2, s)
+        Effect of each of s independent errors of unit variance on (x, y) of every ear.
+    subject : ndarray of int, (n,)
+        Which ears belong to one person; every ear is its own subject when left out.
+    covariates : ndarray, (n, c)
+        Further predictors of both x and y (age, sex, ...), centred.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ, or numbers are not finite.
+    """
+
+    x: Array
+    y: Array
+    own: Array
+    shared: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    subject: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    covariates: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        n = len(self.x)
+        defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0)), "covariates": np.zeros((n, 0))}
+        for name, value in defaults.items():
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, value)
+        shapes = (self.y.shape, self.own.shape, self.shared.shape[:2], self.subject.shape)
+        if shapes != ((n,), (n, 2, 2), (n, 2), (n,)) or len(self.covariates) != n:
+            raise ValueError(f"arrays of {n} ears must agree in length; got {shapes}")
+        if not all(np.all(np.isfinite(a)) for a in (self.x, self.y, self.own, self.shared, self.covariates)):
+            raise ValueError("logarithms and their covariances must be finite")
+
+    @property
+    def n(self) -> int:
+        """Number of ears."""
+        return len(self.x)
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom of the scatter about the law."""
+        return self.n - 2 - self.covariates.shape[1]
+
+    def has_independent_covariates(self) -> bool:
+        """Return whether no covariate follows from the others or is the same in all ears."""
+        design = np.column_stack([np.ones(self.n), self.covariates])
+        return int(np.linalg.matrix_rank(design, tol=1e-9)) == design.shape[1]
+
+    def select(self, keep: NDArray[np.bool_]) -> LogPairs:
+        """Return some of the ears; ``keep`` is (n,)."""
+        arrays = (self.x, self.y, self.own, self.shared, self.subject, self.covariates)
+        return LogPairs(*(array[keep] for array in arrays))
+
+    def shifted(self, x: float, y: float) -> LogPairs:
+        """Return the same ears with other origins of x and y, which no exponent depends on."""
+        return replace(self, x=self.x - x, y=self.y - y)
+
+
+class RestrictedLikelihood:
+    """Minus the restricted log likelihood of the ears, up to a constant, at many parameters at once.
+
+    Parameters are (ln tau, b, ln sigma) and, where persons have two ears, the logit of rho / 0.97.
+    """
+
+    def __init__(self, pairs: LogPairs) -> None:
+        n = pairs.n
+        self.pairs = pairs
+        self._values = np.stack([pairs.x, pairs.y], axis=1).ravel()
+        self.means_design = np.kron(np.column_stack([np.ones(n), pairs.covariates]), np.eye(2))
+        # An error with the same effect on all ears moves the means only.
+        common = np.all(np.abs(pairs.shared - pairs.shared[:1]) < 1e-12, axis=(0, 1))
+        batch = pairs.shared[:, :, ~common].reshape(2 * n, -1)
+        self._errors = batch @ batch.T
+        for place, own in enumerate(pairs.own):
+            self._errors[2 * place : 2 * place + 2, 2 * place : 2 * place + 2] += own
+        same = pairs.subject[:, None] == pairs.subject[None, :]
+        self._one_person = same & ~np.eye(n, dtype=bool)
+        self.paired = bool(np.any(self._one_person))
+
+    def __call__(self, parameters: Array) -> Array:
+        """Return the value at each row of parameters, (g, 3 or 4)."""
+        return self.means(parameters)[0]
+
+    def means(self, parameters: Array) -> tuple[Array, Array, Array]:
+        """Return value (g,), estimated effects on the means (g, p), and their covariance (g, p, p)."""
+        parameters = np.atleast_2d(parameters)
+        n, design = self.pairs.n, self.means_design
+        psi, rho = covariance_between_ears(parameters), self.correlation(parameters)
+        between = np.eye(n) + rho[:, None, None] * self._one_person
+        whole = np.einsum("gij,gab->giajb", between, psi).reshape(-1, 2 * n, 2 * n) + self._errors
+        root = np.linalg.cholesky(whole)
+        right = np.broadcast_to(
+            np.column_stack([design, self._values]), (len(root), 2 * n, design.shape[1] + 1)
+        )
+        white = np.linalg.solve(root, right)
+        columns, values = white[:, :, :-1], white[:, :, -1:]
+        information = columns.swapaxes(1, 2) @ columns
+        covariance = np.linalg.inv(information)
+        effects = covariance @ (columns.swapaxes(1, 2) @ values)
+        rest = values - columns @ effects
+        log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        value = log_det + 0.5 * np.linalg.slogdet(information)[1] + 0.5 * np.sum(rest**2, axis=(1, 2))
+        return value, effects[:, :, 0], covariance
+
+    def correlation(self, parameters: Array) -> Array:
+        """Return rho (g,), what ears of one person have in common; zero where there are none."""
+        if not self.paired:
+            return np.zeros(len(parameters))
+        return _MOST_ALIKE / (1.0 + np.exp(-np.clip(parameters[:, 3], _LOWEST, -_LOWEST)))
+
+
+def covariance_between_ears(parameters: Array) -> Array:
+    """Return Psi (g, 2, 2), the covariance of the true logarithms over ears."""
+    tau = np.exp(2.0 * np.clip(parameters[:, 0], _LOWEST, _HIGHEST))
+    sigma = np.exp(2.0 * np.clip(parameters[:, 2], _LOWEST, _HIGHEST))
+    b = parameters[:, 1]
+    return np.stack([np.stack([tau, b * tau], -1), np.stack([b * tau, b**2 * tau + sigma], -1)], -2)
+
+
+class Profile:
+    """The restricted likelihood as a function of the exponent alone.
+
+    Parameters
+    ----------
+    pairs : LogPairs
+        With their origins near their means.
+    near : ndarray, optional
+        The best point of nearly the same ears, to begin at.
+    """
+
+    def __init__(self, pairs: LogPairs, near: Array | None = None) -> None:
+        self.likelihood = RestrictedLikelihood(pairs)
+        self.pairs = pairs
+        (xx, xy), (_, yy) = np.cov(pairs.x, pairs.y)
+        residual = max(yy - xy**2 / xx, 1e-12)
+        self.standard_error = float(np.sqrt(residual / xx / max(pairs.n - 2, 1)))
+        s_xx, s_xy, s_yy = (float(pairs.own[:, i, j].mean()) for i, j in ((0, 0), (0, 1), (1, 1)))
+        tau = max(xx - s_xx, 0.2 * xx)
+        slope = (xy - s_xy) / tau
+        sigma = max(yy - s_yy - slope**2 * tau, 0.1 * residual + 1e-6)
+        # one start from variances without errors, two from raw ones: the likelihood can have several maxima
+        starts = [[0.5 * np.log(tau), slope, 0.5 * np.log(sigma)]]
+        starts += [[0.5 * np.log(xx), xy / xx, 0.5 * np.log(residual) - drop] for drop in (0.0, 2.0)]
+        self._scales = np.array([0.3, self.standard_error, 0.3])
+        if self.likelihood.paired:
+            starts = [[*start, likeness] for start in starts for likeness in (-1.0, 1.0)]
+            self._scales = np.r_[self._scales, 0.5]
+        self.value, self.best = self._minimise(starts if near is None else [near])
+        self._known = {float(self.best[1]): self.best}
+
+    def _minimise(
+        self, starts: list[list[float]] | list[Array], b: float | None = None
+    ) -> tuple[float, Array]:
+        """Return least value and its point; at a fixed exponent where one is given."""
+        from scipy.optimize import minimize
+
+        free = np.array([k for k in range(len(self._scales)) if b is None or k != 1])
+        scales = self._scales[free]
+        steps = np.concatenate(
+            [np.zeros((1, len(free))), 1e-4 * np.eye(len(free)), -1e-4 * np.eye(len(free))]
+        )
+
+        def value_and_slope(scaled: Array, start: Array) -> tuple[float, Array]:
+            points = np.tile(start, (len(steps), 1))
+            points[:, free] += (scaled + steps) * scales
+            values = self.likelihood(points)
+            return values[0], (values[1 : 1 + len(free)] - values[1 + len(free) :]) / 2e-4
+
+        found = []
+        for start in starts:
+            begin = np.array(start, dtype=float)
+            if b is not None:
+                begin[1] = b
+            end = minimize(
+                value_and_slope, np.zeros(len(free)), (begin,), "BFGS", jac=True, options={"gtol": 1e-6}
+            )
+            point = begin.copy()
+            point[free] += end.x * scales
+            found.append((float(end.fun), point))
+        return min(found, key=lambda each: each[0])
+
+    def rise(self, b: float) -> float:
+        """Return w(b), twice the drop of the restricted log likelihood from its maximum."""
+        near = self._known[min(self._known, key=lambda known: abs(known - b))]
+        raw = near.copy()
+        raw[2] = 0.5 * np.log(np.var(self.pairs.y - b * self.pairs.x) + 1e-12)
+        value, self._known[b] = self._minimise([near, raw], b)
+        return max(2.0 * (value - self.value), 0.0)
+
+    def p_value(self, b: float = 0.0) -> float:
+        """Return the two-sided p-value of an exponent, by default of none at all."""
+        from scipy.special import stdtr
+
+        k = self.pairs.degrees
+        return float(2.0 * stdtr(k, -np.sqrt(k * np.expm1(self.rise(b) / (k + 1)))))
+
+    def side(self, sign: float, limit: float) -> float:
+        """Return where w reaches a limit on one side of the estimate; infinite where it does not."""
+        from scipy.optimize import brentq
+
+        centre, inner, width = float(self.best[1]), 0.0, 2.0 * self.standard_error + 1e-6
+
+        def excess(distance: float) -> float:  # w is nearly a parabola: its root is nearly straight
+            return (
+                float(np.sqrt(self.rise(centre + sign * distance)) - np.sqrt(limit))
+                if distance
+                else -(limit**0.5)
+            )
+
+        for _ in range(_WIDENINGS):
+            if excess(width) > 0.0:
+                return centre + sign * float(brentq(excess, inner, width, xtol=1e-5 * width, rtol=1e-8))
+            inner, width = width, 1.7 * width
+        return sign * inf
+
+
+@dataclass(frozen=True)
+class Law:
+    """ln y = a + b ln x + scatter, from the ears of a cohort.
+
+    Attributes
+    ----------
+    n : int
+        Ears.
+    exponent, interval : float, tuple of float
+        b and its 95 % interval; a side that the data do not bound is infinite.
+    p_value : float
+        Of b = 0, two-sided.
+    tau : float
+        Standard deviation of the true ln x over ears.
+    sigma, sigma_interval : float, tuple of float
+        Intrinsic standard deviation of ln y about the law, without measurement errors, and its 95 % interval.
+    rho : float
+        Correlation of ears of one person; 0 where no person has two.
+    reliability : float
+        tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved.
+    mean : tuple of float
+        Estimated means of ln x and ln y.
+    """
+
+    n: int
+    exponent: float
+    interval: tuple[float, float]
+    p_value: float
+    tau: float
+    sigma: float
+    sigma_interval: tuple[float, float]
+    rho: float
+    reliability: float
+    mean: tuple[float, float]
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether the data leave the exponent open on a side."""
+        return not np.all(np.isfinite(self.interval))
+
+    @property
+    def intercept(self) -> float:
+        """a: ln y at x = 1."""
+        return self.mean[1] - self.exponent * self.mean[0]
+
+
+def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
+    """Estimate the exponent by restricted likelihood, its interval by the profile, its scatter by Q.
+
+    Returns
+    -------
+    law : Law
+    profile : Profile
+        Of the ears about their means.
+
+    Raises
+    ------
+    ValueError
+        There are fewer ears than the law has unknowns.
+
+    Notes
+    -----
+    w(b) = 2 [l(max) - l(b)] is turned into t^2 = k (exp(w / (k + 1)) - 1) with k degrees of freedom: exact
+    where nothing is measured with error, the interval of least squares then.
+    """
+    from scipy.special import stdtrit
+
+    k = pairs.degrees
+    if k < 1:
+        raise ValueError(f"a law of {2 + pairs.covariates.shape[1]} unknowns needs more ears; got {pairs.n}")
+    origin = float(pairs.x.mean()), float(pairs.y.mean())
+    profile = Profile(pairs.shifted(*origin))
+    limit = (k + 1) * np.log1p(stdtrit(k, 0.5 * (1.0 + level)) ** 2 / k)
+    tau, b, sigma = np.exp(profile.best[0]), float(profile.best[1]), np.exp(profile.best[2])
+    _, effects, _ = profile.likelihood.means(profile.best)
+    error = float(np.median(pairs.own[:, 0, 0]))
+    rho = float(profile.likelihood.correlation(profile.best[None])[0])
+    law = Law(
+        n=pairs.n,
+        exponent=b,
+        interval=(profile.side(-1.0, limit), profile.side(1.0, limit)),
+        p_value=profile.p_value(),
+        tau=float(tau),
+        sigma=float(sigma),
+        sigma_interval=scatter_interval(pairs, b, level, rho),
+        rho=rho,
+        reliability=float(tau**2 / (tau**2 + error)) if error > 0.0 else 1.0,
+        mean=(float(effects[0, 0] + origin[0]), float(effects[0, 1] + origin[1])),
+    )
+    return law, profile
+
+
+def scatter_interval(
+    pairs: LogPairs, exponent: float, level: float = 0.95, rho: float = 0.0
+) -> tuple[float, float]:
+    """Return the interval of the intrinsic standard deviation of ln y about a law by its Q-profile.
+
+    Parameters
+    ----------
+    rho : float
+        Correlation of the scatter of ears of one person.
+
+    Notes
+    -----
+    Q(s) = e' V^-1 e with e the residuals of r = y - b x about their weighted means and V = s^2 R + diag(w),
+    w_i the variance of the measurement error of r_i and R the correlation of the scatter, follows chi2 at
+    the true s (Viechtbauer 2007, doi:10.1002/sim.2514, for R = I).
+    """
+    from scipy.optimize import brentq
+    from scipy.special import chdtri
+
+    residual = pairs.y - exponent * pairs.x
+    variance = max(float(np.var(residual)), 1e-300)
+    own = pairs.own
+    error = own[:, 1, 1] - 2.0 * exponent * own[:, 0, 1] + exponent**2 * own[:, 0, 0] + 1e-12 * variance
+    alike = np.where(pairs.subject[:, None] == pairs.subject[None, :], rho, 0.0)
+    np.fill_diagonal(alike, 1.0)
+    design = np.column_stack([np.ones(pairs.n), pairs.covariates])
+
+    def q(scatter: float) -> float:
+        whole = scatter * alike + np.diag(error)
+        solved = np.linalg.solve(whole, np.column_stack([design, residual]))
+        effects = np.linalg.solve(design.T @ solved[:, :-1], design.T @ solved[:, -1])
+        return float(residual @ solved[:, -1] - effects @ (design.T @ solved[:, -1]))
+
+    ends = []
+    for probability in (0.5 * (1.0 - level), 0.5 * (1.0 + level)):
+        target = float(chdtri(pairs.degrees, probability))
+        high = 100.0 * variance * pairs.n / target + 1e-12
+        at_zero = q(0.0) <= target
+        ends.append(0.0 if at_zero else brentq(lambda s, t=target: q(s) - t, 0.0, high, xtol=1e-14) ** 0.5)
+    return float(ends[0]), float(ends[1])

@@ -1,0 +1,131 @@
+"""Laws of a cohort of ears with a planted law; which ears make a cohort; what is written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.cohort.cohort import LEAST_EARS, cohort, cohort_of
+from pipeline.cohort.ears import quantities, read_ear
+from pipeline.cohort.page import FILES
+from stapeskit.faults import StapeskitError
+from tests.cohort.simulated_ears import ear
+
+
+@pytest.fixture(scope="module")
+def ears():
+    rng = np.random.default_rng(3)
+    return [ear(number, rng) for number in range(9)]
+
+
+@pytest.fixture(scope="module")
+def laws(ears):
+    return cohort_of(ears)
+
+
+def test_the_planted_exponent_lies_in_its_interval(laws):
+    law = laws.law("K11", "mass").law
+    low, high = law.interval
+    assert low < 2.0 < high
+    assert law.p_value < 0.05
+    assert law.reliability > 0.9
+
+
+def test_density_is_an_error_that_all_ears_share(laws):
+    assert any(source.startswith("density") for source in laws.table.sources)
+    column = laws.table.column("mass_kg")
+    assert np.all(np.sqrt(laws.table.own[:, column, column]) < 0.005)
+
+
+def test_an_ear_is_predicted_from_its_scan_alone(ears, laws):
+    further = ear(40, np.random.default_rng(8))
+    found = laws.predict(further.mass, "K11", "mass")
+    low, high = found.interval_si
+    assert low < further.kd["stiffness_si"][0][0] < high
+    assert laws.normal_ranges()["K11"][0] < found.value_si < laws.normal_ranges()["K11"][1]
+
+
+def test_too_few_ears_are_listed_only(ears):
+    few = cohort_of(ears[: LEAST_EARS - 1])
+    assert few.table is None
+    assert [notice.code for notice in few.notices] == ["cohort_too_small"]
+
+
+def with_verdict(one, level):
+    kd = {**one.kd, "verdict": {"level": level, "reasons": [{"code": "misfit", "text": "."}]}}
+    return replace(one, kd=kd)
+
+
+def test_an_ear_not_to_be_used_enters_no_law_unless_asked(ears):
+    marked = [with_verdict(ears[0], "do not use"), *ears[1:]]
+    found = cohort_of(marked)
+    assert [name for name, _ in found.excluded] == ["ear 0"]
+    assert found.law("K11", "mass").law.n == len(ears) - 1
+    assert cohort_of(marked, use_all=True).law("K11", "mass").law.n == len(ears)
+
+
+CHANGES = {
+    "twice": lambda ears: [*ears, ears[0]],
+    "same motion": lambda ears: [*ears, replace(ears[0], folder="copy")],
+    "other dof": lambda ears: [*ears, replace(ears[0], folder="x", kd={**ears[0].kd, "dof": ["y"]})],
+    "other law": lambda ears: [*ears[1:], replace(ears[0], kd={**ears[0].kd, "model": {"damping_law": "h"}})],
+    "side": lambda ears: [*ears[1:], replace(ears[0], about={"side": "right"})],
+    "none": lambda _: [],
+}
+
+
+@pytest.mark.parametrize("kind", CHANGES)
+def test_ears_that_make_no_cohort_are_refused(kind, ears):
+    with pytest.raises(StapeskitError):
+        cohort_of(CHANGES[kind](ears))
+
+
+def test_a_mixed_cohort_may_be_asked_for(ears):
+    assert cohort_of(CHANGES["other law"](ears), mix=True).laws
+
+
+@pytest.mark.parametrize("law", ["K99~mass", "K11~height_of_tree"])
+def test_unknown_planned_laws_are_refused(law, ears):
+    with pytest.raises(StapeskitError) as raised:
+        cohort_of(ears, laws=[law])
+    assert raised.value.faults[0].thing == "--laws"
+
+
+def test_a_right_ear_is_compared_as_its_mirror_image(ears):
+    right = replace(ears[0], side="right", folder="right")
+    rows = {row.name: row.values for row in quantities([ears[0], right])}
+    assert rows["K_y_y"][0] == rows["K_y_y"][1]
+    assert rows["K_y_alpha"][0] == -rows["K_y_alpha"][1]
+    assert rows["K_y_gamma"][0] == rows["K_y_gamma"][1]
+
+
+def test_covariates_change_no_exponent_that_they_do_not_explain(ears):
+    rng = np.random.default_rng(5)
+    known = [replace(one, about={**one.about, "age": float(rng.integers(30, 80))}) for one in ears]
+    plain, adjusted = cohort_of(known), cohort_of(known, covariates=["age"])
+    assert adjusted.table.covariates.names == ("age",)
+    low, high = plain.law("K11", "mass").law.interval
+    assert low < adjusted.law("K11", "mass").law.exponent < high
+    with pytest.raises(StapeskitError):
+        cohort_of(known, covariates=["shoe_size"])
+
+
+def test_folders_are_read_and_the_page_table_and_json_are_written(ears, tmp_path):
+    for one in ears:
+        folder = tmp_path / one.folder
+        folder.mkdir()
+        (folder / "mass.json").write_text(json.dumps(one.mass))
+        (folder / "kd.json").write_text(json.dumps(one.kd))
+    assert read_ear(tmp_path / "ear0", "ear 0").kd == json.loads(json.dumps(ears[0].kd))
+    found = cohort([tmp_path / one.folder for one in ears])
+    paths = found.write(tmp_path / "out")
+    assert {path.name for path in paths} == set(FILES)
+    content = json.loads((tmp_path / "out" / "cohort.json").read_text())
+    assert content["laws"]
+    assert content["schema"] == "stapeskit.cohort/1"
+    table = (tmp_path / "out" / "cohort.csv").read_text().splitlines()
+    assert len(table) == 1 + len(ears)
+    assert "ear 0" in repr(found) or "Cohort of 9 ears" in repr(found)
+    with pytest.raises(StapeskitError):
+        cohort([tmp_path / "out"])
