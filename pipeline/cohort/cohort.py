@@ -475,11 +475,9 @@ def _mass_content(source: object) -> Mapping[str, Any]:
             step = "Run ct2mass on the scan first"
             raise StapeskitError.of(str(path), "a mass.json", error, "", step) from error
         return content
-    content = getattr(source, "content", None)
-    if callable(content):
-        content = content()
-    mass = content if isinstance(content, Mapping) else getattr(source, "mass", None)
-    if isinstance(mass, Mapping):
-        return mass
+    found = getattr(source, "content", None)
+    found = found() if callable(found) else getattr(source, "mass", None)
+    if isinstance(found, Mapping):
+        return found
     expected = "a result of ct2mass or scan2kd, a path or a mapping"
     raise StapeskitError.of("the mass", expected, type(source).__name__)

@@ -81,7 +81,7 @@ def _groups(ears: Sequence[Ear], keys: Sequence[Hashable]) -> list[list[Ear]]:
     """Return the ears that share a key; empty keys count for nothing."""
     groups = defaultdict(list)
     for ear, key in zip(ears, keys, strict=True):
-        if key:
+        if key not in (None, ""):
             groups[key].append(ear)
     return [members for members in groups.values() if len(members) > 1]
 

@@ -85,8 +85,8 @@ class LogPairs:
 
     def select(self, keep: NDArray[np.bool_]) -> LogPairs:
         """Return some of the ears; ``keep`` is (n,)."""
-        arrays = (self.x, self.y, self.own, self.shared, self.subject, self.covariates)
-        return LogPairs(*(array[keep] for array in arrays))
+        x, y, own, shared = (array[keep] for array in (self.x, self.y, self.own, self.shared))
+        return LogPairs(x, y, own, shared, self.subject[keep], self.covariates[keep])
 
     def shifted(self, x: float, y: float) -> LogPairs:
         """Return the same ears with other origins of x and y, which no exponent depends on."""

@@ -276,7 +276,7 @@ def _difference_blocks(ears: Sequence[Ear]) -> list[Markup]:
             continue
         unit = _unit(row, exponent)
         own = float(np.sqrt(np.nanmean(row.own_sd**2)))
-        numbers = (float(unit.of(v)) for v in (np.nanmean(row.values), np.nanstd(row.values, ddof=1), own))
+        numbers = (unit.of(float(v)) for v in (np.nanmean(row.values), np.nanstd(row.values, ddof=1), own))
         name = f"{_title(row)} ({unit.symbol})" if unit.symbol else _title(row)
         rows.append((name, *(f"{v:.4g}" for v in numbers), f"{q:.3g} ({count})", f"{p:.2g}"))
     head = ("quantity", "mean", "sd between ears", "own sd of one ear (rms)", "Q (n − 1)", "p")
