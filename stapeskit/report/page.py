@@ -8,22 +8,21 @@ scripts.
 from __future__ import annotations
 
 import base64
-import csv
 import hashlib
-import io
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stapeskit.report.figures import PAGE_COLOURS, draw
+from stapeskit.report.colours import PAGE_COLOURS
+from stapeskit.report.figures import draw
 from stapeskit.report.quantities import PLAIN, Quantity, ShownUnit, plus_minus
+from stapeskit.report.saved_table import csv_link, numeric_columns
 from stapeskit.warnings import Notice
 from stapeskit.warnings import table as warning_table
 
@@ -239,7 +238,7 @@ def table(
     """
     listed = [["" if cell is None else _cell(cell) for cell in row] for row in rows]
     numeric = any(isinstance(cell, Quantity | float | int) for row in listed for cell in row)
-    link = _csv_link(_numeric_columns(head, listed)) if numeric else ""
+    link = csv_link(numeric_columns(head, listed)) if numeric else ""
     shown = [[_number(cell) if isinstance(cell, float) else cell for cell in row] for row in listed]
     return _render(
         "table", list(head), shown, words, names, len(listed) <= _FEW_ROWS, caption, link, f"{file}.csv"
@@ -253,38 +252,6 @@ def _cell(cell: object) -> object:
 
 def _number(value: float) -> str:
     return f"{value:.5g}" if np.isfinite(value) else ""
-
-
-def _numeric_columns(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[list[object]]:
-    """Return head and rows of a CSV file; columns of quantities become value, sd, lower, upper, unit."""
-    parts = ("value", "sd", "lower", "upper", "unit")
-    wide = [any(isinstance(row[place], Quantity) for row in rows) for place in range(len(head))]
-    names: list[object] = []
-    for name, is_wide in zip(head, wide, strict=True):
-        before = "" if sum(wide) == 1 or not name else f"{name} "
-        names += [f"{before}{part}" for part in parts] if is_wide else [name or "name"]
-    listed = [names]
-    for row in rows:
-        cells: list[object] = []
-        for cell, is_wide in zip(row, wide, strict=True):
-            if isinstance(cell, Quantity):
-                cells += cell.numbers()
-            else:
-                cells += [cell, "", "", "", ""] if is_wide else [cell]
-        listed.append(cells)
-    return listed
-
-
-def _csv_link(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as a CSV file within a link."""
-    stream = io.StringIO()
-    csv.writer(stream).writerows([[_plain_cell(cell) for cell in row] for row in rows])
-    return "data:text/csv;charset=utf-8," + quote("\ufeff" + stream.getvalue(), safe=" ,;:+-()/")
-
-
-def _plain_cell(cell: object) -> object:
-    """Return a cell that no spreadsheet takes for a formula (OWASP, "CSV Injection")."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def matrix(
@@ -334,7 +301,7 @@ def matrix(
         for i in places
     ]
     rows = [(names[i], names[j], quantities[i][j]) for i in places for j in places]
-    link = _csv_link(_numeric_columns(("row", "column", ""), rows))
+    link = csv_link(numeric_columns(("row", "column", ""), rows))
     cells = [[_entry(quantities[i][j], i == j, len(names)) for j in places] for i in places]
     return _render("matrix", title, list(names), cells, caption, link, f"{file}.csv")
 
