@@ -84,7 +84,9 @@ def cohort(population: Population) -> Iterator[Member]:
         """Return draws (ears, columns) that the ears of a person have partly in common."""
         common = rng.standard_normal((people.max() + 1, columns))[people]
         alone = rng.standard_normal((population.ears, columns))
-        return np.asarray(sd * (np.sqrt(population.likeness) * common + np.sqrt(1.0 - population.likeness) * alone))
+        return np.asarray(
+            sd * (np.sqrt(population.likeness) * common + np.sqrt(1.0 - population.likeness) * alone)
+        )
 
     sizes = np.exp(alike(population.size, 1) + alike(population.stretch, 3))
     scatter, entries = alike(population.scatter, 2), alike(population.entry_scatter, 6)
@@ -95,7 +97,9 @@ def cohort(population: Population) -> Iterator[Member]:
         ear = replace(population.ear, stapes=Stapes(stretch=stretch, mirrored=right))
         size = np.log(ear.mass().mass_kg / REFERENCE_KG)
         factors = [
-            np.exp(0.5 * (np.array(population.exponents) * size + scatter[k, j] + entries[k, 3 * j : 3 * j + 3]))
+            np.exp(
+                0.5 * (np.array(population.exponents) * size + scatter[k, j] + entries[k, 3 * j : 3 * j + 3])
+            )
             for j in (0, 1)
         ]
         turn = np.array([1.0, -1.0 if right else 1.0, 1.0])

@@ -140,7 +140,9 @@ class Ear:
         if self.bone:
             made += [(solid, "bone") for solid in _bone_around(self)]
         if self.plate:
-            made += [(solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate(self.plate_reach)]
+            made += [
+                (solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate(self.plate_reach)
+            ]
         if self.incus_gap_mm is not None:
             made += [(solid, "bone") for solid in _incus(self.solid, self.incus_gap_mm)]
         rng = np.random.default_rng(self.seed + 1000)
@@ -312,7 +314,9 @@ def place(
     seen = replace(ear, bone_reach=min(ear.bone_reach, 1.0), plate_reach=min(ear.plate_reach, 1.0))
     points = np.concatenate([turned.points(solid.vertices_mm) for solid, _ in seen.solids()])
     low, high = points.min(axis=0), points.max(axis=0)
-    count = np.ceil((high - low + 2.0 * margin_mm) / voxel_mm).astype(int) if shape is None else np.array(shape)
+    count = (
+        np.ceil((high - low + 2.0 * margin_mm) / voxel_mm).astype(int) if shape is None else np.array(shape)
+    )
     centre = 0.5 * (count - 1) * voxel_mm + np.asarray(shift_mm)
     offset = centre - 0.5 * (low + high) + rng.uniform(-0.5, 0.5, 3) * voxel_mm
     pose = RigidTransform.from_parts(rotation, offset, "scan", "footplate")

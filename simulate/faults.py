@@ -190,7 +190,12 @@ _FACTORS: dict[str, tuple[float, str, str, Callable[[Array, float], ComplexArray
     "phase": (3.0, "degrees", "gain", lambda _, size: np.exp(1j * np.radians(size)) + 0.0),
     "delay": (1e-5, "s", "gain", lambda freq, size: np.exp(-2j * np.pi * freq * size)),
     "sign": (0.0, "", "sign", lambda _, size: -1.0),
-    "drift": (0.06, "relative, first to last line", "drift", lambda f, s: 1.0 + s * np.linspace(0, 1, len(f))),
+    "drift": (
+        0.06,
+        "relative, first to last line",
+        "drift",
+        lambda f, s: 1.0 + s * np.linspace(0, 1, len(f)),
+    ),
     "zeros": (0.0, "", "zeros", lambda _, size: 0.0),
 }
 _WHERE: dict[str, Callable[[TrueState, MeasurementFault], list[int]]] = {

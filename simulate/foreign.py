@@ -138,9 +138,7 @@ def _hollowed(a: Anatomy, p: tuple[Array, Array, Array], rods: Array, reach: flo
     shift = np.where(x < 0.3 * a.offset, 1.0, -1.0) * 0.14
     lumen = rods + 0.1
     for side, radius in ((-1.0, a.crus_posterior), (1.0, a.crus_anterior)):
-        lumen = np.minimum(
-            lumen, _rod((x - shift, y, z), *_nodes(a, side, top - 0.1, reach), radius - 0.08)
-        )
+        lumen = np.minimum(lumen, _rod((x - shift, y, z), *_nodes(a, side, top - 0.1, reach), radius - 0.08))
     lumen = np.maximum(lumen, np.maximum(a.thickness + 0.15 - y, y - top + 0.5))
     return np.asarray(np.maximum(rods, -lumen))
 

@@ -149,4 +149,3 @@ def _slope_of_place(fit: _BodyFit, own: Array, axis: int, dof: tuple[str, ...]) 
     change = np.einsum("ci,rcl,rcl->rli", step, fit.weight, fit.residual)
     change -= np.einsum("ci,rcl,rcl->rli", fit.rows, fit.weight, seen)
     return np.asarray(np.einsum("rlij,rlj->rli", fit.normal_inverse, change))
-

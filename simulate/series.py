@@ -46,7 +46,13 @@ class TimeSeries:
 
 
 def multisine(
-    recording: Recording, *, samples: int = 4096, periods: int = 4, noise: float = 0.01, run: int = 0, seed: int = 1
+    recording: Recording,
+    *,
+    samples: int = 4096,
+    periods: int = 4,
+    noise: float = 0.01,
+    run: int = 0,
+    seed: int = 1,
 ) -> TimeSeries:
     """Return periods of a random-phase multisine on lines of the FFT near those of the recording.
 

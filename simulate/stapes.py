@@ -109,7 +109,9 @@ def read_ply(path: Path) -> Solid:
     words = content[:end].decode("ascii").split()
     corners, triangles = (int(words[words.index(name) + 1]) for name in ("vertex", "face"))
     vertices = np.frombuffer(content, "<f4", 3 * corners, end).reshape(-1, 3).astype(float)
-    rows = np.frombuffer(content, np.dtype([("n", "u1"), ("corner", "<i4", (3,))]), triangles, end + 12 * corners)
+    rows = np.frombuffer(
+        content, np.dtype([("n", "u1"), ("corner", "<i4", (3,))]), triangles, end + 12 * corners
+    )
     unique, place = np.unique(vertices, axis=0, return_inverse=True)
     return outward(unique, np.ascontiguousarray(place.reshape(-1)[rows["corner"].astype(np.int64)]))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from simulate.ear import Ear, Placed
 from simulate.files.recordings import write_recording
-from simulate.files.volumes import write_scan
+from simulate.files.volumes import WITHOUT_SPACING, write_scan
 from simulate.mass import MassProperties
 from simulate.scanner import Scan
 from simulate.vibrometer import Experiment, Recording, measure
@@ -190,12 +190,17 @@ def simulate_study(
     tables: dict[str, dict[str, Any]] = {"study": _about(ear, name, about), "scan": {}}
     if scan is not None:
         tables["scan"] = {"file": write_scan(folder, truth.placed, scan).name}
+        if scan.format in WITHOUT_SPACING:
+            tables["scan"] |= {"spacing_mm": [round(float(size), 9) for size in truth.placed.voxel_mm]}
     tables["scan"] |= _scan_keys(truth, scan or Scan())
     recording = None
     if experiment is not None:
         recording = simulate_recording(truth, experiment)
         tables["ldv"] = {"file": write_recording(folder, recording, experiment.format).name}
-        tables["ldv"] |= {"points": "points.csv"}
+        if (folder / "points.csv").exists():
+            tables["ldv"] |= {"points": "points.csv"}
+        if (folder / "channels.csv").exists():
+            tables["ldv"] |= {"channels": "channels.csv"}
         if recording.fiducials:
             tables["ldv"] |= {"fiducials": "fiducials.csv"}
         if experiment.mirror:

@@ -104,7 +104,8 @@ class Experiment:
         """Names of the runs: their excitation, numbered where one is repeated."""
         names = self.excitations
         return tuple(
-            name if names.count(name) == 1 else f"{name}{names[: k + 1].count(name)}" for k, name in enumerate(names)
+            name if names.count(name) == 1 else f"{name}{names[: k + 1].count(name)}"
+            for k, name in enumerate(names)
         )
 
 
@@ -376,7 +377,9 @@ def vibrometer_pose(rng: np.random.Generator) -> RigidTransform:
     lay = rotation_from_vector([np.pi / 2.0, 0.0, 0.0])
     turn = rotation_from_vector([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     lean = rotation_from_vector(np.radians(rng.uniform(-8.0, 8.0, 3)))
-    return RigidTransform.from_parts(lean @ turn @ lay, rng.uniform(-20.0, 20.0, 3), "vibrometer", "footplate")
+    return RigidTransform.from_parts(
+        lean @ turn @ lay, rng.uniform(-20.0, 20.0, 3), "vibrometer", "footplate"
+    )
 
 
 def laser_directions(count: int, cone_deg: float) -> Array:
@@ -385,7 +388,9 @@ def laser_directions(count: int, cone_deg: float) -> Array:
         return np.array([[0.0, 0.0, 1.0]])
     turn = np.radians(90.0 + 360.0 / count * np.arange(count))
     cone = np.radians(cone_deg)
-    return np.column_stack([np.sin(cone) * np.cos(turn), np.sin(cone) * np.sin(turn), np.full(count, np.cos(cone))])
+    return np.column_stack(
+        [np.sin(cone) * np.cos(turn), np.sin(cone) * np.sin(turn), np.full(count, np.cos(cone))]
+    )
 
 
 def visible_points(solid: Solid, count: int, beams: Array) -> Array:
@@ -476,6 +481,10 @@ def rows_of(recording: Recording, body: str) -> tuple[list[int], Array]:
     """
     own = recording.channels(body)
     pose = recording.vibrometer_from_footplate
-    back = RigidTransform.identity("footplate", "footplate") if recording.frame == "footplate" else pose.inverse()
+    back = (
+        RigidTransform.identity("footplate", "footplate")
+        if recording.frame == "footplate"
+        else pose.inverse()
+    )
     places, beams = back.points(recording.position_mm[own]), back.vectors(recording.direction[own])
     return own, point_rows(places * 1e-3, beams)

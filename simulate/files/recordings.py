@@ -5,13 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from simulate.files.tables import write_tables
+from simulate.files import spectra
+from simulate.files.series import write_multisine
+from simulate.files.tables import write_fiducials, write_tables
 from simulate.vibrometer import Recording
 
-WRITERS: dict[str, Callable[[Path, Recording], Path]] = {"csv": write_tables}
-"""Writers by format: they write into a folder, points and fiducials included, and return the main file."""
+WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
+    "csv": write_tables,
+    "wide": spectra.write_wide,
+    "uff": spectra.write_uff_binary,
+    "uff_text": spectra.write_uff_text,
+    "fastscan": spectra.write_fastscan,
+    "psv": spectra.write_psv_points,
+    "mat": spectra.write_matlab,
+    "h5": spectra.write_hdf5,
+    "series": write_multisine,
+}
+"""Writers by format: they write into a folder, points included, and return the main file or folder."""
 
 
 def write_recording(folder: Path, recording: Recording, fmt: str = "csv") -> Path:
-    """Write a recording into a folder in one of WRITERS and return the main file."""
-    return WRITERS[fmt](folder, recording)
+    """Write a recording with its points and fiducials into a folder in one of WRITERS; return the main file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = WRITERS[fmt](folder, recording)
+    if recording.fiducials:
+        write_fiducials(folder / "fiducials.csv", recording)
+    return path

@@ -11,10 +11,8 @@ from stapeskit.arrays import Array
 
 
 def write_tables(folder: Path, recording: Recording) -> Path:
-    """Write ldv.csv, points.csv and, where there are any, fiducials.csv; return the first."""
+    """Write ldv.csv and points.csv; return the first."""
     write_points(folder / "points.csv", recording)
-    if recording.fiducials:
-        write_fiducials(folder / "fiducials.csv", recording)
     return write_tidy(folder / "ldv.csv", recording)
 
 
@@ -64,9 +62,7 @@ def write_points(path: Path, recording: Recording) -> Path:
 def write_fiducials(path: Path, recording: Recording) -> Path:
     """Write the places of all fiducials, seen and true."""
     sd, frame = recording.fiducial_sd_mm, recording.fiducial_frame
-    rows = [
-        f"{name},{_numbers([*seen, *place], sd, frame)}" for name, seen, place in recording.fiducials
-    ]
+    rows = [f"{name},{_numbers([*seen, *place], sd, frame)}" for name, seen, place in recording.fiducials]
     head = "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame" + (",sd_mm" if sd else "")
     return _write(path, [head, *rows])
 
