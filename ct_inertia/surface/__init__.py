@@ -1,0 +1,1 @@
+"""Closed surfaces: read, mended, contoured and written."""

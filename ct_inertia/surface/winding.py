@@ -1,0 +1,101 @@
+"""The surface that an open mesh of many pieces stands for: where its winding number passes one half."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+
+_CELLS = 96  # of the grid along the longest side: 30 um of a stapes
+_MARGIN = 3  # cells around the mesh
+_CLUSTER = 8  # faces that are summed one by one
+_FAR = 2.5  # radii of a cluster from which on it is a dipole: error below 1 % of its share
+_POINTS = 1 << 14  # points at a time
+
+
+def winding_surface(
+    vertices: Array, faces: NDArray[np.int64], name: str
+) -> tuple[Array, NDArray[np.int64], float]:
+    """Return the closed surface of winding number one half on a grid, and the step of the grid, mm.
+
+    Parameters
+    ----------
+    vertices : ndarray, (n, 3)
+        mm.
+    faces : ndarray of int, (m, 3)
+    name : str
+        Of the file, for messages.
+
+    Raises
+    ------
+    StapeskitError
+        The mesh encloses nothing.
+
+    Notes
+    -----
+    A. Jacobson, L. Kavan, O. Sorkine-Hornung, ACM Trans. Graph. 32 (2013), doi:10.1145/2461912.2461916; faces far
+    away as dipoles: G. Barill et al., ACM Trans. Graph. 37 (2018), doi:10.1145/3197517.3201337.
+    """
+    import pyvista
+
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    step = float((high - low).max()) / _CELLS
+    count = np.ceil((high - low) / step).astype(int) + 1 + 2 * _MARGIN
+    origin = low - _MARGIN * step
+    axes = [origin[k] + step * np.arange(count[k]) for k in range(3)]
+    z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    number = np.abs(winding_number(vertices, faces, points))
+    grid = pyvista.ImageData(dimensions=count, spacing=(step,) * 3, origin=origin)
+    grid.point_data["winding"] = np.clip(number, 0.0, 1.0)
+    surface = grid.contour([0.5], scalars="winding", method="flying_edges").triangulate()
+    if not surface.n_cells:
+        step_text = "Export it again as one closed surface"
+        raise StapeskitError.of("the surface", "one that encloses a volume", "open pieces", name, step_text)
+    triangles = np.asarray(surface.faces.reshape(-1, 4)[:, 1:], dtype=np.int64)
+    return np.asarray(surface.points, dtype=float), triangles, step
+
+
+def winding_number(vertices: Array, faces: NDArray[np.int64], points: Array) -> Array:
+    """Return how often faces wind around each of the points (k, 3): 1 inside an outward surface, 0 outside."""
+    corners = vertices[faces]
+    middle = corners.mean(axis=1)
+    normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros(len(points))
+    waiting = [(np.arange(len(faces)), np.arange(len(points)))]
+    while waiting:
+        some, seen = waiting.pop()
+        centre = middle[some].mean(axis=0)
+        reach = _FAR * float(np.linalg.norm(corners[some] - centre, axis=2).max())
+        away = points[seen] - centre
+        distance = np.sqrt(np.einsum("ij,ij->i", away, away))
+        far = distance > reach
+        total[seen[far]] -= away[far] @ normal[some].sum(axis=0) / (4.0 * np.pi * distance[far] ** 3)
+        near = seen[~far]
+        if len(some) > _CLUSTER and len(near):
+            axis = int(np.argmax(np.ptp(middle[some], axis=0)))
+            order = some[np.argsort(middle[some, axis])]
+            waiting += [(order[: len(order) // 2], near), (order[len(order) // 2 :], near)]
+            continue
+        for first in range(0, len(near), _POINTS):
+            part = near[first : first + _POINTS]
+            total[part] += _solid_angles(corners[some], points[part]) / (4.0 * np.pi)
+    return total
+
+
+def _solid_angles(corners: Array, points: Array) -> Array:
+    """Return the solid angle that triangles (m, 3, 3) fill seen from each point (k, 3), summed.
+
+    Notes
+    -----
+    A. van Oosterom, J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983), doi:10.1109/TBME.1983.325207.
+    """
+    a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
+    top = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
+    bottom = la * lb * lc
+    for one, two, length in ((a, b, lc), (b, c, la), (c, a, lb)):
+        bottom += np.einsum("ijk,ijk->ij", one, two) * length
+    return np.asarray(2.0 * np.arctan2(top, bottom).sum(axis=1))
