@@ -1,0 +1,350 @@
+"""Find what is wrong with a set of fiducials: other axes, exchanged names, a mirror image, one mistyped.
+
+Explanations without a free parameter (other axes, another order, a mirror image) come first: when one of
+them leaves nothing but noise it is certain, and the fiducials are refused. The rest is named in a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations, product
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.paired_points import Pairs, kabsch, misfits, size_error, sizes_differ
+from stapeskit.warnings import Notice
+
+INCONSISTENT = 1e-3
+"""Probability of residuals below which fiducials are reported as inconsistent: 1 of 1000 right sets is."""
+
+_NOTICEABLE_MM = 0.05  # the accuracy of marks: smaller errors are not reported where no sd is stated
+_ALIKE = 6.0  # twice the log likelihood (20 to 1) by which explanations differ that cannot be distinguished
+_FAR_BETTER = 100.0  # ratio of the sums of squares of a certain explanation, where no sd is stated
+_ROUNDING = 1e-24  # keeps the ratios of exact data finite
+_MOST_POINTS = 16  # of more points, other axes and other orders are not searched
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """One fiducial left out.
+
+    Attributes
+    ----------
+    place : int
+    chi2, n_dof : float, int
+        Of the fit of the others.
+    offset_mm : ndarray, (3,)
+        Where its target lies, minus where the others put it, in target axes.
+    rotation : ndarray, (3, 3)
+        Of the fit of the others.
+    """
+
+    place: int
+    chi2: float
+    n_dof: int
+    offset_mm: Array
+    rotation: Array
+
+
+def inconsistent(chi2: float, n_dof: int) -> bool:
+    """Return whether a sum of squares in units of sd is too large for noise (p < 0.001)."""
+    from scipy.special import chdtri
+
+    return n_dof > 0 and chi2 > float(chdtri(n_dof, INCONSISTENT))
+
+
+def notices_of(pairs: Pairs) -> list[Notice]:
+    """Return the warnings about a fit of fiducials.
+
+    Raises
+    ------
+    StapeskitError
+        Some fiducials are in other axes, names are exchanged, or one of the frames is left-handed.
+
+    Notes
+    -----
+    With stated sd: chi2 of the fit of all, p < 0.001. Without, the others' scatter is the only scale: F test
+    of the three coordinates of one fiducial, corrected for their number (Cook and Weisberg 1982, Residuals
+    and Influence in Regression, section 2.2).
+    """
+    notices = []
+    if pairs.coplanar:
+        few = f"only {len(pairs)} fiducials"
+        why = few if len(pairs) < 4 else f"all fiducials within {pairs.flat_mm:.3g} mm of one plane"
+        text = f"{why}: a mirrored coordinate system would fit as well; add a fiducial off the plane."
+        notices.append(Notice("fiducials_coplanar", text))
+    if pairs.stated and not inconsistent(pairs.chi2, pairs.n_dof):
+        return notices
+    cause = ""
+    if len(pairs) > 3:
+        suspects = sorted(_each_left_out(pairs), key=lambda suspect: suspect.chi2)
+        if pairs.rms_mm(pairs.chi2) > _NOTICEABLE_MM or pairs.stated:
+            _refuse_certain(pairs, suspects)
+        if sizes_differ(pairs.source_mm, pairs.target_mm):
+            raise size_error(pairs.source_mm, pairs.target_mm, pairs.source, pairs.to)
+        cause = _scale_cause(pairs, suspects[0]) or _wrong_cause(pairs, suspects)
+    if pairs.stated:
+        size = np.sqrt(pairs.chi2 / pairs.n_dof)
+        several = (
+            "three cannot tell which (add a fourth)" if len(pairs) == 3 else "no single cause explains it"
+        )
+        text = (
+            f"the fiducials disagree by {size:.1f} times their sd_mm; {cause or several}; the covariance of "
+        )
+        notices.append(Notice("fiducials_inconsistent", f"{text}the registration was enlarged accordingly."))
+    elif cause:
+        notices.append(Notice("fiducials_inconsistent", f"{cause}."))
+    return notices
+
+
+def _each_left_out(pairs: Pairs) -> list[Wrong]:
+    count = len(pairs)
+    weights = np.where(np.eye(count, dtype=bool), 0.0, pairs.weights)
+    chi2, residuals, rotations = misfits(pairs.source_mm, pairs.target_mm, weights)
+    return [
+        Wrong(place, float(chi2[place]), pairs.n_dof - 3, -residuals[place, place], rotations[place])
+        for place in range(count)
+    ]
+
+
+def _refuse_certain(pairs: Pairs, suspects: Sequence[Wrong]) -> None:
+    """Refuse fiducials that one explanation without a free parameter explains down to the noise.
+
+    Each explanation is one of many, whose number it must outweigh: 1 mirror image, n! orders, 47 axes for
+    each of 2^n sets of points.
+    """
+    from scipy.special import gammaln
+
+    axes_chi2, members, axes = _other_axes(pairs)
+    order_chi2, order = _other_order(pairs)
+    flipped = float(misfits(pairs.source_mm * [1.0, 1.0, -1.0], pairs.target_mm, pairs.weights)[0])
+    mirror_chi2 = flipped if pairs.mirrored and not pairs.coplanar else np.inf
+    count = len(pairs)
+    left = {"mirror": (mirror_chi2, 0.0), "order": (order_chi2, float(gammaln(count + 1)))}
+    left["axes"] = (axes_chi2, np.log(47.0) + count * np.log(2.0))
+    sound = {
+        cause: chi2 + 2.0 * log_number
+        for cause, (chi2, log_number) in left.items()
+        if _explains(pairs, chi2, suspects[0], log_number)
+    }
+    if not sound:
+        return
+    cause = min(sound, key=lambda name: sound[name])
+    best = left[cause][0]
+    listed = [pairs.names[place] for place in members]
+    sizes = f"(residual {pairs.rms_mm(pairs.chi2):.3g} mm as given, {pairs.rms_mm(best):.3g} mm so)"
+    if cause == "order":
+        want, step = (
+            "those of the same points in both frames",
+            "Correct the names, or the order of the references",
+        )
+        got = f"{'; '.join(_cycle_words(cycle, pairs.names) for cycle in _cycles(order))} {sizes}"
+        raise StapeskitError.of("the names of the fiducials", want, got, "", step)
+    if cause == "axes":
+        want = f"in the axes of the {pairs.to} frame, as the others"
+        got = f"coordinates that fit with {_axes_words(axes)} {sizes}"
+        step = "Correct these coordinates, or export all of them from one program"
+        raise StapeskitError.of(f"the references of the fiducials {', '.join(listed)}", want, got, "", step)
+    rivals = [pairs.names[wrong.place] for wrong in suspects if _explains(pairs, wrong.chi2, suspects[0])]
+    also = f"; or correct fiducial {rivals[0]}, the only one that shows it" if len(rivals) == 1 else ""
+    step = f"{undo_mirror(pairs.to, pairs.source)}{also}"
+    got = f"points that fit only as a mirror image {sizes}"
+    raise StapeskitError.of(f"the coordinates of the {pairs.source} frame", "right-handed", got, "", step)
+
+
+def _explains(pairs: Pairs, chi2: float, suspect: Wrong, log_number: float = 0.0) -> bool:
+    """Return whether nothing but noise is left, and too much is gained for chance among so many."""
+    if pairs.stated:
+        gain = 2.0 * (log_number - np.log(INCONSISTENT))
+        return not inconsistent(chi2, pairs.n_dof) and pairs.chi2 - chi2 > gain
+    scatter = max(suspect.chi2, _ROUNDING) / suspect.n_dof
+    return chi2 * _FAR_BETTER < pairs.chi2 and chi2 / pairs.n_dof < _ALIKE * max(scatter, _ROUNDING)
+
+
+def _signed_axes() -> Array:
+    """Return the 47 other ways (47, 3, 3) to order and count three axes."""
+    ways = [
+        np.diag(signs)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return np.array(ways[1:])
+
+
+def _other_axes(pairs: Pairs) -> tuple[float, list[int], Array]:
+    """Return what is left when some targets are read in other axes: sum of squares, which, and the axes."""
+    count, ways = len(pairs), _signed_axes()
+    if count > _MOST_POINTS:
+        return np.inf, [], ways[0]
+    triples = np.array(list(combinations(range(count), 3)))
+    rotation, shift, _ = kabsch(pairs.source_mm[triples], pairs.target_mm[triples], pairs.weights[triples])
+    mapped = pairs.source_mm @ rotation.swapaxes(-1, -2) + shift[:, None, :]
+    turned = np.einsum("wij,nj->wni", ways, pairs.target_mm)
+    as_given = pairs.weights * np.sum((mapped - pairs.target_mm) ** 2, axis=-1)
+    otherwise = pairs.weights * np.sum((mapped[:, None] - turned) ** 2, axis=-1)
+    left = np.sum(np.minimum(as_given[:, None], otherwise), axis=-1)
+    triple, way = np.unravel_index(int(np.argmin(left)), left.shape)
+    which, axes = otherwise[triple, way] < as_given[triple], ways[way]
+    if 2 * np.sum(which) > count:  # the other points read in the inverse axes are the same, but for the pose
+        which, axes = ~which, axes.T
+    target = np.where(which[:, None], pairs.target_mm @ axes.T, pairs.target_mm)
+    chi2 = float(misfits(pairs.source_mm, target, pairs.weights)[0]) if np.any(which) else np.inf
+    return chi2, np.flatnonzero(which).tolist(), axes
+
+
+def _axes_words(axes: Array) -> str:
+    """Describe axes (3, 3) in which coordinates were given."""
+    names = [f"{letter}_ref_mm" for letter in "xyz"]
+    order = np.argmax(np.abs(axes), axis=1).tolist()
+    signs = [axes[row, column] for row, column in enumerate(order)]
+    if order == [0, 1, 2]:
+        changed = " and ".join(name for name, sign in zip(names, signs, strict=True) if sign < 0.0)
+        between = " (RAS against LPS)" if signs == [-1.0, -1.0, 1.0] else ""
+        return f"the other sign of {changed}{between}"
+    moved = [name for place, name in enumerate(names) if order[place] != place]
+    if signs == [1.0, 1.0, 1.0] and len(moved) == 2:
+        return f"{' and '.join(moved)} exchanged"
+    read = ", ".join(
+        ("-" if sign < 0.0 else "") + "xyz"[place] for place, sign in zip(order, signs, strict=True)
+    )
+    return f"x, y, z read as {read}"
+
+
+def _other_order(pairs: Pairs) -> tuple[float, tuple[int, ...]]:
+    """Return the sum of squares and the order of the targets that fits best; target order[k] is that of k.
+
+    Every triple of targets gives a pose for the three sources that span most; the others follow by
+    assignment. Of orders that fit alike the one that moves fewest points counts: symmetric sets have several.
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
+    count, same = len(pairs), tuple(range(len(pairs)))
+    if count > _MOST_POINTS:
+        return np.inf, same
+    source, target, weights = pairs.source_mm, pairs.target_mm, pairs.weights
+    corners = list(max(combinations(range(count), 3), key=lambda triple: _area(source[list(triple)])))
+    triples = np.array(list(permutations(range(count), 3)))
+    rough = misfits(source[corners], target[triples], weights[corners])[0]
+    likely = triples[np.argsort(rough)[:200]]
+    rotations, shifts, _ = kabsch(source[corners], target[likely], weights[corners])
+    orders = {
+        tuple(linear_sum_assignment(cdist(source @ rotation.T + shift, target, "sqeuclidean"))[1].tolist())
+        for rotation, shift in zip(rotations, shifts, strict=True)
+    }
+    orders.discard(same)
+    if not orders:
+        return np.inf, same
+    listed = sorted(orders)
+    chi2 = misfits(source, target[np.array(listed)], weights)[0]
+    alike = np.flatnonzero(chi2 < chi2.min() + _ALIKE)
+    best = min(alike, key=lambda k: (sum(a != b for a, b in zip(listed[k], same, strict=True)), chi2[k]))
+    return float(chi2[best]), listed[best]
+
+
+def _area(corners: Array) -> float:
+    return float(np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0])))
+
+
+def _cycles(order: Sequence[int]) -> list[list[int]]:
+    """Return the cycles of an order, points in their place left out."""
+    remaining, cycles = set(range(len(order))), []
+    while remaining:
+        cycle = [min(remaining)]
+        remaining.discard(cycle[0])
+        while (following := order[cycle[-1]]) in remaining:
+            cycle.append(following)
+            remaining.discard(following)
+        if len(cycle) > 1:
+            cycles.append(cycle)
+    return cycles
+
+
+def _cycle_words(cycle: Sequence[int], names: Sequence[str]) -> str:
+    if len(cycle) == 2:
+        return f"{names[cycle[0]]} and {names[cycle[1]]} exchanged"
+    steps = zip(cycle, (*cycle[1:], cycle[0]), strict=True)
+    return "a cycle: " + ", ".join(f"{names[first]} is {names[second]}" for first, second in steps)
+
+
+def undo_mirror(target: str, source: str) -> str:
+    """Return what to do when the frames that points connect are mirror images of each other."""
+    if source == "plate":
+        return (
+            "Undo the mirrored axis of the scan with --mirror x, y or z, or correct the plate's coordinates"
+        )
+    step = (
+        "Undo the mirrored axis with --mirror x, y or z (scanning heads often count one axis the other way), "
+        "or put exchanged columns into their order"
+    )
+    if target != "scan":
+        return step
+    scan = "when the slices of the scan are in reverse order, mirror the scan where it is read, by ct2mass"
+    return f"{step}; {scan}. A side of the ear that you know shows which of the two it is"
+
+
+def _scale_cause(pairs: Pairs, suspect: Wrong) -> str:
+    """Name a wrong scale (Umeyama 1991, doi:10.1109/34.88573, Eq. 42) when it explains the misfit better."""
+    from scipy.special import fdtrc
+
+    rotation, _, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
+    share = pairs.weights / np.sum(pairs.weights)
+    turned = (pairs.source_mm - share @ pairs.source_mm) @ rotation.T
+    target = pairs.target_mm - share @ pairs.target_mm
+    weights = pairs.weights[:, None]
+    scale = float(np.sum(weights * turned * target) / np.sum(weights * turned**2))
+    chi2, n_dof = float(np.sum(weights * (scale * turned - target) ** 2)), pairs.n_dof - 1
+    scatter = max(chi2, _ROUNDING) / n_dof
+    significant = float(fdtrc(1, n_dof, max(pairs.chi2 - chi2, 0.0) / scatter)) < INCONSISTENT
+    if not significant or abs(scale - 1.0) < 1e-3 or scatter > max(suspect.chi2, _ROUNDING) / suspect.n_dof:
+        return ""
+    return (
+        f"distances between the references are {scale:.4f} times those that the {pairs.source} frame has; "
+        "check the voxel size of the scan and the scale of the vibrometer"
+    )
+
+
+def _wrong_cause(pairs: Pairs, suspects: Sequence[Wrong]) -> str:
+    """Name the fiducial that lies elsewhere than the others put it, when one explains the misfit."""
+    from scipy.special import fdtrc
+
+    first, count = suspects[0], len(pairs)
+    if first.n_dof < 1:
+        return ""
+    scatter = max(first.chi2, _ROUNDING) / first.n_dof
+    size_mm = float(np.linalg.norm(first.offset_mm))
+    if pairs.stated:
+        if first.chi2 > 0.5 * pairs.chi2:
+            return ""
+        alike = [suspect for suspect in suspects if suspect.chi2 < first.chi2 + _ALIKE]
+    else:
+        gain = (pairs.chi2 - first.chi2) / 3.0 / scatter
+        if size_mm < _NOTICEABLE_MM or count * float(fdtrc(3, first.n_dof, gain)) > INCONSISTENT:
+            return ""
+        factor = np.exp(_ALIKE / first.n_dof)
+        alike = [suspect for suspect in suspects if suspect.chi2 <= factor * max(first.chi2, _ROUNDING)]
+    if len(alike) > 1:
+        listed = ", ".join(pairs.names[place] for place in sorted(suspect.place for suspect in alike))
+        return f"one of the fiducials {listed} is off by about {size_mm:.3g} mm, they cannot tell which"
+    cell = _cell(first, float(np.sqrt(scatter)), pairs)
+    others = "" if pairs.stated else f"; the others scatter by {1e3 * np.sqrt(scatter):.2g} um"
+    return (
+        f"fiducial {pairs.names[first.place]} lies {size_mm:.3g} mm from where the others put it{cell}; "
+        f"check its coordinates or leave it out{others}"
+    )
+
+
+def _cell(wrong: Wrong, scatter: float, pairs: Pairs) -> str:
+    """Name the one coordinate that would explain the whole offset, as a mistyped cell does."""
+    noise = scatter / np.sqrt(pairs.weights[wrong.place]) if pairs.stated else scatter
+    hits = []
+    for offset, end in ((-wrong.rotation.T @ wrong.offset_mm, "_mm"), (wrong.offset_mm, "_ref_mm")):
+        axis = int(np.argmax(np.abs(offset)))
+        size, rest = abs(offset[axis]), float(np.linalg.norm(np.delete(offset, axis)))
+        if rest < max(0.05 * size, 3.0 * noise if noise < 0.1 * size else 0.0):
+            sense = "large" if offset[axis] > 0.0 else "small"
+            hits.append(f"{'xyz'[axis]}{end} too {sense} by {size:.4g} mm")
+    return f" (as with {' or '.join(hits)})" if hits else ""

@@ -1,0 +1,179 @@
+"""The pose of one frame in another from paired points: weighted Kabsch, its covariance, target errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.fiducial_faults import inconsistent, notices_of
+from stapeskit.frames import RigidTransform, cross_matrix, vector_from_rotation
+from stapeskit.paired_points import Pairs, check_pairs, kabsch, pose_rows
+from stapeskit.warnings import Notice
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A fitted pose ``to_from_source``.
+
+    Attributes
+    ----------
+    transform : RigidTransform
+        Maps source coordinates to target coordinates (mm).
+    covariance_si : ndarray, (6, 6)
+        Covariance of the small displacement e of the SOURCE frame in its own axes, about its own origin,
+        (x, y, z in m, alpha, beta, gamma in rad), for which ``transform.perturbed(e)`` is the true pose.
+    residuals_mm : ndarray, (n, 3)
+        Mapped source points minus target points, in target axes.
+    sd_mm : ndarray, (n,)
+        Standard deviation per coordinate of each pair's difference: as given, or estimated from residuals.
+    chi2, n_dof : float, int
+        Sum of (residual / sd)^2 and 3 n - 6; chi2 is NaN when the sd was estimated.
+    flat_mm : float
+        Largest distance of a target point from the best plane through all of them.
+    notices : tuple of Notice
+        ``fiducials_coplanar``, ``fiducials_inconsistent``.
+    names : tuple of str, (n,)
+        Names of the pairs.
+    kind : str
+        What was fitted: ``fiducials``, ``plate points`` ...
+    """
+
+    transform: RigidTransform
+    covariance_si: Array
+    residuals_mm: Array
+    sd_mm: Array
+    chi2: float
+    n_dof: int
+    flat_mm: float
+    notices: tuple[Notice, ...] = ()
+    names: tuple[str, ...] = ()
+    kind: str = "fiducials"
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square length of the residuals, mm (the fiducial registration error)."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_mm**2, axis=1))))
+
+    def target_covariance(self, points_mm: ArrayLike) -> Array:
+        """Return the covariance (n, 3, 3), m2, in target axes, of mapped points (n, 3), source mm."""
+        points = np.atleast_2d(np.asarray(points_mm, dtype=float)) * 1e-3
+        jacobian = self.transform.rotation @ pose_rows(points)
+        return np.asarray(jacobian @ self.covariance_si @ jacobian.transpose(0, 2, 1))
+
+    def target_registration_error(self, points_mm: ArrayLike) -> Array:
+        """Return the expected root mean square error (n,), mm, of mapped points (n, 3) given in source mm.
+
+        Notes
+        -----
+        Fitzpatrick, West and Maurer 1998 (doi:10.1109/42.736021) give the same to first order for equal sd.
+        """
+        variance = np.trace(self.target_covariance(points_mm), axis1=1, axis2=2)
+        return np.asarray(np.sqrt(variance) * 1e3)
+
+
+def fit_rigid(
+    source_mm: ArrayLike,
+    target_mm: ArrayLike,
+    sd_mm: ArrayLike | None = None,
+    *,
+    to: str,
+    source: str,
+    names: Sequence[str] = (),
+    kind: str = "fiducials",
+) -> Registration:
+    """Fit the rigid transform that maps source points onto target points; never a reflection.
+
+    Parameters
+    ----------
+    source_mm, target_mm : array_like, (n, 3)
+        Paired points, mm, in the frames ``source`` and ``to``; at least 3, not on a line.
+    sd_mm : array_like, scalar or (n,), optional
+        Standard deviation per coordinate of the difference of a pair, mm. Estimated from the residuals when
+        it is not given.
+    to, source : str
+        Names of the two frames.
+    names : sequence of str, optional
+        Names of the pairs, for messages.
+    kind : str
+        What the pairs are, for reports.
+
+    Raises
+    ------
+    StapeskitError
+        Fewer than 3 points, points on a line, numbers that are not finite, an sd that is not positive,
+        sizes that differ (millimetres against metres), points that fit only as a mirror image (one set
+        is left-handed), only with names exchanged, or only with some of them in other axes.
+
+    Notes
+    -----
+    With the model R (s + u + theta x s) + t the information matrix of (u, theta) is the sum of
+    J^T J / sd^2, J = [1, -[s]x]; it is inverted about the centroid and shifted to the origin. With given sd
+    and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof.
+    """
+    first, second = np.asarray(source_mm, dtype=float), np.asarray(target_mm, dtype=float)
+    labels = tuple(names) or tuple(str(place + 1) for place in range(len(first)))
+    stated = sd_mm is not None
+    check_pairs(first, second, source, to)
+    sd = _checked_sd(sd_mm, len(first))
+    rotation, shift, mirrored = kabsch(first, second, 1.0 / sd**2)
+    residuals = first @ rotation.T + shift - second
+    chi2 = float(np.sum((residuals / sd[:, None]) ** 2))
+    n_dof = 3 * len(first) - 6
+    spread = sd if stated else np.full(len(first), np.sqrt(chi2 / n_dof))
+    flat_mm = _distance_from_plane(second)
+    pairs = Pairs(first, second, 1.0 / sd**2, chi2, flat_mm, stated, bool(mirrored), labels, source, to)
+    notices = notices_of(pairs)
+    scale = chi2 / n_dof if not stated or inconsistent(chi2, n_dof) else 1.0
+    return Registration(
+        RigidTransform.from_parts(rotation, shift, to, source),
+        scale * _pose_covariance(first, 1.0 / sd**2),
+        residuals,
+        spread,
+        chi2 if stated else float("nan"),
+        n_dof,
+        flat_mm,
+        tuple(notices),
+        labels,
+        kind,
+    )
+
+
+def displacement(base: RigidTransform, moved: RigidTransform) -> Array:
+    """Return the displacement e (6,), m and rad, for which ``base.perturbed(e)`` is ``moved``."""
+    step = base.inverse().matrix @ moved.matrix
+    return np.concatenate([step[:3, 3] * 1e-3, vector_from_rotation(step[:3, :3])])
+
+
+def _pose_covariance(points_mm: Array, weights: Array) -> Array:
+    """Return the covariance (6, 6), SI, of the displacement of the source frame about its origin.
+
+    ``weights`` (n,) are 1 / sd^2 of the pairs, 1/mm2.
+    """
+    centre = weights @ points_mm / np.sum(weights) * 1e-3
+    rows = pose_rows(points_mm * 1e-3 - centre)
+    information = np.einsum("nji,n,njk->ik", rows, weights * 1e6, rows)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    about_centre = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    move = np.eye(6)
+    move[:3, 3:] = cross_matrix(centre)
+    covariance = move @ about_centre @ move.T
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _checked_sd(sd_mm: ArrayLike | None, count: int) -> Array:
+    """Return a standard deviation (n,) for every pair; ones when none is stated."""
+    sd = np.array(np.broadcast_to(1.0 if sd_mm is None else np.asarray(sd_mm, dtype=float), (count,)))
+    if not np.all((sd > 0.0) & np.isfinite(sd)):
+        raise StapeskitError.of("sd_mm of a fiducial", "positive and finite", f"{np.min(sd):g}")
+    return sd
+
+
+def _distance_from_plane(points: Array) -> float:
+    """Return the largest distance of points from the best plane through them, mm."""
+    centred = points - points.mean(axis=0)
+    return float(np.max(np.abs(centred @ np.linalg.svd(centred)[2][2])))
