@@ -1,0 +1,199 @@
+"""Facts about vibrometer files that the files do not contain: bodies, runs, beams, units, time series."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, StapeskitError
+from stapeskit.frames import axis_vector
+
+
+@dataclass(frozen=True)
+class SeriesFacts:
+    """How time series are turned into frequency responses.
+
+    Attributes
+    ----------
+    channels : Path
+        Table with the beam, point and unit of each channel; see `kinematics.readers.series`.
+    reference_channel : str
+        The reference among several.
+    averages : int
+        Segments of a record of random excitation.
+    period_s : float, optional
+        Period of a periodic excitation.
+    steps : Path, optional
+        Table of the steps of a stepped sine: start_s, stop_s, freq_hz.
+    settle : float
+        Share of each step left out at its start.
+    band_hz : (float, float), optional
+        Frequencies to keep.
+    """
+
+    channels: Path
+    reference_channel: str = ""
+    averages: int = 30
+    period_s: float | None = None
+    steps: Path | None = None
+    settle: float = 0.2
+    band_hz: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class FileFacts:
+    """What the user states where files are silent; the attributes are options of the command.
+
+    Attributes
+    ----------
+    body : tuple of str
+        ``NAME=POINTS`` each: points are numbers, ranges 3-7, names, FILE or FILE:POINTS, comma separated.
+    run : tuple of str
+        ``NAME=FILE`` each: the excitation that a file belongs to.
+    beam : str
+        Direction towards the laser head, x, -y ... or three numbers.
+    amplitude : str
+        ``peak`` or ``rms``; empty: peak, with a warning.
+    length_unit : str
+        Of positions; empty: m, with a warning.
+    n_avg : float, optional
+        Number of averages behind each value.
+    mapping : Path, optional
+        Which variable or column is what; see `kinematics.readers.mapping`.
+    series : SeriesFacts, optional
+        With it, files hold time series.
+    """
+
+    body: tuple[str, ...] = ()
+    run: tuple[str, ...] = ()
+    beam: str = ""
+    amplitude: str = ""
+    length_unit: str = ""
+    n_avg: float | None = None
+    mapping: Path | None = None
+    series: SeriesFacts | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that were given, as on the command line."""
+        names = ("body", "run", "beam", "amplitude", "length_unit", "n_avg", "mapping")
+        given = [f"--{name.replace('_', '-')}" for name in names if getattr(self, name)]
+        return (*given, *(["--channels"] if self.series else []))
+
+    @cached_property
+    def direction(self) -> Array | None:
+        """Unit vector (3,) of ``beam``; None without one.
+
+        Raises
+        ------
+        StapeskitError
+            Neither a name of an axis nor three numbers.
+        """
+        return direction_of(self.beam) if self.beam else None
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[str, tuple[Chosen, ...]], ...]:
+        """The rules of ``body``: a name and the points that it has.
+
+        Raises
+        ------
+        StapeskitError
+            A rule cannot be read.
+        """
+        return tuple(_rule(text) for text in self.body)
+
+    @cached_property
+    def runs(self) -> tuple[tuple[str, str], ...]:
+        """Names and files of ``run``.
+
+        Raises
+        ------
+        StapeskitError
+            A rule is no NAME=FILE.
+        """
+        parts = [tuple(part.strip() for part in text.partition("=")[::2]) for text in self.run]
+        for text, (name, file) in zip(self.run, parts, strict=True):
+            if not (name and file):
+                raise StapeskitError.of("--run", "NAME=FILE", text)
+        return tuple((name, file) for name, file in parts)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Points of one rule: of a file (empty: of any) one name, a range of numbers, or all."""
+
+    file: str = ""
+    name: str = ""
+    first: int = 0
+    last: int = -1
+
+    def holds(self, file: str, point: str) -> bool:
+        """Return whether a point of a file is meant."""
+        if self.file and not is_file(self.file, file):
+            return False
+        if self.name:
+            as_file = not self.file and not self.name.isdigit() and is_file(self.name, file)
+            return point == self.name or as_file
+        if self.last >= self.first:
+            return point.isdigit() and self.first <= int(point) <= self.last
+        return True
+
+
+def is_file(item: str, file: str) -> bool:
+    """Return whether a file is named by its name, with or without the ending."""
+    return item in (file, file.rsplit(".", 1)[0])
+
+
+def direction_of(text: str, where: str = "") -> Array:
+    """Read ``-z`` or ``0,0.34,0.94`` as a unit vector (3,).
+
+    Raises
+    ------
+    StapeskitError
+        Neither a name of an axis nor three numbers that are not all zero.
+    """
+    axis = axis_vector(text.strip())
+    if axis is not None:
+        return axis
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+        length = float(np.linalg.norm(numbers))
+    except ValueError:
+        numbers, length = np.zeros(0), 0.0
+    if numbers.shape != (3,) or not 0.0 < length < np.inf:
+        raise StapeskitError.of("--beam", "x, -y ... or three numbers X,Y,Z", text, where)
+    return np.asarray(numbers / length)
+
+
+def _rule(text: str) -> tuple[str, tuple[Chosen, ...]]:
+    """Read ``NAME=POINTS``."""
+    name, _, points = (part.strip() for part in text.partition("="))
+    chosen: list[Chosen] = []
+    file = ""
+    for item in points.split(","):
+        head, colon, rest = item.strip().rpartition(":")
+        file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
+        span = re.fullmatch(r"(\d{1,9})\s*-\s*(\d{1,9})", item)
+        first, last = (int(span[1]), int(span[2])) if span else (0, 0)
+        if not item or not name or first > last:
+            step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
+            raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
+        chosen.append(Chosen(file, "", first, last) if span else Chosen(file, item))
+    return name, tuple(chosen)
+
+
+def unknown_files(facts: FileFacts, files: Sequence[str]) -> list[Fault]:
+    """List the files that rules name and nobody gave."""
+    stated = [(f"--run {name}={file}", file) for name, file in facts.runs]
+    stated += [(f"--body {name}", item.file) for name, items in facts.bodies for item in items if item.file]
+    return [
+        Fault(f"the file of {thing}", f"one of {', '.join(files)}", file, "", "Correct its name")
+        for thing, file in stated
+        if not any(is_file(file, other) for other in files)
+    ]

@@ -1,0 +1,283 @@
+"""The table of vibrometer formats, and which of them a file or folder is.
+
+A new format is a module with ``read(path, facts) -> Recording`` and one entry of `FORMATS`; the help of
+``points2dof``, messages, docs and the contract test follow. What a file holds decides, its name second; the
+first entry that holds it reads it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stapeskit.faults import StapeskitError
+
+if TYPE_CHECKING:
+    from kinematics.readers.facts import FileFacts
+    from kinematics.readers.recording import Recording
+
+TIDY = "tidy"
+TEXT_ENDINGS = (".txt", ".asc", ".csv", ".dat")
+WORKBOOKS = (".xls", ".xlsx", ".xlsm", ".ods")
+
+_HEAD_BYTES = 1 << 16  # holds the header of every known format
+_MOST_FILES = 100_000  # a point and axis each of 30 000 points; a home folder has more
+_ZIP, _COMPOUND = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+_SOUND = (b"RIFF", b"RIFX", b"RF64")
+_UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
+_EXPORT_STEP = (
+    "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) or as "
+    "ASCII (Real & Imag.), and give that file or folder"
+)
+
+
+@dataclass(frozen=True)
+class Head:
+    """The first bytes of a file, its ending in small letters, and whether it has a mapping."""
+
+    content: bytes
+    suffix: str
+    mapped: bool = False
+
+    @cached_property
+    def text(self) -> str:
+        """The first bytes as text; empty for archives and sound."""
+        from kinematics.readers.text import decoded
+
+        return "" if self.content.startswith((_ZIP, _COMPOUND, *_SOUND)) else decoded(self.content)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of vibrometer files.
+
+    Attributes
+    ----------
+    words : str
+        What it is, in messages.
+    holds : callable
+        Takes the Head of a file and returns whether it is of this format.
+    module : str
+        Below this package; has ``read(path, facts)``.
+    reads : str
+        What is read of it, for the help and the documentation.
+    suffixes : tuple of str
+        Endings of names that decide where no content does.
+    libraries : tuple of str
+        What reads the file in a child process with limits; empty: plain text, read in this process.
+    in_folders : bool
+        Whether a folder of such files is one measurement.
+    series : bool
+        Whether a table of channels makes it time series.
+    """
+
+    name: str
+    words: str
+    holds: Callable[[Head], bool]
+    module: str
+    reads: str
+    suffixes: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    in_folders: bool = False
+    series: bool = False
+
+
+def _is_fastscan(head: Head) -> bool:
+    from kinematics.readers.psv import looks_like_fastscan
+
+    return looks_like_fastscan(head.text)
+
+
+def _is_point_file(head: Head) -> bool:
+    from kinematics.readers.psv import looks_like_points
+
+    return looks_like_points(head.text)
+
+
+def _is_wide(head: Head) -> bool:
+    from kinematics.readers.wide import is_wide
+
+    return head.mapped or is_wide(head.text)
+
+
+def _is_series(head: Head) -> bool:
+    """Return whether a file is an archive of arrays, sound, or a table with a column of times."""
+    if head.content.startswith(_SOUND) or (head.content.startswith(_ZIP) and b".npy" in head.content):
+        return True
+    lines = [line for line in head.text.split("\n")[:20] if line.strip() and not line.startswith("#")]
+    cells = re.split(r"[,;\t]", lines[0]) if lines else []
+    return "time_s" in [cell.strip().strip('"').lower() for cell in cells]
+
+
+FORMATS = (
+    Format(
+        "svd", "a scan file of Polytec (.svd)", lambda head: head.content.startswith(_COMPOUND), "svd",
+        "PSV 10, averaged FFT with one head: cross and auto spectra, H1, coherence, positions, direction",
+        libraries=("olefile",),
+    ),
+    Format(
+        "matlab", "a MATLAB file (.mat)",
+        lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)), "matlab",
+        "v4 to v7.3, as File Access scripts save them; other layouts by `--mapping`",
+        libraries=("scipy.io",), series=True,
+    ),
+    Format(
+        "hdf5", "HDF5 (.h5)", lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"), "hdf5",
+        "data sets by their names (`freq_hz`, `re`, `im`, `direction`, `position_mm`, ...); others by `--mapping`",
+        libraries=("h5py",), series=True,
+    ),
+    Format(
+        "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)), "uff",
+        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate systems, "
+        "164 units",
+        (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
+    ),
+    Format(
+        "fastscan", "text exports of a scanning vibrometer (a folder, or .txt)", _is_fastscan, "psv",
+        "Polytec PSV: FastScan folders (one file a frequency)", in_folders=True,
+    ),
+    Format(
+        "points", "per-point text exports of a scanning vibrometer", _is_point_file, "psv",
+        "Polytec PSV: a file, or a block of one file, for each point", in_folders=True,
+    ),
+    Format(
+        "time", "time series (.csv, .npz, .wav)", _is_series, "series",
+        "with a channel table, also .mat and .h5: H1 with its noise, periodic excitation, stepped sine by lock-in",
+        libraries=("numpy", "scipy.io"), series=True,
+    ),
+    Format(
+        "wide", "a wide table (.csv)", _is_wide, "wide",
+        "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...`); "
+        "other names by `--mapping`",
+    ),
+    Format(
+        TIDY, "a tidy table (.csv)", lambda _head: False, "tidy",
+        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` comments, "
+        "`sep=;`; anything else is refused with file, line and column, all faults in one message",
+        (".csv", ".tsv", ".txt"),
+    ),
+)  # fmt: skip
+"""In the order in which they are tried."""
+
+
+def read_file(path: Path, facts: FileFacts) -> Recording:
+    """Read a file or folder of any known format; libraries run in a child process with limits.
+
+    Raises
+    ------
+    StapeskitError
+        There is no such file, nothing known is in it, or it is damaged.
+    """
+    path = Path(path)
+    path = path if path.name else path.resolve()  # the folder "." has no name
+    entry = format_of(path, facts.mapping is not None)
+    series = entry.series and facts.series is not None
+    read: Callable[[Path, FileFacts], Recording]
+    read = import_module(f"kinematics.readers.{'series' if series else entry.module}").read
+    try:
+        if not entry.libraries or (entry.name == "time" and path.suffix.lower() in TEXT_ENDINGS):
+            return read(path, facts)
+        from stapeskit.sandbox import memory_limit, read_apart
+
+        modules = (f"kinematics.readers.{entry.module}", *entry.libraries)
+        return read_apart(
+            lambda: read(path, facts), path, entry.words, memory=memory_limit(path), modules=modules
+        )
+    except OSError as fault:
+        got, step = fault.strerror or "an error of the system", "Check its name, folder and permissions"
+        raise StapeskitError.of("the vibrometer file", "readable", got, path.name, step) from fault
+
+
+def format_of(path: Path, mapped: bool = False) -> Format:
+    """Return the format of a file or folder; with a mapping, a table that is not known is a wide one.
+
+    Raises
+    ------
+    StapeskitError
+        There is no such file, or nothing known in it.
+    """
+    if path.is_dir():
+        return _format_of_folder(path)
+    if not path.is_file():
+        raise StapeskitError.of(
+            "the vibrometer file", "an existing file", path.name, "", "Check its name and folder"
+        )
+    head = replace(head_of(path), mapped=mapped) if mapped else head_of(path)
+    for entry in FORMATS:
+        if entry.holds(head):
+            return entry
+    known = ", ".join(entry.words for entry in FORMATS)
+    if head.content.startswith(_ZIP):
+        workbook = head.suffix in WORKBOOKS
+        got, step = "a ZIP archive", "Unpack it, and give the files or folders in it"
+        if workbook:
+            got, step = "a workbook", "Save the sheet as CSV in the program that wrote it, and give that file"
+        raise StapeskitError.of("the vibrometer file", f"one of {known}", got, path.name, step)
+    if head.suffix in (".svd", ".pvd", ".set"):
+        got = "another scan file, or a damaged one"
+        raise StapeskitError.of("the scan file", "a compound file of PSV 10", got, path.name, _EXPORT_STEP)
+    by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
+    if not head.content and by_name and by_name[0].name != TIDY:
+        raise StapeskitError.of(
+            "the vibrometer file", "one with content", "0 bytes", path.name, "Export it again"
+        )
+    if by_name:
+        return by_name[0]
+    step = "See points2dof --help for the layouts"
+    raise StapeskitError.of(
+        "the vibrometer file", f"one of {known}", path.suffix or path.name, path.name, step
+    )
+
+
+def head_of(path: Path) -> Head:
+    """Return the beginning of a file."""
+    from kinematics.readers.mapping import mapping_beside
+
+    with path.open("rb") as stream:
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapping_beside(path) is not None)
+
+
+def export_files(folder: Path, deep: bool = True) -> list[Path]:
+    """Return the files of a folder that may be text exports: by ending, not hidden.
+
+    Raises
+    ------
+    StapeskitError
+        It holds more files than a measurement has.
+    """
+    entries: Iterator[Path] = folder.rglob("*") if deep else folder.iterdir()
+    files = list(islice(entries, _MOST_FILES + 1))
+    if len(files) > _MOST_FILES:
+        got, step = f"more than {_MOST_FILES}", "Give the folder of the exported text files"
+        raise StapeskitError.of("the folder", "one with the files of a measurement", got, folder.name, step)
+    chosen = [file for file in files if file.suffix.lower() in TEXT_ENDINGS and not file.name.startswith(".")]
+    return sorted(file for file in chosen if file.is_file())
+
+
+def _format_of_folder(path: Path) -> Format:
+    """Return the format of the first text export in a folder."""
+    files = export_files(path)
+    for file in files:
+        head = head_of(file)
+        for entry in FORMATS:
+            if entry.in_folders and entry.holds(head):
+                return entry
+    step = "Give the files themselves, or the folder of a text export"
+    expected = "one with text exports of a scanning vibrometer"
+    got = f"{len(files)} text files of other kinds" if files else "none"
+    raise StapeskitError.of("a vibrometer folder", expected, got, path.name, step)
+
+
+def companion_files(path: Path, facts: FileFacts) -> list[Path]:
+    """Return the files that are read with a vibrometer file: mapping, tables of channels and steps."""
+    from kinematics.readers.mapping import mapping_beside
+
+    series = facts.series
+    files = [mapping_beside(Path(path), facts.mapping), *((series.channels, series.steps) if series else ())]
+    return [file for file in files if file is not None and file.is_file()]

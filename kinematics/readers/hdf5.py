@@ -1,0 +1,90 @@
+"""Read HDF5 files by h5py, those of MATLAB 7.3 too, as dictionaries of arrays, texts and lists.
+
+What the data sets are follows from their names and shapes, or from a mapping (kinematics.readers.matlab).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.recording import Recording
+
+if TYPE_CHECKING:
+    import h5py
+
+STRINGS = "a MATLAB string array"
+"""Stands for a variable of MATLAB's class string, which no library reads."""
+
+_DEEPEST = 8  # groups in groups that are read
+
+
+def read(path: Path, facts: FileFacts) -> Recording:
+    """Read spectra from an HDF5 file; see `kinematics.readers.matlab.recording_of_tree`.
+
+    Raises
+    ------
+    StapeskitError
+        As `kinematics.readers.matlab.read`.
+    """
+    from kinematics.readers.matlab import recording_of_tree
+
+    return recording_of_tree(read_tree(path), path, facts)
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """Return groups as dictionaries, data sets as arrays or texts, and the attributes of the file."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        tree = {name: _value(file, node, 0) for name, node in file.items() if not name.startswith("#")}
+        return {**{name: _attribute(value) for name, value in file.attrs.items()}, **tree}
+
+
+def _attribute(value: Any) -> Any:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
+    """Return a node; MATLAB writes dimensions in reverse, texts as numbers, cells as references."""
+    import h5py
+
+    kind = _attribute(node.attrs.get("MATLAB_class", b""))
+    kind = str(_attribute(kind.item()) if isinstance(kind, np.generic) else kind)
+    if depth > _DEEPEST:
+        return {}
+    if isinstance(node, h5py.Group):
+        fields = {name: _value(file, one, depth + 1) for name, one in node.items()}
+        lists = {name: value for name, value in fields.items() if isinstance(value, list)}
+        lengths = {len(value) for value in lists.values()}
+        if kind == "struct" and len(lists) == len(fields) and len(lengths) == 1:
+            return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)]
+        return fields
+    if kind == "string":
+        return STRINGS
+    if node.attrs.get("MATLAB_empty", 0):
+        return np.empty(0)
+    if node.dtype == h5py.ref_dtype:
+        return [_value(file, file[reference], depth + 1) for reference in np.asarray(node).T.reshape(-1)]
+    if h5py.check_string_dtype(node.dtype) is not None:
+        texts = [_attribute(text) for text in np.asarray(node).reshape(-1).tolist()]
+        return texts[0] if node.shape == () else texts
+    values = np.asarray(node)
+    if kind == "char":
+        return "".join(map(chr, values.T.reshape(-1).astype(int).tolist()))
+    values = _complex(values)
+    return values.T.squeeze() if kind else values
+
+
+def _complex(values: NDArray[Any]) -> NDArray[Any]:
+    """Return compound numbers of a real and an imaginary part as complex ones."""
+    names = values.dtype.names
+    if names is None or len(names) != 2:
+        return values
+    result = np.empty(values.shape, dtype=complex)
+    result.real, result.imag = values[names[0]], values[names[1]]
+    return result

@@ -1,0 +1,137 @@
+"""Mapping files: TOML that says which column or variable of a file is what (``ldv.csv.toml``, ``--mapping``).
+
+frequency = "data.f"       # a column, or a variable; dots reach into structs and groups
+frequency_unit = "kHz"     # Hz
+position = "where"         # points x 3
+position_unit = "mm"       # m, mm or um
+points = "names"           # left out: 1, 2, 3, ...
+amplitude = "peak"         # or "rms"
+convention = "+"           # e^{+iwt}; "-" for e^{-iwt}
+each = ""                  # a struct array with one element a point, if any
+
+[[signal]]                 # one for every beam
+value = "data.vz"          # complex; or value_re and value_im, or magnitude and phase
+direction = "z"            # x ... -z, three numbers, or a variable of points x 3
+unit = "mm/s"
+phase_unit = "rad"         # deg
+point = "3"                # where the signal is of one point
+coherence = "data.coh"     # optional; also sd (unit of the value), n_avg, run, body
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from stapeskit.faults import Fault, StapeskitError, raise_all
+
+_CHOICES = {
+    "frequency_unit": ("Hz", "kHz", "MHz"),
+    "amplitude": ("peak", "rms"),
+    "convention": ("+", "-"),
+    "position_unit": ("m", "mm", "um"),
+}
+_PAIRS = (("value",), ("value_re", "value_im"), ("magnitude", "phase"))
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One beam: names of columns or variables; empty where there is none."""
+
+    value: str = ""
+    value_re: str = ""
+    value_im: str = ""
+    magnitude: str = ""
+    phase: str = ""
+    direction: Any = ""
+    unit: str = ""
+    phase_unit: str = ""
+    point: str = ""
+    coherence: str = ""
+    sd: str = ""
+    n_avg: Any = ""
+    run: str = ""
+    body: str = ""
+
+    @property
+    def name(self) -> str:
+        """The first of its columns or variables, for messages."""
+        return self.value or self.value_re or self.magnitude
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Which column or variable is what."""
+
+    frequency: str = ""
+    frequency_unit: str = ""
+    position: str = ""
+    position_unit: str = ""
+    points: str = ""
+    amplitude: str = ""
+    convention: str = "+"
+    each: str = ""
+    body: str = ""
+    run: str = ""
+    signal: tuple[Signal, ...] = ()
+
+
+def mapping_beside(path: Path, given: Path | None = None) -> Path | None:
+    """Return the mapping of a file: the one given, or ``<path>.toml`` where it exists."""
+    beside = path.with_name(path.name + ".toml")
+    return beside if given is None and beside.is_file() else given
+
+
+def read_mapping(path: Path) -> Mapping:
+    """Read a mapping.
+
+    Raises
+    ------
+    StapeskitError
+        No TOML, an unknown key (the nearest is named), a value of the wrong kind, no frequency or no signal;
+        all faults together.
+    """
+    if not path.is_file():
+        raise StapeskitError.of("--mapping", "an existing TOML file", path.name, "", "Check its name")
+    try:
+        document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except ValueError as fault:
+        raise StapeskitError.of("a mapping", "a TOML file", fault, path.name) from fault
+    signals = document.pop("signal", [])
+    faults = _text_faults(document, [entry.name for entry in fields(Mapping)], path.name)
+    faults += [
+        Fault(key, f"one of {', '.join(values)}", document[key], path.name)
+        for key, values in _CHOICES.items()
+        if document.get(key) and document[key] not in values
+    ]
+    if not document.get("frequency"):
+        faults.append(Fault("frequency", "the name of a column or variable", "none", path.name))
+    if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
+        faults.append(Fault("a mapping", "of at least one [[signal]]", "none", path.name))
+        signals = []
+    for number, entry in enumerate(signals, 1):
+        where = f"{path.name}, signal {number}"
+        texts = {key: value for key, value in entry.items() if key not in ("direction", "n_avg")}
+        faults += _text_faults(texts, [item.name for item in fields(Signal)], where)
+        if not any(all(entry.get(key) for key in pair) for pair in _PAIRS):
+            wanted = "given as " + ", or as ".join(" and ".join(pair) for pair in _PAIRS)
+            faults.append(Fault("the values of a signal", wanted, ", ".join(entry) or "none", where))
+    raise_all(faults)
+    return Mapping(**document, signal=tuple(Signal(**entry) for entry in signals))
+
+
+def _text_faults(table: dict[str, Any], known: Iterable[str], where: str) -> list[Fault]:
+    """List keys that are not known, each with the nearest that is, and values that are no texts."""
+    names, faults = list(known), []
+    for key, value in table.items():
+        if key not in names:
+            near = difflib.get_close_matches(key, names, 1)
+            step = f"Did you mean {near[0]}?" if near else "Remove it"
+            faults.append(Fault("a key", f"one of {', '.join(names)}", key, where, step))
+        elif not isinstance(value, str):
+            faults.append(Fault(key, "a text in quotes", value, where))
+    return faults

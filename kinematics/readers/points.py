@@ -1,0 +1,146 @@
+"""Read the positions of measurement points: body, point, x_mm, y_mm, z_mm [, sd_mm]."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinematics.readers.text import plain_name
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.units import FARTHEST_MM, NEAREST_MM
+
+if TYPE_CHECKING:
+    from stapeskit.tables import Table
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+
+
+@dataclass(frozen=True)
+class Points:
+    """Positions (3,), m, and their standard deviations, m (NaN where not stated), by body and point."""
+
+    file: str
+    positions_m: Mapping[tuple[str, str], Array]
+    sd_m: Mapping[tuple[str, str], float]
+
+    def bodies_of(self, point: str) -> list[str]:
+        """Return the bodies that have a point of a name."""
+        return [body for body, other in self.positions_m if other == point]
+
+    def key_of(self, body: str, point: str) -> tuple[str, str]:
+        """Return the key of a point, in this file's spelling where one alone differs in case or blanks.
+
+        Raises
+        ------
+        KeyError
+            The point is not listed.
+        """
+        if (body, point) in self.positions_m:
+            return body, point
+        wanted = (body.strip().casefold(), point.strip().casefold())
+        alike = [key for key in self.positions_m if (key[0].casefold(), key[1].casefold()) == wanted]
+        if len(alike) != 1:
+            raise KeyError((body, point))
+        return alike[0]
+
+
+def read_points(path: Path) -> Points:
+    """Read a points file.
+
+    Raises
+    ------
+    StapeskitError
+        A column is missing, a cell is no finite number, a name is empty, a point is repeated, or an sd_mm is
+        not positive; all faults are listed.
+    """
+    from stapeskit.tables import read_table
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("body", "point", *POSITION), file)
+        return {*POSITION, *({"sd_mm"} & set(header))}, {"body", "point"}
+
+    table = read_table(Path(path), choose)
+    body, point = table.texts["body"], table.texts["point"]
+    xyz = np.column_stack([table.numbers[name] for name in POSITION])
+    sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
+    faults = [*table.faults, *position_faults(table, POSITION), *sd_faults(table, sd)]
+    positions: dict[tuple[str, str], Array] = {}
+    spread: dict[tuple[str, str], float] = {}
+    for row in range(len(table)):
+        if body.codes[row] < 0 or point.codes[row] < 0:
+            step = "Name the body and the point"
+            faults.append(Fault("body and point", "names", "an empty cell", table.where(row), step))
+            continue
+        key = (body.names[body.codes[row]], plain_name(point.names[point.codes[row]]))
+        if key in positions:
+            thing, got = f"point {key[1]} of body {key[0]}", "the same point again"
+            faults.append(Fault(thing, "listed once", got, table.where(row), "Keep one row"))
+        positions[key], spread[key] = 1e-3 * xyz[row], 1e-3 * float(sd[row])
+    raise_all(faults)
+    return Points(table.file, positions, spread)
+
+
+def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
+    """Refuse a header that lacks a column.
+
+    Raises
+    ------
+    StapeskitError
+        Names every missing column, and the table that the header seems to be of.
+    """
+    missing = [name for name in names if name not in header]
+    if not missing:
+        return
+    stems = {name.removesuffix("_mm") for name in missing if name.endswith("_mm")}
+    others = [name for name in header if name.rpartition("_")[0] in stems]
+    step = "Add the column, or correct its name in the header"
+    if others:
+        step = f"Convert {', '.join(others)} to mm, and name their unit in the header"
+    got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
+    raise StapeskitError.of("the table", "complete", got, where, other_table(header, names) or step)
+
+
+def other_table(header: Sequence[str], names: Sequence[str]) -> str:
+    """Return what to do where a header is that of another table than the one with columns ``names``.
+
+    Files that were exchanged on the command line lack many columns, and none of them should be added. Empty
+    where the header is of the right table, or of none that is known.
+    """
+    tables = {
+        "vibrometer readings": ({"freq_hz"}, "give it first, without an option"),
+        "fiducials": ({"x_ref_mm"}, "give it with --fiducials"),
+        "points": ({"body", "point", *POSITION}, "give it with --points"),
+    }
+    for kind, (columns, where) in tables.items():
+        if columns <= set(header):
+            return "" if columns <= set(names) else f"It looks like a table of {kind}: {where}"
+    return ""
+
+
+def position_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
+    """List the cells of columns in mm that are empty, infinite or impossibly far."""
+    faults = []
+    for name in columns:
+        values, reported = table.numbers[name], table.invalid_rows(name)
+        bad = ~(np.abs(values) <= FARTHEST_MM) & ~(np.isnan(values) & reported)
+        for row in np.flatnonzero(bad).tolist():
+            got = "an empty or NaN cell" if np.isnan(values[row]) else f"{values[row]:g}"
+            step = "Give the number in mm, or leave the row out"
+            where = table.where(row, name)
+            faults.append(Fault(name, f"a number within {FARTHEST_MM:g} mm", got, where, step))
+    return faults
+
+
+def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[Fault]:
+    """List the standard deviations that are not positive and finite, or beyond all positions."""
+    step, want = (
+        "Give the standard deviation per coordinate in mm",
+        f"from {NEAREST_MM:g} to {FARTHEST_MM:g} mm",
+    )
+    rows = np.flatnonzero((sd < NEAREST_MM) | (sd > FARTHEST_MM)).tolist()
+    return [Fault(name, want, f"{sd[row]:g}", table.where(row, name), step) for row in rows]

@@ -1,0 +1,101 @@
+"""Units as measuring systems write them next to their numbers: ``m/s``, ``[ um/s / V ]``, ``(m/s^2)/N``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from stapeskit.faults import Fault, Place, list_some
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
+STANDARD_GRAVITY = 9.80665
+"""m/s2, by definition (3rd CGPM, 1901)."""
+
+HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
+PHASES = {
+    **dict.fromkeys(("deg", "degree", "degrees", "grad", "°", "\ufffd"), math.pi / 180.0),  # grad: German
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+}
+MOTIONS = "m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g [per unit of a reference]"
+
+_RATES = {"s": 1, "sec": 1, "s2": 2, "sec2": 2}
+_MARKS = (("µ", "u"), ("μ", "u"), ("²", "2"), ("¹", "1"), ("⁻", "-"), ("^", ""), ("**", ""), ("·", "*"))
+_DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
+_PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")  # as in m s-1
+_NOTHING = ("", "none", "-", "1", "unknown")
+
+
+@dataclass(frozen=True)
+class MotionUnit:
+    """A unit of motion.
+
+    Attributes
+    ----------
+    order : int
+        0 displacement, 1 velocity, 2 acceleration.
+    scale : float
+        Factor to m, m/s, m/s2.
+    per : str
+        Unit of the reference as written; empty when there is none.
+    """
+
+    order: int
+    scale: float
+    per: str = ""
+
+
+def is_none(label: str) -> bool:
+    """Return whether a label says nothing."""
+    return label.strip().strip("[]()").strip().lower() in _NOTHING
+
+
+def plain(label: str) -> str:
+    """Write a label without brackets, spaces and the many ways to write micro, powers and per second."""
+    text = label.strip().strip("[]").replace(" ", "")
+    for old, new in _MARKS:
+        text = text.replace(old, new)
+    return _PER_SECOND.sub(lambda match: "/s2" if match[1] == "2" else "/s", text)
+
+
+def motion_unit(label: str) -> MotionUnit | None:
+    """Read a unit of motion; None when the label is no known one, or that of a density over frequency.
+
+    What follows the unit of motion after a slash is the reference: ``m/s/V`` and ``(m/s)/V`` are responses
+    in m/s per volt.
+    """
+    text = plain(label)
+    if _DENSITY.search(text):
+        return None
+    bracketed = re.fullmatch(r"\(([^()]+)\)(?:/(.+))?", text)
+    if bracketed is not None:
+        inner = motion_unit(bracketed[1])
+        if inner is None or inner.per:
+            return None
+        return MotionUnit(inner.order, inner.scale, (bracketed[2] or "").strip("()"))
+    first, *rest = text.split("/")
+    if first.lower() in ("g", "gn", "g_n"):
+        return MotionUnit(2, STANDARD_GRAVITY, "/".join(rest))
+    if first not in LENGTHS:
+        return None
+    order = 0
+    while rest and rest[0].lower() in _RATES and order + _RATES[rest[0].lower()] <= 2:
+        order += _RATES[rest.pop(0).lower()]
+    return MotionUnit(order, LENGTHS[first], "/".join(rest).strip("()"))
+
+
+def split_amplitude(label: str) -> tuple[str, str]:
+    """Return a label without the words peak and rms, and which of the two it says."""
+    kinds = {"pk": "peak", "peak": "peak", "rms": "rms"}
+    words = label.replace("_", " ").split()
+    stated = [kinds[word.lower()] for word in words if word.lower() in kinds]
+    return " ".join(word for word in words if word.lower() not in kinds), stated[0] if stated else ""
+
+
+def unit_fault(label: str, columns: Iterable[str], where: Place | str, step: str) -> Fault:
+    """Return the fault of columns whose unit is not one of motion; decibels get their own advice."""
+    names = list_some((column for column in columns if column), 4)
+    if re.search(r"\bdB\b", label, re.IGNORECASE):
+        step = "Export amplitudes on a linear scale: 10^(dB/20) times the reference"
+    return Fault(f"the unit of {names or 'the values'}", f"one of {MOTIONS}", label or "none", where, step)

@@ -1,0 +1,1 @@
+"""Frequency responses and amplitudes estimated from time series."""
