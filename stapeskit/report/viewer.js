@@ -129,8 +129,8 @@ document.querySelectorAll("[data-scene]").forEach((box) => {
           const n = cross([b[0] - a[0], a[1] - b[1], (b[2] - a[2]) * camera.scale], [c[0] - a[0], a[1] - c[1], (c[2] - a[2]) * camera.scale]);
           if (n[2] <= 0) continue;
           const bright = (n[0] * light[0] + n[1] * light[1] + n[2] * light[2]) / (Math.hypot(...n) || 1);
-          const tone = rgb(mesh.colour).map((value) => Math.min(255, Math.round(255 * value * (0.5 + 0.6 * Math.max(0, bright)))));
-          list.push([a[2] + b[2] + c[2], a, b, c, `rgba(${tone.join()},${mesh.opacity})`]);
+          const tone = rgb(mesh.colour).map((value) => 247 + mesh.opacity * (Math.min(255, 255 * value * (0.5 + 0.6 * Math.max(0, bright))) - 247));
+          list.push([a[2] + b[2] + c[2], a, b, c, `rgb(${tone.map(Math.round).join()})`]);
         }
       });
       list.sort((one, two) => one[0] - two[0]).forEach(([, a, b, c, tone]) => {

@@ -1,0 +1,140 @@
+"""The three-dimensional scene: surfaces keep their topology and shape, numbers arrive as they were given."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.report.scene3d import Line, Mesh, Motion, Point, Scene, decimate
+
+
+def euler_number(surface):
+    return surface.n_points - surface.n_cells // 2
+
+
+def unpacked(text, kind):
+    return np.frombuffer(base64.b64decode(text), dtype=kind)
+
+
+def vertices_of(mesh):
+    return mesh["low"] + mesh["step"] * unpacked(mesh["vertices"], "<i2").reshape(-1, 3)
+
+
+def closed(solid):
+    return solid.triangulate().clean(tolerance=1e-6)
+
+
+SOLIDS = {
+    "sphere": lambda: pv.Sphere(radius=1.0, theta_resolution=140, phi_resolution=140),
+    "torus": lambda: pv.ParametricTorus(ringradius=1.0, crosssectionradius=0.15, u_res=200, v_res=100),
+    "thin plate": lambda: pv.Cube(x_length=2.0, y_length=0.02, z_length=2.0).triangulate().subdivide(6),
+}
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_a_decimated_surface_is_closed_and_has_the_same_topology(name):
+    solid = closed(SOLIDS[name]())
+    assert solid.is_manifold
+    vertices, faces = decimate(solid.points, solid.regular_faces, 6000)
+    coarse = pv.PolyData.from_regular_faces(vertices, faces)
+    assert coarse.n_cells < 13_000
+    assert coarse.is_manifold
+    assert euler_number(coarse) == euler_number(solid)
+    assert coarse.volume == pytest.approx(solid.volume, rel=0.02)
+    assert coarse.bounds == pytest.approx(solid.bounds, abs=0.02)
+
+
+def test_a_decimated_sphere_lies_within_the_sagitta_of_its_triangles():
+    sphere = closed(pv.Sphere(radius=1.0, theta_resolution=200, phi_resolution=200))
+    vertices, faces = decimate(sphere.points, sphere.regular_faces, 4000)
+    radius = np.linalg.norm(vertices, axis=1)
+    assert np.all(np.abs(radius - 1.0) < 5e-4)
+    corners = vertices[faces]
+    longest = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2))
+    assert np.min(np.linalg.norm(corners.mean(axis=1), axis=1)) > 1.0 - 5e-4 - longest**2 / 6.0
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.mean(np.sum(normals * corners.mean(axis=1), axis=1) > 0.0) == 1.0
+
+
+def test_open_surfaces_are_decimated_and_small_ones_left_alone():
+    half = closed(pv.Sphere(radius=1.0, theta_resolution=140, phi_resolution=140, end_phi=90.0))
+    assert not half.is_manifold
+    assert len(decimate(half.points, half.regular_faces, 3000)[1]) == pytest.approx(3000, rel=0.01)
+    small = pv.Sphere(radius=1.0)
+    vertices, faces = decimate(small.points, small.regular_faces, 3000)
+    np.testing.assert_array_equal(faces, small.regular_faces)
+    np.testing.assert_array_equal(vertices, small.points)
+
+
+def test_everything_is_shown_in_the_frame_of_the_axes():
+    random = np.random.default_rng(3)
+    axes = RigidTransform.from_parts(
+        rotation_from_vector([0.3, -0.9, 0.4]), [5.0, -2.0, 7.0], "scan", "footplate"
+    )
+    ball = pv.Sphere(radius=1.0)
+    place = random.standard_normal(3)
+    shown = Scene(
+        [Mesh("stapes", axes.points(ball.points), ball.regular_faces, "#b06f12")],
+        [Point("head", axes.points(place), "stapes", "sign")],
+        axes,
+        lines=[
+            Line("beam", axes.points(np.array([[0.0, 0.0, 0.0], place])), "#c81e3a", "beams", shown=False)
+        ],
+    )
+    data = json.loads(shown.content())
+    np.testing.assert_allclose(vertices_of(data["meshes"][0]), ball.points, atol=2e-4)
+    np.testing.assert_array_equal(
+        unpacked(data["meshes"][0]["faces"], "<u2").reshape(-1, 3), ball.regular_faces
+    )
+    np.testing.assert_allclose(data["points"][0]["at"], place, atol=1e-5)
+    np.testing.assert_allclose(data["lines"][-1]["at"][1], place, atol=1e-5)
+    np.testing.assert_allclose(data["middle"], 0.0, atol=1e-3)
+    assert data["reach"] == pytest.approx(np.sqrt(3.0), rel=0.01)
+    assert {group["name"]: group["shown"] for group in shown.groups} == {
+        "stapes": True,
+        "axes": True,
+        "points": True,
+        "beams": False,
+    }
+
+
+def test_motions_arrive_line_by_line_with_real_before_imaginary_parts():
+    random = np.random.default_rng(4)
+    amplitudes = random.standard_normal((7, 6)) + 1j * random.standard_normal((7, 6))
+    amplitudes[3] *= 100.0
+    motion = Motion("measured", {"stapes": amplitudes, "base": 0.1 * amplitudes}, np.arange(1.0, 8.0), True)
+    content = motion.content()
+    sent = unpacked(content["bodies"]["stapes"], "<f4").reshape(7, 12)
+    np.testing.assert_allclose(sent[:, :6] + 1j * sent[:, 6:], amplitudes, rtol=1e-6)
+    assert content["start"] == 3
+    assert content["hz"] == list(np.arange(1.0, 8.0))
+    alone = Motion("mode", amplitudes[0], 1962.0).content()
+    assert list(alone["bodies"]) == ["stapes"]
+    assert len(unpacked(alone["bodies"]["stapes"], "<f4")) == 12
+
+
+def test_missing_lines_of_a_motion_are_at_rest():
+    amplitudes = np.full((2, 6), np.nan + 0j)
+    amplitudes[1] = 1.0
+    content = Motion("measured", amplitudes, np.array([1.0, 2.0])).content()
+    sent = unpacked(content["bodies"]["stapes"], "<f4").reshape(2, 12)
+    assert np.all(sent[0] == 0.0)
+    assert content["start"] == 1
+
+
+@pytest.mark.parametrize("points", [[], [Point("a", [1.0, 2.0, 3.0]), Point("b", [1.0, 2.0, 5.0])]])
+def test_a_scene_without_surfaces_is_still_a_scene(points):
+    data = json.loads(Scene(points=points).content())
+    assert data["reach"] > 0.0
+    assert np.all(np.isfinite(data["middle"]))
+    assert len(data["lines"]) == 3
+
+
+def test_what_is_not_in_view_does_not_move_the_camera():
+    ball = pv.Sphere(radius=1.0)
+    bone = Mesh("bone", 50.0 * ball.points, ball.regular_faces, "#9aa7b4", 0.3, in_view=False)
+    stapes = Mesh("stapes", ball.points, ball.regular_faces, "#b06f12")
+    assert json.loads(Scene([stapes, bone]).content())["reach"] < 2.0
