@@ -1,0 +1,147 @@
+"""Operations on fields of a scene: Gaussian blur, the share of voxels above a level, smooth local means."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import Grey, Mask
+from stapeskit.arrays import Array
+
+_TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
+_BLOCK = 48  # rows of a band matrix that are multiplied at a time: its band is a quarter of that
+_STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
+
+
+def smooth(field: Grey, width: Array) -> Grey:
+    """Return a field [z, y, x] smoothed by a Gaussian; ``width`` (3,) along z, y, x in voxels.
+
+    Beyond the border the outermost voxels are repeated. One product with a band matrix along each axis, which is
+    three times as fast as a convolution voxel by voxel.
+    """
+    return _apply(field, [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)])
+
+
+def blur(share: Grey, sigma_mm: float, spacing: Array) -> Grey:
+    """Return the blurred image of a body that is given as the share of each voxel that it fills.
+
+    ``sigma_mm`` is that of a point spread with the voxel included, whose own variance h^2 / 12 is in the share
+    already. ``spacing`` along z, y, x.
+    """
+    return smooth(share, np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0)))
+
+
+def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
+    """Return the local mean of ``top`` over that of ``bottom``, 0 where hardly any of ``bottom`` is near.
+
+    Parameters
+    ----------
+    top, bottom : ndarray of float32, [z, y, x]
+    width : ndarray, (3,)
+        Standard deviation of the weights along z, y, x, voxels. Means are taken on cells of two voxels.
+    least : float
+        Least local mean of ``bottom``.
+    """
+    down = [_coarsening(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
+    over, under = _apply(top, down), _apply(bottom, down)
+    ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
+    return _apply(ratio, [_refining(size) for size in top.shape])
+
+
+def share_above(field: Grey, where: Mask) -> Grey:
+    """Return the part of each voxel in which a field is positive, 0 outside of a mask.
+
+    Notes
+    -----
+    A cube's projection on any direction has the variance h^2 / 12, so that the share of a voxel above a plane at
+    the distance d is nearly d / h + 1/2 whatever the direction, with the exact mean and variance. The slope
+    along each axis is the steeper one of its two sides, so that ridges thinner than a voxel stay thin.
+    """
+    share = (field > 0.0).astype(np.float32)
+    inner = np.zeros(field.shape, dtype=bool)
+    inner[1:-1, 1:-1, 1:-1] = (np.abs(field[1:-1, 1:-1, 1:-1]) < 1.0) & where[1:-1, 1:-1, 1:-1]
+    place = np.flatnonzero(inner)
+    flat = field.ravel()
+    middle = flat[place]
+    square = np.full(place.size, np.float32(_STEEP**2))
+    for stride in (field.shape[1] * field.shape[2], field.shape[2], 1):
+        square += np.maximum(np.abs(flat[place + stride] - middle), np.abs(flat[place - stride] - middle)) ** 2
+    share.ravel()[place] = np.clip(middle / np.sqrt(square) + np.float32(0.5), 0.0, 1.0)
+    share *= where
+    return share
+
+
+Band = tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]
+"""A matrix (rows, size) and, by block of rows, the first and one past the last column that is not 0."""
+
+
+def _apply(field: Grey, bands: list[Band]) -> Grey:
+    """Multiply a field by one band matrix along each axis."""
+    for axis, (matrix, first, last) in enumerate(bands):
+        shape = list(field.shape)
+        shape[axis] = len(matrix)
+        result = np.empty(shape, dtype=np.float32)
+        # Products of single planes: they fit the processor's cache.
+        source, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
+        for block, (low, high) in enumerate(zip(first, last, strict=True)):
+            rows = slice(block * _BLOCK, min((block + 1) * _BLOCK, len(matrix)))
+            if axis < 2:
+                np.matmul(matrix[rows, low:high], source[:, low:high], out=out[:, rows])
+            else:
+                across = np.ascontiguousarray(matrix[rows, low:high].T)
+                np.matmul(source[..., low:high], across, out=out[..., rows])
+        field = result
+    return field
+
+
+def _banded(matrix: Array) -> Band:
+    ends = []
+    for start in range(0, len(matrix), _BLOCK):
+        used = np.flatnonzero(np.any(matrix[start : start + _BLOCK] != 0.0, axis=0))
+        ends.append((used[0], used[-1] + 1))
+    first, last = np.array(ends).T
+    return matrix.astype(np.float32), first, last
+
+
+def _rounded(width: float) -> float:
+    """Return a width to four digits, so that matrices are made once."""
+    return float(f"{width:.4g}")
+
+
+def _weights(centres: Array, size: int, width: float) -> Array:
+    """Return normalised Gaussian weights (rows, size) about places, the outermost voxels repeated beyond."""
+    reach = int(np.ceil(_TRUNCATE * width)) + 1
+    place = np.arange(-reach, size + reach)
+    away = place[None, :] - centres[:, None]
+    bell = np.exp(-0.5 * (away / max(width, 1e-3)) ** 2) * (np.abs(away) <= max(_TRUNCATE * width, 0.75))
+    bell /= bell.sum(axis=1, keepdims=True)
+    matrix = bell[:, reach : reach + size].copy()
+    matrix[:, 0] += bell[:, :reach].sum(axis=1)
+    matrix[:, -1] += bell[:, reach + size :].sum(axis=1)
+    return matrix
+
+
+@lru_cache(maxsize=64)
+def _gaussian(size: int, width: float) -> Band:
+    return _banded(_weights(np.arange(size, dtype=float), size, width))
+
+
+@lru_cache(maxsize=64)
+def _coarsening(size: int, width: float) -> Band:
+    """Smooth to the middles of cells of two voxels; what refining smooths, two thirds, is left out here."""
+    narrow = np.sqrt(max(width**2 - 2.0 / 3.0, 0.25))
+    return _banded(_weights(np.arange(0.5, size, 2.0), size, narrow))
+
+
+@lru_cache(maxsize=64)
+def _refining(size: int) -> Band:
+    """Interpolate linearly between the middles of cells of two voxels."""
+    count = -(-size // 2)
+    place = np.clip((np.arange(size) - 0.5) / 2.0, 0.0, count - 1.0)
+    low = np.minimum(place.astype(int), max(count - 2, 0))
+    matrix = np.zeros((size, count))
+    matrix[np.arange(size), low] = 1.0 - (place - low)
+    matrix[np.arange(size), np.minimum(low + 1, count - 1)] += place - low
+    return _banded(matrix)

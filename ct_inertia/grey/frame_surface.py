@@ -1,0 +1,76 @@
+"""The surface of a fitted body as a field, and how well it is known: what the footplate's frame is found on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ct_inertia.bodies import BodySurface, Grey
+from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.bone import BoneLevel
+from ct_inertia.grey.fields import local_ratio
+from ct_inertia.grey.scene import SceneFit
+from stapeskit.arrays import Array
+
+_RIM = (0.05, 0.95)
+_RIM_WIDTHS, _RIM_RISE = 3.29, 0.9  # of a plane edge between these shares, in widths of the blur; and its rise
+_MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as common
+_MISFIT_HEIGHT = calibrated("surface.misfit_height")
+
+
+def body_surface(fit: SceneFit, level: BoneLevel, doubt: Grey | None, transform: Array) -> BodySurface:
+    """Return the surface of the stapes.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    level : BoneLevel
+    doubt : ndarray of float32, [z, y, x], or None
+        One standard deviation of what was subtracted, as a share of bone.
+    transform : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+    """
+    return _surface(fit, "stapes", level, doubt, transform)
+
+
+def wall_surface(fit: SceneFit, level: BoneLevel, transform: Array) -> BodySurface | None:
+    """Return the surface of other bone near the stapes; None where there is none."""
+    return _surface(fit, "other", level, None, transform) if "other" in fit.bodies else None
+
+
+def _surface(
+    fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, transform: Array
+) -> BodySurface:
+    """Return the surface of one body.
+
+    Notes
+    -----
+    The local level makes the mean residual of the rim zero, 3.29 widths s of the blur thick, over which the share of
+    a plane edge rises by 0.9: noise of standard deviation n, correlation k and voxels of volume v leaves the height
+    the spectral density n^2 k v L / 0.9^2, L = 3.29 s, at waves longer than the average. A level that errs by e
+    moves a plane edge by e sqrt(2 pi) s.
+    """
+    begin = fit.start
+    contrast = fit.contrasts[name]
+    noise = begin.noise / contrast
+    voxel = abs(float(np.linalg.det(transform[:3, :3])))
+    thick = _RIM_WIDTHS * fit.sigma_mm
+    where = fit.side(name)
+    shown = np.where(where, fit.fields[name], np.float32(-1.0))
+    share = fit.shares[name]
+    rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near).astype(np.float32)
+    square = np.square(fit.residual * np.float32(1.0 / contrast)) * rim
+    local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
+    extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
+    slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
+    relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
+    return BodySurface(
+        field=shown,
+        scan_from_index=transform,
+        blur_mm=0.0,
+        noise_mm4=noise**2 * begin.correlation * voxel * thick / _RIM_RISE**2,
+        correlation_mm=float(1.5 * np.sqrt(2.0)) * fit.sigma_mm,
+        misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
+        misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,
+        level_sd_mm=0.5 * relative * slope,
+        one_sd=None if doubt is None else np.where(where, shown + doubt, np.float32(-1.0)),
+    )

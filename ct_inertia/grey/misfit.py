@@ -1,0 +1,123 @@
+"""What the scene leaves of the grey values, by place: one residual that is a term of the budget and a warning.
+
+Fringes, a bent grey scale, rings, motion, cupping and whatever else makes grey values differ from those of two sharp
+materials end here: named with their place and size, not corrected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ct_inertia.bodies import Grey, Mask, Moments
+from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.moments import common
+from ct_inertia.grey.scene import SceneFit
+from ct_inertia.grey.start import mean_by_cells
+from stapeskit.arrays import Array
+from stapeskit.warnings import Notice
+
+_CELL_VOXELS = 8
+_LEAST_VOXELS, _LEAST_CELL = 100, 12
+_LEAST_SHARE = calibrated("misfit.least_share")
+_MIN_Z, _MIN_CHI2 = 5.0, 25.0
+PLACES = {
+    "void": "in the closed hollows of the stapes",
+    "collar": "next to the stapes, outside of its edge",
+    "edge": "across the edge of the stapes",
+    "inside": "inside the bone",
+}
+"""Places of a residual and their words."""
+
+
+@dataclass(frozen=True)
+class PlaceMisfit:
+    """The residual of one place.
+
+    Attributes
+    ----------
+    place : str
+        A key of `PLACES`.
+    share : float
+        Its sum as a share of the stapes' volume.
+    z : float
+        Its mean over its standard error.
+    chi2 : float
+        Mean square of the means over cells, in units of what noise leaves them.
+    covariance : ndarray, (10, 10)
+        What it adds to (V, c, S): its own size, one standard deviation.
+    """
+
+    place: str
+    share: float
+    z: float
+    chi2: float
+    covariance: Array
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is more than noise, and large enough to be named."""
+        return abs(self.share) > _LEAST_SHARE and (self.z > _MIN_Z or self.chi2 > _MIN_CHI2)
+
+    def __str__(self) -> str:
+        return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
+
+
+def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -> list[PlaceMisfit]:
+    """Return the residual of a scene by place.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    residual : ndarray of float32, [z, y, x]
+        In units of the stapes' contrast.
+    transform : ndarray, (4, 4)
+        Index x, y, z of the scene's part to scan coordinates.
+    moments : Moments
+    """
+    found = []
+    noise = fit.start.noise / fit.contrasts["stapes"]
+    voxel = abs(float(np.linalg.det(transform[:3, :3])))
+    for place, where in _places(fit).items():
+        count = int(np.count_nonzero(where))
+        if count < _LEAST_VOXELS:
+            continue
+        values, index = residual[where], np.argwhere(where)
+        mean, error = mean_by_cells(values, index, _CELL_VOXELS)
+        error = max(error, noise * float(np.sqrt(fit.start.correlation / count)), 1e-9)
+        key = np.unique(index // _CELL_VOXELS @ np.array([1 << 40, 1 << 20, 1]), return_inverse=True)[1]
+        size = np.bincount(key)
+        full = size >= _LEAST_CELL
+        means = np.bincount(key, values)[full] / size[full]
+        expected = noise * np.sqrt(fit.start.correlation / size[full])
+        chi2 = float(np.mean((means / np.maximum(expected, 1e-9)) ** 2)) if full.any() else 0.0
+        amount = np.where(where, residual, np.float32(0.0))
+        share = float(values.sum(dtype=float)) * voxel / moments.volume_mm3
+        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, common(amount, transform, moments)))
+    return found
+
+
+def misfit_notice(found: list[PlaceMisfit]) -> Notice | None:
+    """Return one warning for all residuals that stand out; None where none does."""
+    standing = [one for one in found if one.stands_out]
+    if not standing:
+        return None
+    text = (
+        "The grey values around the stapes are not those of two sharp materials: the model leaves "
+        f"{'; '.join(map(str, standing))}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping or soft "
+        "tissue do that. It is not corrected; the budget holds its size (misfit). Look at the slices of the report."
+    )
+    return Notice("grey_values_misfit", text)
+
+
+def _places(fit: SceneFit) -> dict[str, Mask]:
+    share = fit.shares["stapes"]
+    own = fit.side("stapes") & (fit.start.distances["stapes"] <= np.float32(fit.start.reach_mm))
+    void = own & fit.media.voids if fit.media.voids is not None else np.zeros_like(own)
+    return {
+        "void": void,
+        "collar": own & ~void & (share < 0.12),
+        "edge": own & (share > 0.12) & (share < 0.88),
+        "inside": own & (share > 0.95),
+    }

@@ -1,0 +1,199 @@
+"""One model of the grey values around the stapes: bodies of two values, one blur, media between them, one noise.
+
+    grey = air + sum_k contrast_k (G_sigma * body_k) + media + noise,   k = stapes, other bone, plate
+
+The surface of a body is where grey values, less everything else, pass a local level; the level follows what the
+model leaves at the rim. Contrast and blur follow from the same residual, so that thin bones, which have no voxel of
+their full level, are measured as well as thick ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ct_inertia.bodies import Grey, Mask
+from ct_inertia.calibrated import calibrated
+from ct_inertia.find.distance import used_box
+from ct_inertia.grey.fields import blur, local_ratio, share_above, smooth
+from ct_inertia.grey.media import Media
+from ct_inertia.grey.start import Start
+from ct_inertia.grey.storing import Storing
+
+_ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
+_BLUR_ROUNDS = (1, 3, 5)  # rounds after which the blur is fitted
+_MEDIA_ROUNDS = (2, 4, 6, 8)
+_SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
+_DAMPING = 0.7  # of the local level: the residual answers to it by about its own size
+_GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
+_RIM = (0.05, 0.95)  # shares of the blurred body between which its edge is
+_LEVEL_SIGMAS = 1.5  # widths of the blur over which the residual at the rim is averaged
+_INNER = calibrated("scene.inner_share")
+_SMOOTHING = calibrated("scene.smoothing_per_noise")
+_MOST_SMOOTHING = calibrated("scene.most_smoothing_voxels")
+_LEAST_INNER, _LEAST_PLASTIC = 50, 400  # voxels from which a contrast follows
+_LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
+
+Window = tuple[slice, ...]
+EVERYWHERE: Window = (slice(None),) * 3
+
+
+@dataclass
+class SceneFit:
+    """A scene while it is fitted; arrays [z, y, x] on the part of the box that `Start` chose.
+
+    Attributes
+    ----------
+    start : Start
+    data : ndarray of float32
+        Grey values above air, what storing did to their mean undone.
+    sigma_mm : float
+    contrasts : dict of str to float
+    shares, bodies, levels : dict of str to ndarray of float32
+        Blurred share, sharp share and local level of each body.
+    media : Media
+    storing : Storing or None
+    model, residual : ndarray of float32
+    slopes : list of float
+        Data over model inside the stapes, round by round: 1 where the contrast is settled.
+    windows : dict of str to tuple of 3 slice
+        Where each body is modelled.
+    """
+
+    start: Start
+    data: Grey
+    sigma_mm: float
+    contrasts: dict[str, float]
+    media: Media
+    storing: Storing | None = None
+    shares: dict[str, Grey] = field(default_factory=dict)
+    bodies: dict[str, Grey] = field(default_factory=dict)
+    levels: dict[str, Grey] = field(default_factory=dict)
+    fields: dict[str, Grey] = field(default_factory=dict)
+    model: Grey = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=np.float32))
+    residual: Grey = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=np.float32))
+    slopes: list[float] = field(default_factory=list)
+    windows: dict[str, Window] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the bodies, the stapes first."""
+        return list(self.start.masks)
+
+    def side(self, name: str) -> Mask:
+        """Return the voxels that belong to a body."""
+        return np.asarray(self.start.basin == 1 + self.names.index(name))
+
+    def bones(self, but: str = "", window: Window = EVERYWHERE) -> Grey:
+        """Return the grey values of all bodies but one, in a window."""
+        total = np.zeros_like(self.data[window])
+        for name, share in self.shares.items():
+            if name != but:
+                total += np.float32(self.contrasts[name]) * share[window]
+        return total
+
+
+def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> SceneFit:
+    """Fit bodies, contrasts, blur and media to the grey values of a start, whatever storing did to them."""
+    data = start.grey - np.float32(start.air)
+    fit = SceneFit(start, data, start.sigma_mm, dict(start.contrasts), media, storing)
+    for name, mask in start.masks.items():
+        fit.windows[name] = _window(start, name)
+        for of, value in ((fit.shares, 0.0), (fit.bodies, 0.0), (fit.fields, -1.0), (fit.levels, 0.5)):
+            of[name] = np.full(mask.shape, np.float32(value))
+        body = mask[fit.windows[name]].astype(np.float32)
+        fit.shares[name][fit.windows[name]] = blur(body, fit.sigma_mm, start.spacing)
+    for turn in range(_ROUNDS):
+        calm = _calm(fit)
+        for name in fit.names:
+            _place_surface(fit, name, calm)
+        fit.media.follow(fit, turn in _MEDIA_ROUNDS)
+        _compare(fit)
+        settled = _adjust_contrasts(fit)
+        if turn in _BLUR_ROUNDS:
+            _adjust_blur(fit)
+        elif settled and turn > _BLUR_ROUNDS[-1]:
+            break
+        if turn < _ROUNDS - 1:
+            for name in fit.names:
+                _adjust_level(fit, name)
+    return fit
+
+
+def _window(start: Start, name: str) -> Window:
+    """Return the box of the voxels that a body's blur reaches near the stapes."""
+    used = used_box(start.near & (start.distances[name] < np.float32(start.reach_mm)))
+    if used is None:
+        return (slice(0, 3),) * 3
+    return tuple(slice(max(0, part.start - 1), part.stop + 1) for part in used)
+
+
+def _calm(fit: SceneFit) -> Grey:
+    """Return the grey values as calm as noise asks: the surface shall not follow it voxel by voxel."""
+    width = min(_SMOOTHING * fit.start.noise / abs(fit.contrasts["stapes"]), _MOST_SMOOTHING)
+    return smooth(fit.data, np.full(3, width)) if width > 0.25 else fit.data
+
+
+def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
+    """Put the surface of a body where its own grey values pass the local level."""
+    window = fit.windows[name]
+    above = calm[window] - fit.bones(name, window)
+    above -= fit.media.image(window)
+    above *= np.float32(1.0 / fit.contrasts[name])
+    above -= fit.levels[name][window]
+    body = share_above(above, fit.media.side_of(fit, name)[window])
+    if name == "plate":
+        for bone in fit.names[: fit.names.index(name)]:
+            body = np.minimum(body, np.float32(1.0) - fit.bodies[bone][window])
+    fit.bodies[name][window], fit.fields[name][window] = body, above
+    fit.shares[name][window] = blur(body, fit.sigma_mm, fit.start.spacing)
+
+
+def _compare(fit: SceneFit) -> None:
+    fit.model = fit.bones() + fit.media.image(EVERYWHERE)
+    if fit.storing is not None:
+        fit.data = fit.start.grey - np.float32(fit.start.air)
+        fit.data -= fit.storing.change(fit.model + np.float32(fit.start.air))
+    fit.residual = fit.data - fit.model
+
+
+def _adjust_contrasts(fit: SceneFit) -> bool:
+    """Scale contrasts by data over model deep inside; return whether the stapes' is settled."""
+    for name in fit.names:
+        window = fit.windows[name]
+        inner = fit.start.near[window] & fit.side(name)[window] & (fit.shares[name][window] > np.float32(_INNER))
+        if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
+            continue
+        data, model = fit.data[window][inner], fit.model[window][inner]
+        slope = float(np.dot(data, model) / np.dot(model, model))
+        if name == "stapes":
+            fit.slopes.append(slope)
+        elif name == "other" and fit.start.contrasts["other"] == fit.start.contrasts["stapes"]:
+            fit.contrasts[name] = fit.contrasts["stapes"]
+            continue
+        fit.contrasts[name] *= 1.0 + _GAIN * (slope - 1.0)
+    return bool(fit.slopes) and abs(fit.slopes[-1] - 1.0) < _SETTLED
+
+
+def _adjust_blur(fit: SceneFit) -> None:
+    """Take the width of the blur one step of Gauss and Newton nearer to the least misfit."""
+    window = fit.windows["stapes"]
+    own = (fit.start.near & fit.side("stapes"))[window]
+    wider = blur(fit.bodies["stapes"][window], 1.05 * fit.sigma_mm, fit.start.spacing)
+    change = (wider - fit.shares["stapes"][window])[own] * np.float32(fit.contrasts["stapes"])
+    residual = fit.residual[window][own]
+    step = 0.05 * float(np.dot(residual, change) / max(float(np.dot(change, change)), 1e-30))
+    fit.sigma_mm *= 1.0 + float(np.clip(step, -0.15, 0.15))
+
+
+def _adjust_level(fit: SceneFit, name: str) -> None:
+    """Move the local level by what the model leaves at the rim, averaged over a width of the blur."""
+    window = fit.windows[name]
+    share = fit.shares[name][window]
+    rim = (share > _RIM[0]) & (share < _RIM[1]) & fit.side(name)[window] & fit.start.near[window]
+    weight = rim.astype(np.float32)
+    left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
+    width = _LEVEL_SIGMAS * fit.sigma_mm / fit.start.spacing
+    moved = fit.levels[name][window] - np.float32(_DAMPING) * local_ratio(left, weight, width, 1e-3)
+    fit.levels[name][window] = np.clip(moved, *_LEVELS)
