@@ -89,6 +89,7 @@ def whole_page():
     rows = [("<i>a</i>", 1.5, Quantity(2e-3, 1e-4, LENGTH)), ("b", float("nan"), None)]
     shown.section("Numbers", page.table(("name", "share", "length"), rows, "A <note>"))
     shown.section("Numbers", page.figure(six_panels(), "Curves & bodies.", 'alt "text"'), page.code("a < b"))
+    shown.section("Numbers 2")
     shown.section("Folded", page.folded("more <of it>", page.text("x < y")), folded=True)
     shown.section("Notices", page.notices([Notice("a_code", "<text>")]), page.notices([]))
     shown.appendix_section(
