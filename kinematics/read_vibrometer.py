@@ -1,0 +1,54 @@
+"""Read a vibrometer file of any known format as one object: ``stapeskit.read_vibrometer(path)``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.formats import read_file
+from kinematics.readers.noise import with_noise
+from kinematics.readers.recording import Recording
+
+
+def read_vibrometer(
+    path: str | Path,
+    *,
+    mapping: str | Path | None = None,
+    channels: str | Path | None = None,
+    n_avg: float | None = None,
+) -> Recording:
+    """Read a vibrometer file: Polytec scan, UFF, PSV text, MATLAB, HDF5, CSV, time series.
+
+    Parameters
+    ----------
+    path : path
+        A file, or a folder of text exports.
+    mapping : path, optional
+        TOML file that says which variable or column is what.
+    channels : path, optional
+        Table of the channels of time series.
+    n_avg : float, optional
+        Averages behind each value, where the file does not say them: with the coherence they give the noise.
+
+    Returns
+    -------
+    Recording
+        ``freq_hz`` (L,), ``points_m`` (P, 3), ``directions`` (P, 3), ``frf`` or ``velocity`` (P, L) complex,
+        ``coherence`` (P, L) or None, ``sd`` (P, L) or None, ``units``, ``reference``; ``to_frame()``, ``plot()``.
+        Amplitudes and positions of which the file does not say the unit are as in the file and in metres: see
+        ``amplitude_stated`` and ``length_stated``.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, damaged, of no known format, or holds no motion with a phase.
+    """
+    series = None if channels is None else SeriesFacts(Path(channels))
+    facts = FileFacts(mapping=None if mapping is None else Path(mapping), n_avg=n_avg, series=series)
+    recording = read_file(Path(path), facts)
+    if n_avg is not None and recording.n_avg is None and recording.sd is None:
+        import numpy as np
+
+        recording = replace(recording, n_avg=np.full(recording.value.shape, float(n_avg)))
+    return with_noise(recording)

@@ -1,0 +1,486 @@
+"""Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
+
+Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped sine);
+arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels
+are named 1, 2, ... and scaled to full scale = 1.
+
+The table of channels, one row a channel::
+
+    channel, role, body, point, dir | dir_x, dir_y, dir_z, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run] [, file]
+
+``role`` is ``response``, ``reference`` or ``ignore``. ``unit`` says what the numbers are (any unit for a reference);
+``sensitivity`` is the factor from the numbers to it, such as 0.005 for volts at 5 mm/s/V in m/s. An empty ``point``
+says that the rows of a two-dimensional variable are points 1, 2, ...; with a point they are records of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kinematics.readers.facts import FileFacts, SeriesFacts, is_file
+from kinematics.readers.points import require
+from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
+from kinematics.readers.text import plain_name, shown
+from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
+from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
+from kinematics.signals.lock_in import Step, stepped_frf
+from kinematics.signals.samples import sample_notices
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.frames import axis_vector
+from stapeskit.units import HIGHEST_HZ, LARGEST
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from stapeskit.tables import Table
+
+TIMES = ("time_s", "time", "t", "x")
+RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
+ROLES = ("response", "reference", "ignore")
+
+_NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
+_TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
+_JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
+_SHORTEST = 16  # samples; shorter records hold no spectrum
+
+
+@dataclass(frozen=True)
+class Series:
+    """The samples of one file by channel, one array (sample,) a row or record, and set frequencies of its steps."""
+
+    file: str
+    sample_rate_hz: float
+    start_s: float
+    channels: Mapping[str, tuple[Array, ...]]
+    set_hz: Array | None = None
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One row of the table of channels: ``scale`` leads from the numbers of the file to SI, or to ``per``."""
+
+    name: str
+    role: str
+    file: str
+    scale: float
+    per: str
+    channel: Channel
+
+
+def read(path: Path, facts: FileFacts) -> Recording:
+    """Read the time series of one file as frequency responses.
+
+    Raises
+    ------
+    StapeskitError
+        No table of channels, a channel that is missing, no or several references, or what is wrong with the samples.
+    """
+    path = Path(path)
+    how = facts.series
+    if how is None:
+        step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
+        raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
+    listed = [row for row in read_channels(how.channels) if not row.file or is_file(row.file, path.name)]
+    responses = [row for row in listed if row.role == "response"]
+    if not responses:
+        step = "Add a row, or leave the column file empty"
+        want = f"with a response of {path.name}"
+        raise StapeskitError.of("the table of channels", want, "none", how.channels.name, step)
+    reference = _reference(listed, how)
+    names = [row.name for row in responses] + ([] if reference is None else [reference.name])
+    series = read_series(path, list(dict.fromkeys(names)))
+    rows: list[Row] = []
+    notices: list[Notice] = [*sample_notices(series.channels, path.name)]
+    spread = 1.0
+    for group, records in _groups(series, responses, reference, notices):
+        frf = _estimate(records, series, how, reference is not None)
+        low, high = how.band_hz or (0.0, np.inf)
+        lines = (frf.freq_hz >= low) & (frf.freq_hz <= high)
+        if not np.any(lines):
+            want, step = "wide enough for at least one line", "Widen --frf-band, or record longer"
+            raise StapeskitError.of("the band", want, "none", path.name, step)
+        rows += _rows(group, frf, lines)
+        notices += frf.notices
+        spread = max(spread, frf.line_spread)
+    return recording_of(
+        path.name,
+        rows,
+        notices=tuple(dict.fromkeys(notices)),
+        statement=f"time series at {series.sample_rate_hz:g} Hz",
+        line_spread=spread,
+        amplitude_stated=True,
+        from_series=True,
+    )
+
+
+def read_channels(path: Path) -> list[Listed]:
+    """Read a table of channels.
+
+    Raises
+    ------
+    StapeskitError
+        A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed twice; all
+        faults with their lines.
+    """
+    from stapeskit.tables import read_table
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("channel", "unit"), file)
+        return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
+
+    table = read_table(Path(path), choose)
+    faults = list(table.faults)
+    listed = [_listed(table, row, faults) for row in range(len(table))]
+    keys = [(row.name, row.file, row.channel.point) for row in listed]
+    for number, key in enumerate(keys):
+        if key in keys[:number]:
+            faults.append(
+                Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
+            )
+    raise_all(faults)
+    return [row for row in listed if row.role != "ignore"]
+
+
+def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
+    """Read one row of the table of channels; what is wrong is added to the faults."""
+    texts = {
+        name: one.names[one.codes[row]] if one.codes[row] >= 0 else "" for name, one in table.texts.items()
+    }
+    numbers = {name: float(values[row]) for name, values in table.numbers.items()}
+    where = table.where(row)
+    role = texts.get("role", "").lower() or "response"
+    if role not in ROLES or not texts["channel"]:
+        got = shown(role) if texts["channel"] else "an empty cell"
+        faults.append(Fault("channel and role", f"a name, and one of {', '.join(ROLES)}", got, where))
+    factor = numbers.get("sensitivity", np.nan)
+    factor = 1.0 if np.isnan(factor) else factor
+    if not 0.0 < factor < np.inf:
+        faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
+    unit = motion_unit(texts["unit"])
+    if role == "response" and (unit is None or unit.per):
+        step = "Give the unit of the numbers times the sensitivity, e.g. m/s"
+        faults.append(unit_fault(shown(texts["unit"]), ("unit",), where, step))
+    elif role == "reference" and is_none(texts["unit"]):
+        faults.append(Fault("unit", "the unit of the reference, e.g. Pa, V or m/s", "an empty cell", where))
+    direction = unknown_vector()
+    if role == "response" and texts.get("dir"):
+        axis = axis_vector(texts["dir"])
+        direction = direction if axis is None else axis
+        if axis is None:
+            faults.append(Fault("dir", "x, y, z, -x, -y or -z", shown(texts["dir"]), where))
+    elif role == "response":
+        direction = np.array([numbers.get(name, np.nan) for name in _NUMBERS[:3]])
+        length = float(np.linalg.norm(direction))
+        if abs(length - 1.0) > 1e-3:
+            step = "Divide the direction by its length"
+            faults.append(
+                Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", f"{length:g}", where, step)
+            )
+            direction = unknown_vector()
+    position = 1e-3 * np.array([numbers.get(name, np.nan) for name in _NUMBERS[3:6]])
+    channel = Channel(
+        plain_name(texts.get("point", "")), texts.get("body", ""), texts.get("run", ""),
+        order=unit.order if unit else 1, position_m=position, direction=direction, where=where,
+    )  # fmt: skip
+    scale = factor * (unit.scale if unit is not None and not unit.per else 1.0)
+    per = ("m", "m/s", "m/s2")[unit.order] if unit is not None and not unit.per else plain(texts["unit"])
+    return Listed(texts["channel"], role, texts.get("file", ""), scale, per, channel)
+
+
+def _reference(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
+    wanted = how.reference_channel
+    references = [
+        r for r in listed if (r.name.lower() == wanted.lower() if wanted else r.role == "reference")
+    ]
+    names = list(dict.fromkeys(row.name for row in references))
+    if len(names) > 1 or (wanted and not names):
+        got = ", ".join(names) or wanted
+        step = "Choose one by --reference-channel, or ignore the others"
+        raise StapeskitError.of("the reference", "one channel of the table", got, how.channels.name, step)
+    return references[0] if references else None
+
+
+def read_series(path: Path, names: Sequence[str]) -> Series:
+    """Read the named channels of a file.
+
+    Raises
+    ------
+    StapeskitError
+        A channel is missing (those found are listed), times are not evenly spaced, there is no sampling rate, or
+        samples are no finite numbers.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if head.startswith((b"RIFF", b"RIFX", b"RF64")):
+        tree = _wav(path)
+    elif head.startswith(b"PK\x03\x04"):
+        with np.load(path, allow_pickle=False) as archive:
+            tree = {name: archive[name] for name in archive.files}
+    elif head.startswith(b"MATLAB") or b"\x89HDF\r\n\x1a\n" in head:
+        from kinematics.readers.matlab import read_variables
+
+        tree = read_variables(path)
+    else:
+        tree = _table(path, names)
+    flat = _flatten(tree)
+    low = {name.lower(): name for name in reversed(list(flat))}
+    missing = [name for name in names if name not in flat and name.lower() not in low]
+    if missing:
+        want = f"in the file, which has {list_some(flat, 20) or 'none'}"
+        raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
+    matched = {name: flat[name if name in flat else low[name.lower()]] for name in names}
+    longest = max(max(array.shape, default=0) for array in matched.values())
+    time = next((flat[low[name]] for name in TIMES if name in low and flat[low[name]].size == longest), None)
+    rate = next((flat[low[name]] for name in RATES if name in low and flat[low[name]].size == 1), None)
+    if time is not None:
+        sampled, start = sampling_rate(time.astype(float).reshape(-1), path.name), float(time.reshape(-1)[0])
+    elif rate is not None and 0.0 < float(rate.reshape(-1)[0]) <= HIGHEST_HZ:
+        sampled, start = float(rate.reshape(-1)[0]), 0.0
+    else:
+        step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
+        got = f"the variables {list_some(flat, 20)}"
+        raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
+    faults: list[Fault] = []
+    channels: dict[str, tuple[Array, ...]] = {}
+    for name, array in matched.items():
+        with collect_faults(faults):
+            channels[name] = _samples(array, f"{path.name}, {name}")
+    raise_all(faults)
+    set_hz = flat.get(low.get("freq_hz", ""), None)
+    return Series(
+        path.name, sampled, start, channels, None if set_hz is None else set_hz.astype(float).reshape(-1)
+    )
+
+
+def _table(path: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return the wanted columns of a table with a column of times."""
+    from stapeskit.tables import read_table
+
+    wanted = {name.lower() for name in names}
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("time_s", *sorted(wanted)), file)
+        return {"time_s", *wanted, *({"freq_hz"} & set(header))}, set()
+
+    table = read_table(path, choose)
+    raise_all(table.faults)
+    return dict(table.numbers)
+
+
+def _wav(path: Path) -> dict[str, Any]:
+    from scipy.io import wavfile
+
+    rate, data = wavfile.read(path)
+    data = np.atleast_2d(data.T)
+    samples = data.astype(float)
+    if data.dtype.kind in "iu":
+        full = 128.0 if data.dtype == np.uint8 else float(np.iinfo(data.dtype).max) + 1.0
+        samples = (samples - (128.0 if data.dtype == np.uint8 else 0.0)) / full
+    return {"sample_rate_hz": np.array(rate), **{str(k): row for k, row in enumerate(samples, 1)}}
+
+
+def _flatten(tree: Mapping[str, Any], start: str = "") -> dict[str, Array]:
+    """Return the numbers in a tree under names with dots."""
+    arrays: dict[str, Array] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            arrays |= _flatten(value, f"{start}{name}.")
+        elif np.asarray(value).dtype.kind in "fiu":
+            arrays[start + name] = np.asarray(value)
+    return arrays
+
+
+def sampling_rate(time: Array, where: str) -> float:
+    """Return the sampling rate, Hz, of evenly spaced times (sample,), s.
+
+    Raises
+    ------
+    StapeskitError
+        Fewer than two times, or such that are not finite, do not ascend or are not evenly spaced.
+    """
+    if (
+        len(time) < 2
+        or not np.all(np.isfinite(time))
+        or not time[-1] - time[0] > (len(time) - 1) / HIGHEST_HZ
+    ):
+        raise StapeskitError.of("time_s", "at least two finite, ascending times in s", "others", where)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    off = np.abs((time - time[0]) / step - np.arange(len(time)))
+    if not np.max(off) <= _JITTER:
+        got, next_step = (
+            f"{np.max(off):.3g} steps off at sample {np.argmax(off) + 1}",
+            "Resample to even times",
+        )
+        raise StapeskitError.of("time_s", "evenly spaced", got, where, next_step)
+    return float(1.0 / step)
+
+
+def _samples(values: Array, where: str) -> tuple[Array, ...]:
+    """Return rows of samples; the longer side is time. Rows without any number are left as they are."""
+    rows = np.atleast_2d(values.astype(float).squeeze())
+    if rows.ndim > 2 or rows.size < _SHORTEST:
+        want = f"samples, or rows x samples ({_SHORTEST} at least)"
+        raise StapeskitError.of("a channel", want, f"shape {values.shape}", where)
+    rows = rows if rows.shape[1] >= rows.shape[0] else rows.T
+    for number, row in enumerate(rows, 1):
+        bad = ~(np.abs(row) <= LARGEST)
+        if np.any(bad) and not np.all(np.isnan(row)):
+            got = f"{int(np.sum(bad))} others in row {number}, the first in sample {int(np.argmax(bad)) + 1}"
+            step = "Cut the record, or leave the channel out"
+            raise StapeskitError.of("the samples", f"finite and below {LARGEST:g}", got, where, step)
+    return tuple(rows)
+
+
+Records = list[tuple[Array | None, Array]]
+
+
+def _groups(
+    series: Series, responses: Sequence[Listed], reference: Listed | None, notices: list[Notice]
+) -> list[tuple[list[Listed], Records]]:
+    """Return what was recorded together: channels with a point, and each row of channels without one."""
+    lead = None if reference is None else series.channels[reference.name]
+    fixed = [one for one in responses if one.channel.point or len(series.channels[one.name]) == 1]
+    roving = [one for one in responses if one not in fixed]
+    groups: list[tuple[list[Listed], Records]] = []
+    for members, one_group in ((fixed, True), (roving, False)):
+        counts = {len(series.channels[one.name]) for one in members}
+        if len(counts) > 1 or (members and lead is not None and len(lead) not in (1, *counts)):
+            got = ", ".join(f"{one.name} {len(series.channels[one.name])}" for one in members[:6])
+            raise StapeskitError.of("the channels", "of as many rows (records or points)", got, series.file)
+        rows = range(counts.pop() if counts else 0)
+        for part in [list(rows)] if one_group and rows else [[k] for k in rows]:
+            alive = [one for one in members if all(_moves(series.channels[one.name][k]) for k in part)]
+            if len(alive) < len(members):
+                silent = list_some((one.name for one in members if one not in alive), 6)
+                text = (
+                    f"{silent} of {series.file} hold one value throughout (a missing point) and are left out."
+                )
+                notices.append(Notice("zero_rows", text))
+            if alive:
+                per = "" if reference is None else reference.per
+                named = [_named(one, "1" if one_group else str(part[0] + 1), per) for one in alive]
+                groups.append((named, [_record(series, alive, reference, k) for k in part]))
+    if not groups:
+        step = "Check that the channels were connected"
+        raise StapeskitError.of("the responses", "with a signal", "one value in all", series.file, step)
+    return groups
+
+
+def _moves(row: Array) -> bool:
+    return bool(np.all(np.isfinite(row)) and np.any(row != row[0]))
+
+
+def _named(one: Listed, point: str, per: str) -> Listed:
+    return replace(one, channel=replace(one.channel, point=one.channel.point or point, per=per))
+
+
+def _record(
+    series: Series, members: Sequence[Listed], reference: Listed | None, k: int
+) -> tuple[Array | None, Array]:
+    """Return reference and responses (channel, sample) of one row, in SI."""
+    signals = [series.channels[one.name][k] * one.scale for one in members]
+    lead = None
+    if reference is not None:
+        rows = series.channels[reference.name]
+        lead = rows[k if len(rows) > 1 else 0] * reference.scale
+    sizes = {len(signal) for signal in (*signals, *([] if lead is None else [lead]))}
+    if len(sizes) > 1:
+        step = "Resample channels that were sampled at another rate"
+        got = " and ".join(map(str, sorted(sizes)))
+        raise StapeskitError.of("the channels", "of one number of samples", got, series.file, step)
+    return lead, np.array(signals)
+
+
+def _estimate(records: Records, series: Series, how: SeriesFacts, referenced: bool) -> Frf:
+    """Estimate responses as the excitation is: steps, a period, or segments of anything else."""
+    rate = series.sample_rate_hz
+    if how.steps is not None or series.set_hz is not None:
+        steps = [step for lead, signals in records for step in _steps(lead, signals, series, how)]
+        return stepped_frf(steps, rate, how.settle, series.file)
+    pairs = [(lead, signals) for lead, signals in records if lead is not None]
+    if not referenced or not pairs:
+        step = "Give a channel the role reference, e.g. the generator or a microphone"
+        raise StapeskitError.of("the table of channels", "with a reference", "none", series.file, step)
+    if how.period_s is not None:
+        return periodic_frf(pairs, rate, how.period_s, series.file)
+    shortest = min(len(lead) for lead, _ in pairs)
+    segment = segment_for(shortest, max(3, -(-how.averages // len(pairs))))
+    if segment < 8:
+        got = f"{segment} samples of a record of {shortest}"
+        step = "Ask for fewer --averages, or record longer"
+        raise StapeskitError.of("a segment", "at least 8 samples long", got, series.file, step)
+    return welch_frf(pairs, rate, segment, series.file)
+
+
+def _steps(lead: Array | None, signals: Array, series: Series, how: SeriesFacts) -> list[Step]:
+    """Cut a record into its steps, by the table of steps or the column of set frequencies."""
+    rate, count = series.sample_rate_hz, signals.shape[1]
+    if how.steps is not None:
+        stretches = [
+            (round((start - series.start_s) * rate), round((stop - series.start_s) * rate), freq)
+            for start, stop, freq in read_steps(how.steps)
+        ]
+    else:
+        column = np.asarray(series.set_hz)
+        if len(column) != count:
+            raise StapeskitError.of("freq_hz", f"{count} samples long", len(column), series.file)
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(column)) + 1, [count]]).tolist()
+        stretches = [
+            (a, b, float(column[a])) for a, b in zip(edges[:-1], edges[1:], strict=True) if column[a] > 0.0
+        ]
+    outside = [stretch for stretch in stretches if not 0 <= stretch[0] < stretch[1] <= count + 1]
+    if outside:
+        want = f"within the record of {count} samples"
+        got = list_some(f"samples {a} to {b}" for a, b, _ in outside)
+        raise StapeskitError.of("a step", want, got, series.file, "Correct the table of steps")
+    return [Step(freq, None if lead is None else lead[a:b], signals[:, a:b]) for a, b, freq in stretches]
+
+
+def read_steps(path: Path) -> list[tuple[float, float, float]]:
+    """Read a table of steps: start_s, stop_s, freq_hz.
+
+    Raises
+    ------
+    StapeskitError
+        A column is missing, a cell is no finite number, a step ends before it starts, or a frequency is not positive.
+    """
+    from stapeskit.tables import read_table
+
+    columns = ("start_s", "stop_s", "freq_hz")
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, columns, file)
+        return set(columns), set()
+
+    table = read_table(Path(path), choose)
+    faults = list(table.faults)
+    start, stop, freq = (table.numbers[name] for name in columns)
+    for row in np.flatnonzero(
+        ~((stop > start) & (freq > 0.0) & np.isfinite(stop) & np.isfinite(freq))
+    ).tolist():
+        got = f"{start[row]:g} to {stop[row]:g} s at {freq[row]:g} Hz"
+        want = "three finite numbers, the stop later than the start, the frequency positive"
+        faults.append(Fault("a step", want, got, table.where(row)))
+    raise_all(faults)
+    return [(float(a), float(b), float(f)) for a, b, f in zip(start, stop, freq, strict=True)]
+
+
+def _rows(group: Sequence[Listed], frf: Frf, lines: Any) -> list[Row]:
+    """Return the estimated lines of every channel."""
+    return [
+        Row(
+            one.channel,
+            frf.freq_hz[lines],
+            frf.value[k, lines],
+            frf.sd[k, lines],
+            None if frf.coherence is None else frf.coherence[k, lines],
+            None if np.isnan(frf.n_avg) else frf.n_avg,
+            frf.common_sd[lines],
+        )
+        for k, one in enumerate(group)
+    ]

@@ -1,0 +1,324 @@
+"""Frequency responses from time series: H1 with its coherence and the variance of each channel.
+
+Random or transient excitation: averages over overlapping Hann segments by scipy.signal. Periodic excitation: whole
+periods without a window, the noise from what differs between them. One reference; any number of channels recorded
+with it; any number of records.
+
+Sources: Bendat and Piersol, Random Data, 4th ed. 2010, ch. 7 and 9 (H1, coherence, random errors); Welch 1967, IEEE
+Trans. Audio Electroacoust. 15:70, doi:10.1109/TAU.1967.1161901 (overlapping segments); Pintelon and Schoukens,
+System Identification, 2nd ed. 2012, ch. 2 (periodic excitation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
+
+Records = Sequence[tuple[Array, Array]]
+"""Reference (sample,) and responses (channel, sample) of every record."""
+
+OVERLAP = 0.5
+"""Share of a segment that it has in common with the next: with a Hann window more adds nothing (Welch 1967)."""
+
+_FEWEST = 3  # two segments give no variance of a variance
+_STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
+_ROUNDS = 4  # of own and common noise in turn
+_FEW = 8  # averages below which the stated noise is rough: sd of the sd above 25 %
+_MOST_PERIODS = 50  # periods a block that are tried: more would need a clock better than 1e-3 of a sample
+_LEAST_REFERENCE = (
+    1e-3  # share of the largest line from which on a line of a periodic excitation counts as excited
+)
+
+
+@dataclass(frozen=True)
+class Frf:
+    """Frequency responses of several channels to one reference.
+
+    Attributes
+    ----------
+    freq_hz : ndarray, (freq,)
+        Ascending, positive.
+    value : ndarray, (channel, freq), complex
+        Unit of the response over unit of the reference, e^{+iwt}.
+    sd : ndarray, (channel, freq)
+        Standard deviation of the real (= imaginary) part: the channel's own noise, without what the noise of the
+        reference does to all channels alike.
+    coherence : ndarray, (channel, freq), or None
+        None where nothing was averaged.
+    n_avg : float
+        Effective number of independent averages; NaN where nothing was averaged.
+    common_sd : ndarray, (freq,)
+        Relative standard deviation of the real (= imaginary) part of the factor that multiplies the responses of
+        all channels: noise of the reference. It changes neither a rigid fit nor ratios of motions.
+    line_spread : float
+        By what factor the variance of slowly varying sums over lines exceeds that of independent lines.
+    """
+
+    freq_hz: Array
+    value: ComplexArray
+    sd: Array
+    coherence: Array | None
+    n_avg: float
+    common_sd: Array
+    line_spread: float = 1.0
+    notices: tuple[Notice, ...] = ()
+
+
+def effective_averages(taper: Array, hop: int, segments: int) -> float:
+    """Return how many independent averages overlapping segments are worth.
+
+    Parameters
+    ----------
+    taper : ndarray, (segment,)
+
+    Notes
+    -----
+    n / (1 + 2 sum_m (1 - m/n) rho_m) with rho_m = (sum_t w_t w_{t + m hop} / sum_t w_t^2)^2; Welch 1967.
+    """
+    total, power = 1.0, float(taper @ taper)
+    for step in range(1, segments):
+        shift = step * hop
+        if shift >= len(taper):
+            break
+        total += 2.0 * (1.0 - step / segments) * (float(taper[:-shift] @ taper[shift:]) / power) ** 2
+    return segments / total
+
+
+def segment_for(samples: int, averages: int) -> int:
+    """Return the longest even segment of which so many fit into a record."""
+    length = int(samples / (1.0 + (averages - 1) * (1.0 - OVERLAP)))
+    return length - length % 2
+
+
+def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str = "") -> Frf:
+    """Estimate H1 of random or transient excitation.
+
+    Parameters
+    ----------
+    segment : int
+        Samples of a segment: the resolution is the sampling rate over it.
+    where : str
+        Place for messages.
+
+    Raises
+    ------
+    StapeskitError
+        A reference without signal, or fewer than three segments.
+
+    Notes
+    -----
+    With G the averaged spectra and n the effective averages H1 = Gxy / Gxx, low by 1 / (1 + noise over signal in the
+    reference). Conditional on the reference E|dH1|^2 = Gyy (1 - g2) / ((n - 1) Gxx), g2 the coherence (Bendat and
+    Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real part has half of it.
+    Below a hundred averages the noise power is averaged over neighbouring lines. Spectra of white signals at lines
+    m apart have the correlation R_m = DFT(w^2)_m / DFT(w^2)_0; the line spread is the sum of R_m^2.
+    """
+    from scipy.signal import get_window, stft
+
+    check_reference(records, where)
+    taper = np.asarray(get_window("hann", segment), dtype=float)
+    hop = max(1, round(segment * (1.0 - OVERLAP)))
+    counts = [1 + (len(x) - segment) // hop if len(x) >= segment else 0 for x, _ in records]
+    if sum(counts) < _FEWEST:
+        step = "Ask for fewer averages, or record longer"
+        got = f"{sum(counts)} of {segment} samples"
+        raise StapeskitError.of("the records", f"at least {_FEWEST} segments long", got, where, step)
+
+    def spectra(signal: Array) -> ComplexArray:
+        """Return the lines of every segment (..., line, segment), without 0 Hz and what the window spreads of it."""
+        lines = stft(
+            signal, window=taper, nperseg=segment, noverlap=segment - hop, detrend="constant", boundary=None,
+            padded=False, return_onesided=True,
+        )[2]  # fmt: skip
+        return np.asarray(lines[..., 2 : (segment + 1) // 2, :])
+
+    blocks = [(spectra(x), spectra(y)) for (x, y), count in zip(records, counts, strict=True) if count]
+    total = sum(counts)
+    gxx = sum(np.sum(np.abs(x) ** 2, axis=-1) for x, _ in blocks) / total
+    gyy = sum(np.sum(np.abs(y) ** 2, axis=-1) for _, y in blocks) / total
+    gxy = sum(np.sum(x.conj() * y, axis=-1) for x, y in blocks) / total
+    if not np.all(gxx > 0.0):
+        step = "Restrict the band to where the reference has power"
+        raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
+    averages = sum(effective_averages(taper, hop, count) for count in counts if count)
+    value = np.asarray(gxy / gxx)
+    tiny = np.finfo(float).tiny
+    coherence = np.clip(np.abs(gxy) ** 2 / np.maximum(gxx * gyy, tiny), 0.0, 1.0)
+    residuals = [np.moveaxis(y - value[..., None] * x, -1, 0) for x, y in blocks]
+    own, common = split_noise(np.concatenate(residuals), value)
+    spread = float(segment * np.sum(taper**4) / np.sum(taper**2) ** 2)
+    scale = averages / max(averages - 1.0, 1e-3)
+    width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
+    own = smoothed(own / gxx, width, (averages - 1.0) / spread)
+    common_sd = np.sqrt(smoothed(common[None], width)[0] * scale / (2.0 * averages * gxx))
+    freq = np.arange(2, (segment + 1) // 2) * sample_rate_hz / segment
+    sd = np.sqrt(own * scale / (2.0 * averages))
+    notices = [*_common_notice(common_sd), *_few_notice(averages)]
+    return Frf(freq, value, sd, coherence, averages, common_sd, spread, tuple(notices))
+
+
+def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where: str = "") -> Frf:
+    """Estimate responses to periodic excitation at the lines that are excited; the first period settles.
+
+    Raises
+    ------
+    StapeskitError
+        Fewer than two periods are left, the period is no whole number of samples, or no line is excited.
+
+    Notes
+    -----
+    With X_p, Y_p the discrete Fourier transforms of the periods H = sum X* Y / sum |X|^2 over the means of the
+    records, and E|dH|^2 = mean |V|^2 / sum |X|^2 with V_p = (Y_p - Ym) - H (X_p - Xm): noise in both signals and its
+    correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is averaged over lines.
+    """
+    check_reference(records, where)
+    exact = period_s * sample_rate_hz
+    whole = [
+        n
+        for n in range(1, _MOST_PERIODS + 1)
+        if abs(n * exact - round(n * exact)) < 1e-3 and n * exact >= 2.0
+    ]
+    if not whole:
+        step = "Give the exact period, or sample in step with the generator"
+        got = f"{exact:.6g} samples of the record"
+        raise StapeskitError.of("the period", "whole samples", got, where, step)
+    samples = round(whole[0] * exact)
+    stacks = [(_periods(x[samples:], samples), _periods(y[:, samples:], samples)) for x, y in records]
+    counts = [len(x) for x, _ in stacks]
+    if min(counts) < 2:
+        got, step = f"{min(counts)} after the first", "Record more periods"
+        raise StapeskitError.of(
+            "a record", f"at least two blocks of {samples} samples long", got, where, step
+        )
+    means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
+    good = np.ones(stacks[0][0].shape[1], dtype=bool)
+    for (x, _), (mean, _) in zip(stacks, means, strict=True):
+        noise = np.sum(np.abs(x - mean) ** 2, axis=0) / (len(x) - 1) / len(x)
+        noise = np.maximum(smoothed(noise[None], 41)[0], noise)
+        size = np.abs(mean)
+        good &= (size > _LEAST_REFERENCE * np.max(size, initial=0.0)) & (size**2 > 25.0 * noise)
+    lines = np.flatnonzero(good)
+    if not len(lines):
+        step = "Check the period and the reference; random excitation has no period"
+        raise StapeskitError.of("the reference", "periodic, with lines above its noise", "none", where, step)
+    power = sum(n * np.abs(x[lines]) ** 2 for n, (x, _) in zip(counts, means, strict=True))
+    cross = sum(n * x[lines].conj() * y[:, lines] for n, (x, y) in zip(counts, means, strict=True))
+    value = np.asarray(cross / power)
+    residuals = np.concatenate(
+        [(y - ym)[:, :, lines] - value * (x - xm)[:, None, lines]
+         for (x, y), (xm, ym) in zip(stacks, means, strict=True)]
+    )  # fmt: skip
+    freedom = float(sum(counts) - len(counts))
+    own, common = split_noise(residuals, value)
+    scale = sum(counts) / freedom
+    width = max(1, int(np.ceil(60.0 / freedom)))  # sd known to 9 %
+    own, common = smoothed(own * scale, width, freedom), smoothed(common[None] * scale, width)[0]
+    common_sd = np.sqrt(common / (2.0 * power))
+    xx = sum(np.sum(np.abs(x[:, lines]) ** 2, axis=0) for x, _ in stacks)
+    yy = sum(np.sum(np.abs(y[:, :, lines]) ** 2, axis=0) for _, y in stacks)
+    xy = sum(np.sum(x[:, None, lines].conj() * y[:, :, lines], axis=0) for x, y in stacks)
+    coherence = np.clip(np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny), 0.0, 1.0)
+    freq = (lines + 1) * sample_rate_hz / samples
+    notices = (*_common_notice(common_sd), *_few_notice(freedom))
+    sd = np.sqrt(own / (2.0 * power))
+    return Frf(freq, value, sd, coherence, float(sum(counts)), common_sd, 1.0, notices)
+
+
+def _periods(signal: Array, samples: int) -> ComplexArray:
+    """Return the lines above 0 Hz of every block, (block, ..., line)."""
+    count = signal.shape[-1] // samples
+    cut = signal[..., : count * samples].reshape(*signal.shape[:-1], count, samples)
+    return np.asarray(np.fft.rfft(np.moveaxis(cut, -2, 0), axis=-1)[..., 1 : (samples + 1) // 2])
+
+
+def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array, Array]:
+    """Separate the noise of each channel from the noise of the reference, which all channels share.
+
+    Parameters
+    ----------
+    residuals : ndarray, (block, channel, freq), complex
+        Y - H X of every block.
+    response : ndarray, (channel, freq), complex
+        H.
+
+    Returns
+    -------
+    own : ndarray, (channel, freq)
+        Mean square of the residual without the common part; of all of it when no common part is significant or
+        fewer than three channels were recorded together.
+    common : ndarray, (freq,)
+        Mean square of the reference's error e in the residual -H e; 0 when none is significant.
+
+    Notes
+    -----
+    In every block the least-squares estimate of e over the channels, weighted by their noise, is taken out, and the
+    loss of one of the channels' degrees of freedom given back by the leverage w_i |H_i|^2 / sum. Without a common
+    part e times its information has mean 1 a line: the part is significant at four standard deviations of that.
+    """
+    whole = np.mean(np.abs(residuals) ** 2, axis=0)
+    blocks, channels, lines = residuals.shape
+    none, floor = np.zeros(lines), np.finfo(float).tiny
+    if channels < 3 or not np.any(whole > 0.0):
+        return whole, none
+    power, own = np.abs(response) ** 2, whole
+    for _ in range(_ROUNDS):
+        weight = 1.0 / np.maximum(own, floor)
+        information = np.maximum(np.sum(weight * power, axis=0), floor)
+        error = -np.sum((weight * response.conj())[None] * residuals, axis=1) / information
+        common = np.mean(np.abs(error) ** 2, axis=0)
+        rest = np.mean(np.abs(residuals + response[None] * error[:, None]) ** 2, axis=0)
+        own = np.maximum(rest / np.maximum(1.0 - weight * power / information, 0.1), 1e-6 * whole)
+        if np.mean(common * information) < 1.1 + 4.0 / np.sqrt(blocks * lines):
+            return whole, none
+    return own, np.maximum(common - 1.0 / information, 0.0)
+
+
+def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
+    """Average a noise spectrum (channel, freq) over neighbouring lines, fewer towards the ends.
+
+    ``freedom`` are the complex degrees of freedom of each value: what is made of m of them is raised by m / (m - 1),
+    the mean of one over a chi2 variable, so that chi2 of later fits keeps its mean.
+    """
+    lines = spectrum.shape[1]
+    place = np.arange(lines)
+    half = np.minimum(max(width, 1) // 2, np.maximum(np.minimum(place, place[::-1]), 2 if width > 1 else 0))
+    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, lines)
+    total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
+    mean = (total[:, stop] - total[:, start]) / (stop - start)
+    return np.asarray(mean / (1.0 - 1.0 / np.maximum(freedom * (stop - start), 2.0)))
+
+
+def check_reference(records: Records, where: str) -> None:
+    """Refuse records without a signal in the reference.
+
+    Raises
+    ------
+    StapeskitError
+    """
+    if not records or any(not np.any(x != x[0]) for x, _ in records):
+        step = "Check that the reference was connected, or name another one"
+        raise StapeskitError.of("the reference", "a signal", "one value in all samples", where, step)
+
+
+def _common_notice(common_sd: Array) -> list[Notice]:
+    if not np.any(common_sd > 0.0):
+        return []
+    text = (
+        "the noise of the reference moves all channels recorded together alike, by "
+        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from the noise of "
+        "each channel, does not change ratios of motions, K and D, and is part of the covariance of the motion itself."
+    )
+    return [Notice("reference_noise", text)]
+
+
+def _few_notice(averages: float) -> list[Notice]:
+    if averages >= _FEW:
+        return []
+    text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
+    return [Notice("few_averages", text)]

@@ -1,0 +1,148 @@
+"""Stepped sine by lock-in: least squares of cosine, sine, second and third harmonic, offset and drift.
+
+Sources: IEEE Std 1057-2017, annex B (least-squares sine fits); the variance of a fitted amplitude in coloured noise is
+that of the noise near the line, G(f) / T for each of the two parts with the one-sided spectrum G and the duration T
+(Kay, Fundamentals of Statistical Signal Processing I, 1993, ex. 3.14, with the local spectrum for white noise).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinematics.signals.frf import Frf
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, StapeskitError, raise_all
+
+OFFSETS = 32
+"""Frequencies on each side of the line at which the noise is read, from the third bin on."""
+
+_GAP = 3
+_HARMONICS = 3
+_FEWEST_CYCLES, _FEWEST_SAMPLES = 4.0, 16
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: set frequency, samples of the reference (sample,) or None, and of the responses (channel, sample)."""
+
+    freq_hz: float
+    reference: Array | None
+    responses: Array
+
+
+def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, where: str = "") -> Frf:
+    """Return responses per unit of the reference, or amplitudes where the steps have none.
+
+    Parameters
+    ----------
+    settle : float
+        Share of every step left out at its start.
+
+    Raises
+    ------
+    StapeskitError
+        A frequency above half the sampling rate, a step shorter than four cycles, one frequency twice, or a
+        reference without its line; of all steps.
+    """
+    faults: list[Fault] = []
+    freq, values, spreads, common = [], [], [], []
+    for number, step in enumerate(sorted(steps, key=lambda one: one.freq_hz), 1):
+        place = f"{where}, step of {step.freq_hz:g} Hz"
+        begin = round(settle * step.responses.shape[1])
+        signals = step.responses[:, begin:]
+        if step.reference is not None:
+            signals = np.vstack([step.reference[begin:], signals])
+        try:
+            amplitude, sd = fit_sine(signals, sample_rate_hz, step.freq_hz, place)
+        except StapeskitError as error:
+            faults += error.faults
+            continue
+        if freq and np.isclose(step.freq_hz, freq[-1], rtol=1e-9):
+            next_step = "Give repeats as records of their own, or leave one out"
+            faults.append(
+                Fault("a step", "of another frequency than the others", "it again", place, next_step)
+            )
+        relative = 0.0
+        if step.reference is not None:
+            if not abs(amplitude[0]) > 5.0 * sd[0]:
+                got = f"{abs(amplitude[0]):.3g} with a noise of {sd[0]:.3g}"
+                faults.append(
+                    Fault("the line of the reference", "above its noise", got, place, "Check its channel")
+                )
+                continue
+            relative = float(sd[0] / abs(amplitude[0]))
+            amplitude, sd = amplitude[1:] / amplitude[0], sd[1:] / abs(amplitude[0])
+        freq.append(step.freq_hz)
+        values.append(amplitude)
+        spreads.append(sd)
+        common.append(relative)
+    raise_all(faults)
+    if not freq:
+        raise StapeskitError.of("the steps", "at least one", "none", where)
+    return Frf(
+        np.array(freq),
+        np.array(values).T,
+        np.array(spreads).T,
+        None,
+        float("nan"),
+        np.array(common, dtype=float),
+    )
+
+
+def fit_sine(
+    signals: Array, sample_rate_hz: float, freq_hz: float, where: str = ""
+) -> tuple[ComplexArray, Array]:
+    """Fit one sine to the channels of one record.
+
+    Parameters
+    ----------
+    signals : ndarray, (channel, sample)
+
+    Returns
+    -------
+    amplitude : ndarray, (channel,), complex
+        Peak; the signal is Re(amplitude e^{+iwt}) with t = 0 at the first sample.
+    sd : ndarray, (channel,)
+        Standard deviation of the real (= imaginary) part.
+
+    Raises
+    ------
+    StapeskitError
+        The frequency lies above half the sampling rate, or the record is shorter than four cycles or 16 samples.
+    """
+    count = signals.shape[1]
+    if not 0.0 < freq_hz < 0.49 * sample_rate_hz:
+        want, got = f"above 0 and below half the sampling rate ({sample_rate_hz:g} Hz)", f"{freq_hz:g} Hz"
+        raise StapeskitError.of("the frequency of a step", want, got, where, "Correct the table of steps")
+    cycles = count * freq_hz / sample_rate_hz
+    if cycles < _FEWEST_CYCLES or count < _FEWEST_SAMPLES:
+        got, step = f"{cycles:.3g} cycles, {count} samples", "Record longer steps or let less settle"
+        raise StapeskitError.of("a step", "four cycles and 16 samples long", got, where, step)
+    angle = 2.0 * np.pi * freq_hz / sample_rate_hz * np.arange(count)
+    orders = max(1, min(_HARMONICS, int(0.49 * sample_rate_hz / freq_hz)))
+    columns = [part(order * angle) for order in range(1, orders + 1) for part in (np.cos, np.sin)]
+    base = np.column_stack([*columns, np.ones(count), np.linspace(-1.0, 1.0, count)])
+    fitted = np.linalg.lstsq(base, signals.T, rcond=None)[0]
+    rest = signals - (base @ fitted).T
+    return np.asarray(fitted[0] - 1j * fitted[1]), _noise(rest, sample_rate_hz, freq_hz)
+
+
+def _noise(rest: Array, sample_rate_hz: float, freq_hz: float) -> Array:
+    """Return the sd of an amplitude from the spectrum of what the fit leaves, near the line and off its harmonics.
+
+    A Hann window keeps other frequencies out; sum w^2 / (sum w)^2 of it takes the place of 1 / n.
+    """
+    count = rest.shape[1]
+    bins = np.concatenate([-np.arange(_GAP, _GAP + OFFSETS), np.arange(_GAP, _GAP + OFFSETS)])
+    places = freq_hz + bins * sample_rate_hz / count
+    apart = np.abs(places - np.round(places / freq_hz) * freq_hz) * count / sample_rate_hz
+    places = places[(places > 2.0 * sample_rate_hz / count) & (places < 0.5 * sample_rate_hz) & (apart > 2.5)]
+    window = np.hanning(count)
+    if not len(places):
+        return np.asarray(np.std(rest, axis=1) * np.sqrt(2.0 / count))
+    angle = -2j * np.pi / sample_rate_hz * np.arange(count)
+    power = np.mean([np.abs((rest * window) @ np.exp(angle * place)) ** 2 for place in places], axis=0)
+    return np.asarray(np.sqrt(2.0 * power / (count * np.sum(window**2))))

@@ -1,0 +1,78 @@
+"""Faults of samples: clipping and constant stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from stapeskit.arrays import Array
+from stapeskit.warnings import Notice
+
+_STILL = 8  # equal samples in a row in the midst of motion: a decoder that holds its last value
+_BESIDE = 16  # samples before and behind such a stretch that must move
+_CLIPPED = 3  # neighbouring samples at the extreme: a smooth signal touches it once
+
+
+def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[Notice]:
+    """Warn of channels with clipped or constant samples.
+
+    Parameters
+    ----------
+    channels : mapping of str to iterable of ndarray (sample,)
+        Records of every channel.
+    """
+    clipped, still = [], []
+    for name, rows in channels.items():
+        moving = [row for row in rows if len(row) >= 4 * _STILL and np.ptp(row) > 0.0]
+        if any(is_clipped(row) for row in moving):
+            clipped.append(name)
+        elif any(is_still(row) for row in moving):
+            still.append(name)
+    notices = []
+    if clipped:
+        text = (
+            f"{', '.join(clipped)} of {file}: clipped; neighbouring samples lie at the largest or smallest value again "
+            "and again. The responses are too small there: lower the level or take a wider range."
+        )
+        notices.append(Notice("clipped", text))
+    if still:
+        text = (
+            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, as when a "
+            "decoder holds its last value. Such responses are too small: measure these points again."
+        )
+        notices.append(Notice("dropouts", text))
+    return notices
+
+
+def is_clipped(row: Array) -> bool:
+    """Return whether samples (n,) stay at an extreme that is not their resting level, in three stretches or more."""
+    low, high = float(np.min(row)), float(np.max(row))
+    middle = float(np.median(row))
+    for extreme in (low, high):
+        if (
+            abs(middle - extreme) > 0.01 * (high - low)
+            and len(_stretches(row == extreme, _CLIPPED)) >= _CLIPPED
+        ):
+            return True
+    return False
+
+
+def is_still(row: Array) -> bool:
+    """Return whether samples (n,) are equal for a while between samples that move."""
+    same = np.concatenate([[0], (np.diff(row) == 0.0).astype(np.int8), [0]])
+    edges = np.flatnonzero(np.diff(same))
+    least = 0.05 * float(np.std(row))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        before, after = row[max(0, start - _BESIDE) : start], row[stop + 1 : stop + 1 + _BESIDE]
+        inside = len(before) == len(after) == _BESIDE and row[start] not in (np.min(row), np.max(row))
+        if stop - start + 1 >= _STILL and inside and min(np.std(before), np.std(after)) > least:
+            return True
+    return False
+
+
+def _stretches(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], least: int) -> list[int]:
+    """Return the lengths of the stretches of a mask that are at least so long."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    lengths = edges[1::2] - edges[::2]
+    return [int(length) for length in lengths if length >= least]
