@@ -2,6 +2,16 @@
 
 ``page.Page`` holds the blocks that ``page.text``, ``page.table``, ``page.matrix`` ... make. A page loads
 nothing, needs no network, and can be read without its scripts.
+
+Examples
+--------
+>>> from stapeskit.report import page
+>>> shown = page.Page("An ear").add(page.verdict("believe", "No warning calls for a check."))
+>>> section = shown.section("Stiffness K", page.matrix(("y",), [[1735.0]], [[19.0]]))
+>>> shown.appendix_section("Inputs", page.text("scan.tif")).folded
+True
+>>> "1735" in shown.html()
+True
 """
 
 from __future__ import annotations

@@ -285,7 +285,7 @@ def test_colours_can_be_told_apart():
     assert len({colours.colour_of(body, bodies) for body in bodies}) == 4
 
 
-@pytest.mark.parametrize("module", [colours, figures])
+@pytest.mark.parametrize("module", [colours, figures, page])
 def test_examples(module):
     found = doctest.testmod(module)
     assert found.attempted
