@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions
+from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions, wrong_header
 from ct_inertia.scan.place import place_scan, without_inversion
 from ct_inertia.scan.raw import header_beside, plane_reader
 from ct_inertia.scan.scan import Box, Fetch, Scan
 from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import Session, memory_limit, processor_limit_s
+
+_PARSER_ERRORS = (ArithmeticError, LookupError, OSError, ValueError, struct.error)
 
 _LEAST_LIMIT_S = 20.0  # processor time of a request: a small packed file can hold gigabytes of one value
 
@@ -146,7 +149,12 @@ def _opened(path: Path, options: ReadOptions, own_spacing: bool = False) -> Scan
 def _read_header(entry: Format, path: Path, options: ReadOptions) -> tuple[Opened, Fetch]:
     """Read the header, in a child process where a library does it, and return how voxels are read."""
     if not entry.libraries:
-        opened = entry.open_file(path, options)
+        try:
+            opened = entry.open_file(path, options)
+        except _PARSER_ERRORS as fault:
+            if isinstance(fault, StapeskitError):
+                raise
+            raise wrong_header(path, f"{entry.title} file", f"a damaged header ({fault})") from fault
         return opened, _fetch_of(opened)
 
     def open_source() -> tuple[Opened, Fetch]:

@@ -168,11 +168,15 @@ def planes_in(
             name,
         )
     plane = int(shape[1]) * int(shape[2]) * dtype.itemsize
+    for file, _ in pieces:
+        if not file.is_file():
+            raise no_data_file(file, name)
+    held = sum(file.stat().st_size for file, _ in pieces)
+    if count * plane > held:  # before arrays as long as the claim are made
+        raise too_short(shape, count * plane, held, name)
     number = np.arange(count) // depth
     offset = (np.arange(count) % depth) * plane
     for k, (file, start) in enumerate(pieces):
-        if not file.is_file():
-            raise no_data_file(file, name)
         held = min(depth, count - k * depth) * plane
         stored = file.stat().st_size
         first = stored - held if start == -1 else start

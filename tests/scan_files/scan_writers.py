@@ -1,0 +1,520 @@
+"""Writers of every format that scans come in, by other libraries or from the format's own description.
+
+Each writes an array [z, y, x] with voxels of `SPACING` and returns the path to open.
+"""
+
+from __future__ import annotations
+
+import json
+import locale
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+import SimpleITK as sitk
+import tifffile
+
+SPACING = np.array([0.02, 0.025, 0.03])
+# The corners of the picture carry their own names: which of low/high x, y, z they are.
+CORNERS = {(i, j, k): 10 + 10 * i + 20 * j + 40 * k for i in (0, 1) for j in (0, 1) for k in (0, 1)}
+
+
+def picture(dtype="u2", shape=(7, 6, 5)):
+    array = np.random.default_rng(1).integers(0, 9, shape).astype(dtype)
+    for (i, j, k), value in CORNERS.items():
+        array[-k, -j, -i] = value
+    return array
+
+
+def check_corners(scan, origin=(0, 0, 0), mirrored=""):
+    """Assert that every corner is where its name says, looked up by scan coordinates."""
+    voxels = scan.read()
+    far = (scan.size - 1) * SPACING
+    for corner, value in CORNERS.items():
+        named = [1 - c if axis in mirrored else c for c, axis in zip(corner, "xyz", strict=True)]
+        index = np.rint(scan.index_points(np.array(origin) + far * named)).astype(int)
+        assert voxels[tuple(index[::-1].tolist())] == value
+
+
+def plain(path, array, **options):
+    tifffile.imwrite(path, array, photometric="minisblack", **options)
+    return path
+
+
+def pages(path, array, **options):
+    """Pages written one by one, each with its own tags between the pictures."""
+    with tifffile.TiffWriter(path, byteorder=options.pop("byteorder", None)) as tif:
+        for plane in array:
+            tif.write(plane, metadata=None, contiguous=False, photometric="minisblack", **options)
+    return path
+
+
+UNITS = {"mm": 1.0, "um": 1e3, "cm": 0.1, "inch": 1 / 25.4, "\\u00B5m": 1e3, "micron": 1e3, "nm": 1e6}
+
+
+def imagej(path, array, unit="mm", spacing=SPACING, **options):
+    x, y, z = np.asarray(spacing) * UNITS[unit]
+    metadata = {"spacing": z, "unit": unit, "axes": "ZYX"} | options.pop("metadata", {})
+    tifffile.imwrite(path, array, imagej=True, resolution=(1 / x, 1 / y), metadata=metadata, **options)
+    return path
+
+
+def ome(path, array, unit="µm", **options):
+    scale = {"µm": 1e3, "nm": 1e6, "mm": 1.0}[unit]
+    metadata = {"axes": "ZYX"}
+    for axis, value in zip("XYZ", SPACING, strict=True):
+        metadata |= {f"PhysicalSize{axis}": value * scale, f"PhysicalSize{axis}Unit": unit}
+    metadata |= options.pop("metadata", {})
+    tifffile.imwrite(path, array, metadata=metadata, photometric="minisblack", **options)
+    return path
+
+
+def ome_files(path, array):
+    """An OME image whose planes lie in two files."""
+    half = len(array) // 2
+    other = path.with_name("b.ome.tif")
+    for file, part in ((path, array[:half]), (other, array[half:])):
+        tifffile.imwrite(file, part, photometric="minisblack", metadata=None)
+    planes = ""
+    for name, first, count in ((path.name, 0, half), (other.name, half, len(array) - half)):
+        for k in range(count):
+            unique = f'<UUID FileName="{name}">urn:uuid:{name}</UUID>'
+            planes += f'<TiffData IFD="{k}" FirstZ="{first + k}" PlaneCount="1">{unique}</TiffData>'
+    sizes = "".join(f'Size{a}="{n}" ' for a, n in zip("ZYX", array.shape, strict=True))
+    lengths = "".join(f'PhysicalSize{a}="{v * 1e3:g}" ' for a, v in zip("XYZ", SPACING, strict=True))
+    xml = (
+        '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+        f'UUID="urn:uuid:{path.name}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" '
+        f'Type="uint16" {sizes}SizeC="1" SizeT="1" {lengths}>{planes}</Pixels></Image></OME>'
+    )
+    tifffile.tiffcomment(path, xml.encode())
+    return path
+
+
+def itk(path, array, direction=None, origin=(0.0, 0.0, 0.0), packed=False, compressor=None):
+    before = locale.setlocale(locale.LC_ALL)  # the DICOM writer sets it to "C"
+    image = sitk.GetImageFromArray(array)
+    image.SetSpacing(SPACING.tolist())
+    image.SetOrigin(list(origin))
+    if direction is not None:
+        image.SetDirection(np.asarray(direction, dtype=float).ravel().tolist())
+    writer = sitk.ImageFileWriter()
+    writer.SetFileName(str(path))
+    writer.SetUseCompression(packed)
+    if compressor:
+        writer.SetCompressor(compressor)
+    writer.Execute(image)
+    locale.setlocale(locale.LC_ALL, before)
+    return path
+
+
+NAMES = {"u1": "UCHAR", "i1": "CHAR", "u2": "USHORT", "i2": "SHORT", "u4": "UINT", "i4": "INT"}
+NAMES |= {"f4": "FLOAT", "f8": "DOUBLE"}
+
+
+def nrrd(path, array, big=False, **fields):
+    kind = {"f4": "float", "f8": "double"}.get(array.dtype.str[1:], array.dtype.name)
+    stated = {
+        "type": kind,
+        "dimension": 3,
+        "sizes": " ".join(map(str, array.shape[::-1])),
+        "endian": "big" if big else "little",
+        "encoding": "raw",
+        "spacings": " ".join(f"{s:g}" for s in SPACING),
+    } | {name.replace("_", " "): value for name, value in fields.items()}
+    text = "NRRD0004\n# made for a test\n"
+    text += "".join(f"{key}: {value}\n" for key, value in stated.items() if value is not None)
+    voxels = array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
+    if stated["encoding"] in ("ascii", "txt"):
+        voxels = in_words(array)
+    path.write_bytes(text.encode() + (b"" if "data file" in stated else b"\n" + voxels))
+    return path
+
+
+def in_words(array):
+    """The numbers of an array as text, a row a line."""
+    rows = array.reshape(-1, array.shape[-1]).tolist()
+    return "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+
+
+def meta(path, array, big=False, data=None, **fields):
+    stated = {
+        "ObjectType": "Image",
+        "NDims": 3,
+        "BinaryData": "True",
+        "ElementByteOrderMSB": str(big),
+        "DimSize": " ".join(map(str, array.shape[::-1])),
+        "ElementSpacing": " ".join(f"{s:g}" for s in SPACING),
+        "ElementType": "MET_" + NAMES[array.dtype.str[1:]],
+    } | fields
+    text = "".join(f"{key} = {value}\n" for key, value in stated.items() if value is not None)
+    voxels = array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes()
+    if stated["BinaryData"] == "False":
+        voxels = in_words(array)
+    path.write_bytes(f"{text}ElementDataFile = {data or 'LOCAL'}\n".encode() + (b"" if data else voxels))
+    return path
+
+
+def nifti(path, array, big=False, slope=1.0, inter=0.0, unit=2, sform=None, qform=None):
+    """NIfTI-1 from its description (nifti1.h); ``qform`` is (quaternion b c d, offset x y z)."""
+    order = ">" if big else "<"
+    kinds = {"u1": 2, "i2": 4, "i4": 8, "f4": 16, "f8": 64, "i1": 256, "u2": 512, "u4": 768}
+    steps = SPACING * {1: 1e-3, 2: 1.0, 3: 1e3, 0: 1.0}[unit]
+    head = bytearray(352)
+    struct.pack_into(order + "i", head, 0, 348)
+    struct.pack_into(order + "8h", head, 40, 3, *array.shape[::-1], 1, 1, 1, 1)
+    struct.pack_into(order + "2h", head, 70, kinds[array.dtype.str[1:]], array.dtype.itemsize * 8)
+    struct.pack_into(order + "8f", head, 76, 1.0, *steps, 0, 0, 0, 0)
+    struct.pack_into(order + "3f", head, 108, 352, slope, inter)
+    head[123] = unit
+    struct.pack_into(order + "2h", head, 252, qform is not None, sform is not None)
+    if qform is not None:
+        struct.pack_into(order + "6f", head, 256, *qform)
+    if sform is not None:
+        struct.pack_into(order + "12f", head, 280, *np.asarray(sform, dtype=float).ravel())
+    head[344:348] = b"n+1\0"
+    path.write_bytes(bytes(head) + array.astype(array.dtype.newbyteorder(order)).tobytes())
+    return path
+
+
+def analyze(path, array, big=False):
+    """A header of Analyze 7.5: that of NIfTI without its magic, its voxels beside it."""
+    whole = bytearray(nifti(path, array, big).read_bytes())
+    whole[108:112] = bytes(4)
+    path.write_bytes(bytes(whole[:344]) + bytes(4))
+    path.with_suffix(".img").write_bytes(whole[352:])
+    return path
+
+
+def slices(path, array, ending="tif", **options):
+    path.mkdir()
+    for k, image in enumerate(array):
+        file = path / f"rec_{k + 8}.{ending}"
+        if ending == "tif":
+            tifffile.imwrite(file, image, photometric="minisblack", **options)
+        else:
+            from PIL import Image
+
+            Image.fromarray(image).save(file)
+    (path / "rec.txt").write_text("not an image")
+    return path
+
+
+LOG = """[System]
+Camera Pixel Size (um)=74.8
+[Acquisition]
+Image Pixel Size (um)=9.9
+[Reconstruction]
+First Section=8
+Section to Section Step=1
+Sections Count={count}
+Result Image Width (pixels)={width}
+Result Image Height (pixels)={height}
+Pixel Size (um)={size}
+"""
+
+
+def skyscan_log(array, size=20.0, **other):
+    stated = {"count": array.shape[0], "height": array.shape[1], "width": array.shape[2], "size": size}
+    return LOG.format(**stated | other)
+
+
+def dicom(path, array, series="1", packed=False, **tags):
+    before = locale.setlocale(locale.LC_ALL)
+    path.mkdir(exist_ok=True)
+    writer = sitk.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    writer.SetUseCompression(packed)
+    writer.SetCompressor("JPEG")
+    for k, image in enumerate(array):
+        slice_ = sitk.GetImageFromArray(image[None])
+        slice_.SetSpacing(SPACING.tolist())
+        slice_.SetOrigin([0, 0, k * SPACING[2]])
+        stated = {
+            "0008|0060": "CT",
+            "0020|000e": f"1.2.826.0.1.3680043.2.1125.{series}",
+            "0020|000d": "1.2.826.0.1.3680043.2.1125.2",
+            "0008|0018": f"1.2.826.0.1.3680043.2.1125.3{series}.{k}",
+            "0008|103e": f"ear {series}",
+            "0020|0032": f"0\\0\\{k * SPACING[2]}",
+            "0020|0037": "1\\0\\0\\0\\1\\0",
+            "0020|0013": str(len(array) - k),
+        }
+        for tag, value in (stated | tags).items():
+            slice_.SetMetaData(tag, value)
+        writer.SetFileName(str(path / f"{series}_{9 - k}.dcm"))
+        writer.Execute(slice_)
+    locale.setlocale(locale.LC_ALL, before)
+    return path
+
+
+def element(group, number, kind, value):
+    value = value.encode() if isinstance(value, str) else value
+    value += b"\0" * (len(value) % 2)
+    long = kind in ("OW", "SQ")
+    length = struct.pack("<HI", 0, len(value)) if long else struct.pack("<H", len(value))
+    return struct.pack("<HH", group, number) + kind.encode() + length + value
+
+
+def item(*elements):
+    content = b"".join(elements)
+    return struct.pack("<HHI", 0xFFFE, 0xE000, len(content)) + content
+
+
+def enhanced(path, array, heights=None, rescaling=None):
+    """An Enhanced CT image whose frames lie at these heights (DICOM PS3.3, A.38 and C.7.6.16)."""
+    heights = SPACING[2] * np.arange(len(array)) if heights is None else heights
+    kind = "1.2.840.10008.5.1.4.1.1.2.1"
+    numbers = {0x10: array.shape[1], 0x11: array.shape[2], 0x100: 16, 0x101: 16, 0x102: 15, 0x103: 0}
+    shared = item(
+        element(0x28, 0x9110, "SQ", item(element(0x28, 0x30, "DS", f"{SPACING[1]}\\{SPACING[0]}"))),
+        element(0x20, 0x9116, "SQ", item(element(0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"))),
+    )
+    frames = []
+    for k, z in enumerate(heights):
+        groups = [element(0x20, 0x9113, "SQ", item(element(0x20, 0x32, "DS", f"0\\0\\{z:g}")))]
+        if rescaling is not None:
+            slope, intercept = rescaling[k]
+            values = element(0x28, 0x1052, "DS", f"{intercept:g}") + element(0x28, 0x1053, "DS", f"{slope:g}")
+            groups.append(element(0x28, 0x9145, "SQ", item(values)))
+        frames.append(item(*groups))
+    head = (
+        element(2, 2, "UI", kind) + element(2, 3, "UI", "1.2.3") + element(2, 16, "UI", "1.2.840.10008.1.2.1")
+    )
+    content = [
+        bytes(128) + b"DICM" + element(2, 0, "UL", struct.pack("<I", len(head))) + head,
+        element(8, 0x16, "UI", kind) + element(8, 0x18, "UI", "1.2.3") + element(8, 0x60, "CS", "CT"),
+        element(0x28, 0x02, "US", struct.pack("<H", 1)) + element(0x28, 0x04, "CS", "MONOCHROME2 "),
+        element(0x28, 0x08, "IS", str(len(array))),
+        *(element(0x28, n, "US", struct.pack("<H", v)) for n, v in numbers.items()),
+        element(0x5200, 0x9229, "SQ", shared),
+        element(0x5200, 0x9230, "SQ", b"".join(frames)),
+        element(0x7FE0, 0x10, "OW", array.astype("<u2").tobytes()),
+    ]
+    path.write_bytes(b"".join(content))
+    return path
+
+
+def raw(path, array, big=False, header=0):
+    path.write_bytes(bytes(header) + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
+    return path
+
+
+def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, **options):
+    """An image of two levels by the zarr package; ``leading`` names further axes of one entry."""
+    import zarr
+
+    axes = [{"name": name, "type": "channel" if name == "c" else "time"} for name in leading]
+    axes += [{"name": name, "type": "space", "unit": unit} if unit else {"name": name} for name in "zyx"]
+    factor = {"micrometer": 1e3, "millimeter": 1.0}.get(unit, 1.0)
+    scale = [1.0] * len(leading) + (SPACING[::-1] * factor).tolist()
+    full = array[(None,) * len(leading)]
+    group = zarr.create_group(path, zarr_format=3 if version == "0.5" else 2)
+    datasets = []
+    for number, level in enumerate((full, full[..., ::2, ::2, ::2])):
+        made = {"chunks": tuple(min(chunk, n) for n in level.shape), "dtype": level.dtype, **options}
+        if "shards" in made:
+            made["shards"] = tuple(-(-n // 4) * 4 if n > 1 else 1 for n in level.shape)
+            made["chunks"] = tuple(4 if n > 1 else 1 for n in level.shape)
+        group.create_array(str(number), shape=level.shape, **made)[...] = level
+        steps = [s * (2**number if k >= len(leading) else 1) for k, s in enumerate(scale)]
+        datasets.append(
+            {"path": str(number), "coordinateTransformations": [{"type": "scale", "scale": steps}]}
+        )
+    entry = {"axes": axes, "datasets": datasets, "name": "ear"}
+    stated = {"multiscales": [entry | ({} if version == "0.5" else {"version": version})]}
+    group.attrs.update({"ome": {"version": "0.5", **stated}} if version == "0.5" else stated)
+    return path
+
+
+def change_zarr(path, change):
+    """Change the multiscales entry of an image on disk."""
+    file = path / (".zattrs" if (path / ".zattrs").is_file() else "zarr.json")
+    content = json.loads(file.read_text())
+    attributes = content if file.name == ".zattrs" else content["attributes"]["ome"]
+    change(attributes["multiscales"][0])
+    file.write_text(json.dumps(content))
+
+
+def isq(path, array):
+    head = bytearray(1024)
+    head[:16] = b"CTDATA-HEADER_V1"
+    extent = np.rint(SPACING * 1e3 * array.shape[::-1])
+    head[44:68] = np.array([*array.shape[::-1], *extent], "<i4").tobytes()
+    head[88:92] = np.array([4096], "<i4").tobytes()
+    head[508:512] = np.array([1], "<i4").tobytes()
+    path.write_bytes(bytes(head) + array.astype("<i2").tobytes())
+    return path
+
+
+AIM_TYPES = {"i1": 0x00010001, "u1": 0x00160001, "i2": 0x00020002, "u2": 0x00170002, "i4": 0x00030004}
+AIM_TYPES |= {"f4": 0x001A0004}
+AIM_LOG = (
+    b"! Processing Log\nMu_Scaling                    8192\nDensity: unit               mg HA/ccm\n"
+    b"Density: slope              1.6e+03\nDensity: intercept          -3.9e+02\n"
+)
+
+
+def aim(path, array, position=(0, 0, 0)):
+    """Version 020: voxel size as VAX F floats, a log between header and data."""
+    image = np.zeros(35, "<i4")
+    image[[0, 5]] = 16, AIM_TYPES[array.dtype.str[1:]]
+    image[6:9] = position
+    image[9:12] = array.shape[::-1]
+    halves = (SPACING * 4).astype("<f4").view("<u2").reshape(3, 2)[:, ::-1]
+    image[27:30] = np.ascontiguousarray(halves).view("<i4").ravel()
+    head = np.array([20, 140, len(AIM_LOG), array.nbytes, 0], "<i4").tobytes()
+    path.write_bytes(head + image.tobytes() + AIM_LOG + array.tobytes())
+    return path
+
+
+def aim30(path, array, position=(0, 0, 0)):
+    """Version 030: 64-bit numbers, voxel size in nanometres."""
+    words = np.array([16, 0, 0, AIM_TYPES[array.dtype.str[1:]]], "<i4").tobytes()
+    triples = np.zeros(24, "<i8")
+    triples[0:3] = position
+    triples[3:6] = array.shape[::-1]
+    triples[21:24] = np.rint(SPACING * 1e6)
+    image = words + triples.tobytes() + bytes(16)
+    head = np.array([40, len(image), len(AIM_LOG), array.nbytes, 0], "<i8").tobytes()
+    path.write_bytes(b"AIMDATA_V030   \0" + head + image + AIM_LOG + array.tobytes())
+    return path
+
+
+VGI = """{{volume1}}
+[representation]
+size = {size}
+mirror = 0 0 0 0
+datatype = unsigned integer
+bitsperelement = 16
+{files}{{volumeprimitive1}}
+[geometry]
+position = 10.5 -38 0
+resolution = {resolution}
+unit = {unit}
+"""
+
+
+def vgi(path, array, parts=1, unit="mm", skip=0):
+    """A header as VGStudio MAX writes it, with the voxels in one or several files."""
+    nx, ny, nz = array.shape[::-1]
+    kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[array.dtype.kind]
+    depth, files = -(-nz // parts), ""
+    for part in range(parts):
+        piece = array[part * depth : (part + 1) * depth]
+        name = f"{path.stem}-{part}.vol"
+        (path.parent / name).write_bytes(bytes(skip) + piece.tobytes())
+        files += (
+            f"[file{part + 1}]\nSkipHeader = {skip}\nFileFormat = raw\nSize = {nx} {ny} {len(piece)}\n"
+            f"Name = C:\\scans\\{name}\nDatatype = {kind}\nBitsPerElement = {array.dtype.itemsize * 8}\n"
+        )
+    factor = {"mm": 1.0, "um": 1e3, "": 1.0}[unit]
+    steps = " ".join(f"{s * factor:g}" for s in SPACING)
+    text = VGI.format(size=f"{nx} {ny} {nz}", files=files, unit=unit, resolution=steps)
+    path.write_text(text, newline="\r\n")
+    return path
+
+
+def amira(path, array, big=False, unit="mm", materials=()):
+    kinds = {"u1": "byte", "i2": "short", "u2": "ushort", "i4": "int", "f4": "float", "f8": "double"}
+    far = (np.array(array.shape[::-1]) - 1) * SPACING * {"um": 1e3, "µm": 1e3}.get(unit, 1.0)
+    box = " ".join(f"0 {value:g}" for value in far)
+    stated = f'    Units {{\n        Coordinates "{unit}"\n    }}\n' if unit else ""
+    if materials:
+        listed = "".join(f"        {name} {{\n            Id {k}\n        }}\n" for k, name in enumerate(materials))
+        stated += f"    Materials {{\n{listed}    }}\n"
+    text = (
+        f"# Avizo {'BINARY' if big else 'BINARY-LITTLE-ENDIAN'} 2.1\n\n\n"
+        f"define Lattice {' '.join(map(str, array.shape[::-1]))}\n\nParameters {{\n{stated}"
+        f'    BoundingBox {box},\n    CoordType "uniform"\n}}\n\n'
+        f"Lattice {{ {kinds[array.dtype.str[1:]]} Data }} @1\n\n# Data section follows\n@1\n"
+    )
+    path.write_bytes(text.encode() + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
+    return path
+
+
+INTEGERS = ("u1", "i1", "u2", "i2", "u4", "i4")
+ALL = (*INTEGERS, "f4", "f8")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A way of writing a scan: types, and what its file can and cannot say."""
+
+    write: object
+    types: tuple[str, ...] = ("u2",)
+    options: dict = field(default_factory=dict)
+    asks: bool = False  # for the spacing
+    anatomical: bool = False
+    raw: dict | None = None
+    entry: str = "TIFF"
+
+
+
+CASES = {
+    "imagej.tif": Case(imagej, ("u1", "u2", "i2", "f4")),
+    **{f"imagej_{k}.tif": Case(imagej, options={"unit": unit}) for k, unit in enumerate(UNITS)},
+    "imagej_deflate.tif": Case(imagej, ("u1", "f4"), {"compression": "zlib"}),
+    "imagej_lzw.tif": Case(imagej, ("u2",), {"compression": "lzw"}),
+    "a.ome.tif": Case(ome, ALL),
+    "nm.ome.tif": Case(ome, options={"unit": "nm"}),
+    "big.ome.tif": Case(ome, ALL, {"bigtiff": True, "byteorder": ">"}),
+    "tiled.ome.tif": Case(ome, ("u1", "u2", "f4"), {"tile": (16, 16), "compression": "zlib"}),
+    "predicted.ome.tif": Case(ome, ("u2", "f4"), {"compression": "lzw", "predictor": True}),
+    "files.ome.tif": Case(ome_files),
+    "plain.tif": Case(plain, ALL, asks=True),
+    "plain_big.btf": Case(plain, ("u2",), {"bigtiff": True, "byteorder": ">"}, True),
+    "strips.tif": Case(plain, ("u2",), {"rowsperstrip": 2, "metadata": None}, True),
+    "packbits.tif": Case(plain, ("u1", "u2"), {"compression": "packbits"}, True),
+    "zstd.tif": Case(plain, ("u2",), {"compression": "zstd"}, True),
+    "pages.tif": Case(pages, ("u1", "u2", "f4"), asks=True),
+    "pages_big.tif": Case(pages, ("u2", "f4"), {"byteorder": ">"}, True),
+    "pages_lzw.tif": Case(pages, ("u2", "f8"), {"compression": "lzw"}, True),
+    "itk_lzw.tif": Case(itk, ("u1", "u2"), {"packed": True, "compressor": "LZW"}, True),
+    "a.nrrd": Case(itk, ALL, anatomical=True, entry="NRRD"),
+    "zip.nrrd": Case(itk, ("u1", "u2", "f8"), {"packed": True}, anatomical=True, entry="NRRD"),
+    "big.nrrd": Case(nrrd, ALL, {"big": True}, entry="NRRD"),
+    "text.nrrd": Case(nrrd, ("u2", "i4", "f8"), {"encoding": "ascii"}, entry="NRRD"),
+    "a.nhdr": Case(itk, anatomical=True, entry="NRRD"),
+    "a.mha": Case(itk, ALL, anatomical=True, entry="MHA, MHD"),
+    "zip.mha": Case(itk, ("u1", "u2", "f8"), {"packed": True}, anatomical=True, entry="MHA, MHD"),
+    "big.mha": Case(meta, ALL, {"big": True}, entry="MHA, MHD"),
+    "text.mha": Case(meta, ("i2", "f8"), {"BinaryData": "False"}, entry="MHA, MHD"),
+    "a.mhd": Case(itk, anatomical=True, entry="MHA, MHD"),
+    "zip.mhd": Case(itk, ("u2",), {"packed": True}, anatomical=True, entry="MHA, MHD"),
+    "a.nii": Case(itk, ALL, anatomical=True, entry="NIfTI"),
+    "big.nii": Case(nifti, ALL, {"big": True}, entry="NIfTI"),
+    "um.nii": Case(nifti, ("u2",), {"unit": 3}, entry="NIfTI"),
+    "m.nii": Case(nifti, ("u2",), {"unit": 1}, entry="NIfTI"),
+    "a.nii.gz": Case(itk, ("u1", "i2", "f4"), anatomical=True, entry="NIfTI"),
+    "a.img": Case(itk, ("i2",), anatomical=True, entry="raw voxels"),
+    "analyze.hdr": Case(analyze, ("u1", "i2", "f4"), entry="NIfTI"),
+    "analyze_big.hdr": Case(analyze, ("i2",), {"big": True}, entry="NIfTI"),
+    "folder": Case(slices, ALL, asks=True, entry="a folder of slices"),
+    "folder_big": Case(slices, ("u2", "f4"), {"byteorder": ">"}, True, entry="a folder of slices"),
+    "folder_lzw": Case(slices, ("u2",), {"compression": "lzw"}, True, entry="a folder of slices"),
+    "folder_png": Case(slices, ("u1", "u2"), {"ending": "png"}, True, entry="a folder of slices"),
+    "folder_bmp": Case(slices, ("u1",), {"ending": "bmp"}, True, entry="a folder of slices"),
+    "a.isq": Case(isq, ("i2",), entry="Scanco ISQ"),
+    "a.ISQ;1": Case(isq, ("i2",), entry="Scanco ISQ"),
+    "a.AIM": Case(aim, ("i1", "u1", "i2", "u2", "i4", "f4"), entry="Scanco AIM"),
+    "a30.aim": Case(aim30, ("i1", "u1", "i2", "u2", "i4", "f4"), entry="Scanco AIM"),
+    "a.vgi": Case(vgi, ("u1", "u2", "i2", "f4"), entry="VGStudio"),
+    "um.vgi": Case(vgi, ("u2",), {"unit": "um", "skip": 100}, entry="VGStudio"),
+    "parts.vgi": Case(vgi, ("u2",), {"parts": 3}, entry="VGStudio"),
+    "a.am": Case(amira, ("u1", "i2", "u2", "i4", "f4", "f8"), entry="Amira"),
+    "big.am": Case(amira, ("u2", "f4"), {"big": True}, entry="Amira"),
+    "um.am": Case(amira, ("u2",), {"unit": "µm"}, entry="Amira"),
+    "a.raw": Case(raw, ALL, {"header": 12}, True, raw={"header_bytes": 12}, entry="raw voxels"),
+    "big.raw": Case(raw, ALL, {"big": True}, True, raw={"byte_order": "big"}, entry="raw voxels"),
+    "dicom": Case(dicom, ("i2", "u2", "u1"), anatomical=True, entry="DICOM"),
+    "dicom_jpeg": Case(dicom, ("u2", "u1"), {"packed": True}, anatomical=True, entry="DICOM"),
+    "frames.dcm": Case(itk, ("u1", "u2"), anatomical=True, entry="DICOM"),
+    "enhanced.dcm": Case(enhanced, anatomical=True, entry="DICOM"),
+    "v04.zarr": Case(ome_zarr, ALL, entry="OME-Zarr"),
+    "v04_mm.zarr": Case(ome_zarr, ("u2",), {"unit": "millimeter"}, entry="OME-Zarr"),
+    "v04_tc.zarr": Case(ome_zarr, ("u2",), {"leading": ("t", "c")}, entry="OME-Zarr"),
+    "v04_bare.zarr": Case(ome_zarr, (">u2", "f4"), {"compressors": None}, entry="OME-Zarr"),
+    "v05.zarr": Case(ome_zarr, ALL, {"version": "0.5"}, entry="OME-Zarr"),
+    "v05_shards.zarr": Case(ome_zarr, ("u2", "f4"), {"version": "0.5", "shards": True}, entry="OME-Zarr"),
+}
