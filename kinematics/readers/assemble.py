@@ -1,4 +1,4 @@
-"""From the recordings of one or several files to one measurement: bodies, positions, runs, lines, all checks."""
+"""Assemble the recordings of one or several files to one measurement, with all checks."""
 
 from __future__ import annotations
 
@@ -188,7 +188,8 @@ def _assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
     if not recording.length_stated and len(placed) and not facts.length_unit:
         extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(placed, axis=0))
         text = (
-            f"{recording.file} does not say the unit of its positions: taken as metres they extend over {extent} mm. "
+            f"{recording.file} does not say the unit of its positions: taken as metres they extend over "
+            f"{extent} mm. "
             "State --length-unit m, mm or um."
         )
         notices.append(Notice("length_unit_assumed", text))
@@ -260,7 +261,7 @@ def _value_faults(recordings: Sequence[Recording]) -> list[Fault]:
 def _with_bodies(
     entries: Sequence[_Entry], points: Points | None, facts: FileFacts
 ) -> tuple[list[_Entry], list[Notice]]:
-    """Give every row its body: by ``--body``, by its file, by the points file; a file of one body needs none."""
+    """Give every row its body: by ``--body``, its file or the points file; one body needs none."""
     used: set[str] = set()
     assigned: list[_Entry] = []
     faults: list[Fault] = []
@@ -401,7 +402,8 @@ def _reference_notices(entries: Sequence[_Entry]) -> list[Notice]:
     if not units:
         return []
     text = (
-        f"the values are responses per {' or '.join(units)}: so are all motions and their standard deviations; "
+        f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
+        "deviations; "
         "stiffness and damping do not depend on it."
     )
     return [Notice("per_reference", text)]

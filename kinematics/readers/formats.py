@@ -32,7 +32,8 @@ _ZIP, _COMPOUND = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _SOUND = (b"RIFF", b"RIFX", b"RF64")
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
 _EXPORT_STEP = (
-    "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) or as "
+    "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
+    "or as "
     "ASCII (Real & Imag.), and give that file or folder"
 )
 
@@ -123,18 +124,21 @@ FORMATS = (
     ),
     Format(
         "matlab", "a MATLAB file (.mat)",
-        lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)), "matlab",
+        lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
+        "matlab",
         "v4 to v7.3, as File Access scripts save them; other layouts by `--mapping`",
         libraries=("scipy.io",), series=True,
     ),
     Format(
         "hdf5", "HDF5 (.h5)", lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"), "hdf5",
-        "data sets by their names (`freq_hz`, `re`, `im`, `direction`, `position_mm`, ...); others by `--mapping`",
+        "data sets by their names (`freq_hz`, `re`, `im`, `direction`, `position_mm`, ...); others by "
+        "`--mapping`",
         libraries=("h5py",), series=True,
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)), "uff",
-        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate systems, "
+        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate "
+        "systems, "
         "164 units",
         (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
     ),
@@ -148,17 +152,20 @@ FORMATS = (
     ),
     Format(
         "time", "time series (.csv, .npz, .wav)", _is_series, "series",
-        "with a channel table, also .mat and .h5: H1 with its noise, periodic excitation, stepped sine by lock-in",
+        "with a channel table, also .mat and .h5: H1 with its noise, periodic excitation, stepped sine by "
+        "lock-in",
         libraries=("numpy", "scipy.io"), series=True,
     ),
     Format(
         "wide", "a wide table (.csv)", _is_wide, "wide",
-        "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...`); "
+        "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
+        "...`); "
         "other names by `--mapping`",
     ),
     Format(
         TIDY, "a tidy table (.csv)", lambda _head: False, "tidy",
-        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` comments, "
+        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` "
+        "comments, "
         "`sep=;`; anything else is refused with file, line and column, all faults in one message",
         (".csv", ".tsv", ".txt"),
     ),

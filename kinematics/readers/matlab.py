@@ -196,7 +196,7 @@ def _describe(tree: Names[str, Any]) -> str:
 def _layouts(space: _Space, mapping: Mapping | None, depth: int = 0) -> list[tuple[_Space, Mapping, str]]:
     """Return where spectra are (here, in structs, in elements of struct arrays), each with its layout."""
     if mapping is not None and mapping.each:
-        elements = [one for one in np.atleast_1d(np.asarray(space.get(mapping.each), dtype=object)).tolist()]
+        elements = np.atleast_1d(np.asarray(space.get(mapping.each), dtype=object)).tolist()
         spaces = [
             (space.within(one, f"{mapping.each}({k})"), str(k)) for k, one in enumerate(elements, 1) if one
         ]
@@ -346,16 +346,12 @@ def _signal_rows(space: _Space, layout: Mapping, signal: Signal, freq: Array, po
     bodies = _bodies(space, signal.body or layout.body, count)
     places = _places(space, layout, count)
     coherence, sd = (_companion(space, name, value.shape) for name in (signal.coherence, signal.sd))
-    n_avg = (
-        None
-        if signal.n_avg == ""
-        else float(
-            np.asarray(
-                space.get(signal.n_avg) if isinstance(signal.n_avg, str) else signal.n_avg, dtype=float
-            ).reshape(-1)[0]
-        )
+    stated = (
+        space.numbers(signal.n_avg, real=True) if isinstance(signal.n_avg, str) and signal.n_avg else None
     )
-    # fmt: skip
+    n_avg = (
+        float(stated.flat[0]) if stated is not None else None if signal.n_avg == "" else float(signal.n_avg)
+    )
     rows = []
     for beam in range(beams):
         directions = _directions(space, signal, beam, beams, count)

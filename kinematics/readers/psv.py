@@ -159,7 +159,8 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     ]
     if treated:
         text = (
-            f"{path.name} was exported {' and '.join(treated)}: values were mixed between points, so that points "
+            f"{path.name} was exported {' and '.join(treated)}: values were mixed between points, so that "
+            "points "
             "do not err independently. Export the measured values."
         )
         notices.append(Notice("values_smoothed", text))

@@ -1,22 +1,25 @@
 """Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
 
-Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped sine);
-arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels
-are named 1, 2, ... and scaled to full scale = 1.
+Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped
+sine); arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV,
+whose channels are named 1, 2, ... and scaled to full scale = 1.
 
 The table of channels, one row a channel::
 
-    channel, role, body, point, dir | dir_x, dir_y, dir_z, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run] [, file]
+    channel, role, body, point, dir | dir_x, dir_y, dir_z, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run]
+    [, file]
 
-``role`` is ``response``, ``reference`` or ``ignore``. ``unit`` says what the numbers are (any unit for a reference);
-``sensitivity`` is the factor from the numbers to it, such as 0.005 for volts at 5 mm/s/V in m/s. An empty ``point``
-says that the rows of a two-dimensional variable are points 1, 2, ...; with a point they are records of it.
+``role`` is ``response``, ``reference`` or ``ignore``. ``unit`` says what the numbers are (any unit for a
+reference); ``sensitivity`` is the factor from the numbers to it, such as 0.005 for volts at 5 mm/s/V in m/s.
+An empty ``point`` says that the rows of a two-dimensional variable are points 1, 2, ...; with a point they
+are records of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +34,7 @@ from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
 from kinematics.signals.lock_in import Step, stepped_frf
 from kinematics.signals.samples import sample_notices
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
@@ -51,7 +54,7 @@ _SHORTEST = 16  # samples; shorter records hold no spectrum
 
 @dataclass(frozen=True)
 class Series:
-    """The samples of one file by channel, one array (sample,) a row or record, and set frequencies of its steps."""
+    """The samples of a file by channel, one array (sample,) a record; set frequencies of its steps."""
 
     file: str
     sample_rate_hz: float
@@ -78,7 +81,8 @@ def read(path: Path, facts: FileFacts) -> Recording:
     Raises
     ------
     StapeskitError
-        No table of channels, a channel that is missing, no or several references, or what is wrong with the samples.
+        No table of channels, a channel that is missing, no or several references, or what is wrong with the
+        samples.
     """
     path = Path(path)
     how = facts.series
@@ -124,8 +128,8 @@ def read_channels(path: Path) -> list[Listed]:
     Raises
     ------
     StapeskitError
-        A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed twice; all
-        faults with their lines.
+        A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed
+        twice; all faults with their lines.
     """
     from stapeskit.tables import read_table
 
@@ -211,8 +215,8 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
     Raises
     ------
     StapeskitError
-        A channel is missing (those found are listed), times are not evenly spaced, there is no sampling rate, or
-        samples are no finite numbers.
+        A channel is missing (those found are listed), times are not evenly spaced, there is no sampling rate,
+        or samples are no finite numbers.
     """
     with path.open("rb") as stream:
         head = stream.read(1024)
@@ -430,9 +434,7 @@ def _steps(lead: Array | None, signals: Array, series: Series, how: SeriesFacts)
         if len(column) != count:
             raise StapeskitError.of("freq_hz", f"{count} samples long", len(column), series.file)
         edges = np.concatenate([[0], np.flatnonzero(np.diff(column)) + 1, [count]]).tolist()
-        stretches = [
-            (a, b, float(column[a])) for a, b in zip(edges[:-1], edges[1:], strict=True) if column[a] > 0.0
-        ]
+        stretches = [(a, b, float(column[a])) for a, b in pairwise(edges) if column[a] > 0.0]
     outside = [stretch for stretch in stretches if not 0 <= stretch[0] < stretch[1] <= count + 1]
     if outside:
         want = f"within the record of {count} samples"
@@ -447,7 +449,8 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
     Raises
     ------
     StapeskitError
-        A column is missing, a cell is no finite number, a step ends before it starts, or a frequency is not positive.
+        A column is missing, a cell is no finite number, a step ends before it starts, or a frequency is not
+        positive.
     """
     from stapeskit.tables import read_table
 

@@ -1,12 +1,13 @@
 """Read a scan file of Polytec's PSV 10 (.svd): averaged FFT, one vibrometer channel and one reference.
 
-An .svd is an OLE2 compound file (read by olefile). Each medium ``Polytec_Data/M<n>`` holds one averaged quantity of
-all points; its ``Static_Info`` names channels, quantities and the formula in words, ``AVG[CP[S[T[0]],S[T[1]]]]`` for
-the cross power of channels 0 and 1 and ``AVG[AP[S[T[0]]]]`` for the auto power of channel 0. Numbers are little-endian.
+An .svd is an OLE2 compound file (read by olefile). Each medium ``Polytec_Data/M<n>`` holds one averaged
+quantity of all points; its ``Static_Info`` names channels, quantities and the formula in words,
+``AVG[CP[S[T[0]],S[T[1]]]]`` for the cross power of channels 0 and 1 and ``AVG[AP[S[T[0]]]]`` for the auto
+power of channel 0. Numbers are little-endian.
 
-The layout was found by comparing scans of PSV 10.0 with the universal files that PSV exported of them: frequencies,
-coordinates, directions, and the responses H1 and H2 agree to the rounding of the export. Whatever differs from that
-layout is refused, with what was found.
+The layout was found by comparing scans of PSV 10.0 with the universal files that PSV exported of them:
+frequencies, coordinates, directions, and the responses H1 and H2 agree to the rounding of the export.
+Whatever differs from that layout is refused, with what was found.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ AVERAGED_FFT = 2
 """Code of complex averaging of spectra."""
 
 EXPORT = (
-    "Export the scan in the PSV program as a universal file (File, Export, Universal File, with the geometry and "
+    "Export the scan in the PSV program as a universal file (File, Export, Universal File, with the "
+    "geometry and "
     "H1 or FFT of all points) and give that file"
 )
 
@@ -70,7 +72,7 @@ _RECORD_HEAD = 248  # bytes of a record before its values; the four before hold 
 
 @dataclass(frozen=True)
 class Medium:
-    """One averaged quantity: its formula, names of its channels by number, quantities by channel, frequencies."""
+    """One averaged quantity: its formula, names and quantities of its channels by number, lines."""
 
     folder: str
     formula: str
@@ -141,8 +143,10 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     direction = np.array(DIRECTIONS.get(scan.direction_code, unknown_vector()), dtype=float)
     if scan.direction_code not in CHECKED_DIRECTIONS and scan.direction_code in DIRECTIONS:
         text = (
-            f"the direction of channel {scan.names[0]} in {path.name} has the code {scan.direction_code}, read as "
-            f"{direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports confirm: compare it with "
+            f"the direction of channel {scan.names[0]} in {path.name} has the code {scan.direction_code}, "
+            "read as "
+            f"{direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports confirm: "
+            "compare it with "
             "the direction that the PSV program shows."
         )
         notices.append(Notice("direction_code", text))
@@ -231,7 +235,6 @@ def _scan(ole: OleFileIO, file: str) -> Scan:
     powers = [
         _records(ole, medium, kind, len(points), file)
         for medium, kind in ((cross, "<c8"), (autos[0], "<f4"), (autos[1], "<f4"))
-        if medium is not None
     ]
     measured = ~np.any([np.all(np.isnan(power.real), axis=1) for power in powers], axis=0)
     return Scan(
@@ -239,9 +242,9 @@ def _scan(ole: OleFileIO, file: str) -> Scan:
         cross.freq_hz,
         points,
         measured,
-        powers[0].astype(complex),
-        powers[1].astype(float),
-        powers[2].astype(float),
+        powers[0],
+        powers[1].real,
+        powers[2].real,
         channels[names[0]][0],
         cross.quantities.get(other, 0),
         names,
@@ -317,8 +320,8 @@ def _averages(ole: OleFileIO, file: str) -> int:
 def _channels(ole: OleFileIO, file: str) -> Iterator[tuple[str, int, bool]]:
     """Give the active channels: short name, code of the direction, whether it is a vibrometer.
 
-    A channel: version (int), a number (double), direction (int), further numbers, at byte 107 short and long name,
-    then an int and three flags (the second says active, the third vibrometer), and further numbers.
+    A channel: version (int), a number (double), direction (int), further numbers, at byte 107 short and long
+    name, then an int and three flags (the second says active, the third vibrometer), and further numbers.
     """
     content = _stream(ole, "Info/DAQ_Settings_Fft/Channels", file)
     at = 8
@@ -349,7 +352,7 @@ def _points(ole: OleFileIO, file: str) -> Array:
     return np.full(points.shape, np.nan) if not np.any(points) else points
 
 
-def _records(ole: OleFileIO, medium: Medium, kind: str, points: int, file: str) -> np.ndarray:  # type: ignore[type-arg]
+def _records(ole: OleFileIO, medium: Medium, kind: str, points: int, file: str) -> ComplexArray:
     """Return the values of a medium, (p, L), NaN at points without a record."""
     info = np.frombuffer(_stream(ole, f"Polytec_Data/{medium.folder}/ManyStreamsInfo", file), "<i4")
     size, count = int(info[1]), int(info[4])
@@ -362,9 +365,9 @@ def _records(ole: OleFileIO, medium: Medium, kind: str, points: int, file: str) 
         or len(content) != size * len(known)
         or sorted(known.tolist()) != list(range(len(known)))
     ):
-        got = f"{count} entries, {len(known)} records of {size} bytes in {len(content)} bytes for {points} points"
+        got = f"{count} entries, {len(known)} records of {size} bytes for {points} points"
         raise _refused(f"the records of {medium.formula}", "one a point", got, file)
-    values = np.full((points, len(medium.freq_hz)), np.nan, dtype=kind)
+    values = np.full((points, len(medium.freq_hz)), np.nan, dtype=complex)
     for point, record in enumerate(order.tolist()):
         if record < 0:
             continue

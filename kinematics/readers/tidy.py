@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from kinematics.readers.facts import FileFacts
 from kinematics.readers.lines import common_grid
 from kinematics.readers.points import POSITION, other_table, position_faults
 from kinematics.readers.recording import Channel, Recording, unknown_vector
-from kinematics.readers.text import plain_name
+from kinematics.readers.text import plain_name, shown
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.frames import axis_vector
@@ -124,7 +125,7 @@ class _Rows:
         self.faults += self.table.faults
         numbers = self.table.numbers
         usable = self._check_numbers()
-        texts = {
+        texts: dict[str, tuple[Index, tuple[str, ...]]] = {
             name: self._named(name)
             for name in ("body", "point", "run", "repeat")
             if name in self.columns.names
@@ -156,8 +157,10 @@ class _Rows:
         channels = tuple(
             self._channel(row, texts, directions[beam[row]]) for row in np.flatnonzero(usable)[first]
         )
-        value = _spread(self._values()[rows], at, shape)
-        matrices = {
+        own = self._values()[rows]
+        value = np.empty(shape, dtype=complex)
+        value.real, value.imag = _spread(own.real, at, shape), _spread(own.imag, at, shape)
+        matrices: dict[str, Array] = {
             name: _spread(numbers[name][rows], at, shape) for name in EXTRA if name in self.columns.names
         }
         if self.columns.sd:
@@ -171,7 +174,9 @@ class _Rows:
             notices=tuple(notices),
             statement="as its columns say",
             amplitude_stated=True,
-            **matrices,
+            sd=matrices.get("sd"),
+            coherence=matrices.get("coherence"),
+            n_avg=matrices.get("n_avg"),
         )
 
     def _report(
@@ -234,15 +239,13 @@ class _Rows:
         """Return the different unit directions (n, 3) and which of them each row (rows,) has, -1 for none."""
         if "dir" in self.columns.names:
             column = self.table.texts["dir"]
-            vectors = [axis_vector(name) for name in column.names]
-            good = np.array([vector is not None for vector in vectors] + [False])
+            axes = [axis_vector(name) for name in column.names]
+            good = np.array([axis is not None for axis in axes] + [False])
             self._report(
                 ~good[column.codes], "dir", "x, y, z, -x, -y or -z",
-                lambda row: f'"{column.names[column.codes[row]]}"' if column.codes[row] >= 0 else "an empty cell",
+                lambda row: shown((*column.names, "an empty cell")[column.codes[row]]),
             )  # fmt: skip
-            known = np.array([unknown_vector() if vector is None else vector for vector in vectors]).reshape(
-                -1, 3
-            )
+            known = np.array([unknown_vector() if axis is None else axis for axis in axes]).reshape(-1, 3)
             return known, np.where(good[column.codes], column.codes, -1)
         parts = np.column_stack([self.table.numbers[name] for name in DIRECTION])
         code, first = _numbered(list(parts.T))
@@ -253,7 +256,8 @@ class _Rows:
         invalid = np.any([self.table.invalid_rows(name) for name in DIRECTION], axis=0)
         self._report(
             ~good[code] & ~invalid, ", ".join(DIRECTION), "a unit vector (within 1e-3)",
-            lambda row: f"({', '.join(f'{part:g}' for part in parts[row])})", "Divide the direction by its length",
+            lambda row: f"({', '.join(f'{part:g}' for part in parts[row])})",
+            "Divide the direction by its length",
         )  # fmt: skip
         with np.errstate(invalid="ignore", divide="ignore"):
             return vectors / length[:, None], np.where(good[code], code, -1)
@@ -277,9 +281,9 @@ class _Rows:
             self.faults.append(Fault("the position of a point", "one", got, where, step))
 
     def _lines(self, sweep: Index, freq: Array, rows: Index) -> tuple[Array, Index, list[Notice]]:
-        """Return the grid and the line of each row (sorted by channel and frequency); report repeated rows."""
+        """Return grid and line of each row (sorted by channel and frequency); report repeated rows."""
         edges = np.concatenate([[0], np.flatnonzero(np.diff(sweep)) + 1, [len(sweep)]])
-        sweeps = [freq[start:stop] for start, stop in zip(edges[:-1], edges[1:], strict=True)]
+        sweeps = [freq[start:stop] for start, stop in pairwise(edges.tolist())]
         grid, places, notices = common_grid(
             [np.unique(one) if np.any(np.diff(one) <= 0.0) else one for one in sweeps]
         )
@@ -337,12 +341,13 @@ class _Rows:
             mine = [number for number, other in enumerate(runs) if other == key]
             missing[mine] &= ~np.all(missing[mine], axis=0)
         if np.any(missing):
-            lacking = [channels[k].name for k in np.flatnonzero(np.any(missing, axis=1))]
+            lacking = [channels[k].name for k in np.flatnonzero(np.any(missing, axis=1)).tolist()]
             end = (
                 " The last row is in the middle of a sweep: was the file cut off?" if missing[-1, -1] else ""
             )
             text = (
-                f"{int(np.sum(missing))} readings of {len(lacking)} channels ({list_some(lacking, 6)}) have no "
+                f"{int(np.sum(missing))} readings of {len(lacking)} channels ({list_some(lacking, 6)}) "
+                "have no "
                 f"row in {file} at lines that other channels of the body have; they count as missing.{end}"
             )
             notices.append(Notice("rows_missing", text))
@@ -371,11 +376,9 @@ class _Rows:
         return notices
 
 
-def _spread(values: Array | ComplexArray, at: Index, shape: tuple[int, int]) -> NDArray[np.generic]:
+def _spread(values: Array, at: Index, shape: tuple[int, int]) -> Array:
     """Return the values of rows in the shape of channels and lines, NaN where there is no row."""
-    full = np.full(shape[0] * shape[1], np.nan, dtype=values.dtype)
-    if np.iscomplexobj(full):
-        full.imag = np.nan
+    full = np.full(shape[0] * shape[1], np.nan)
     full[at] = values
     return full.reshape(shape)
 

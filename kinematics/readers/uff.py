@@ -381,7 +381,8 @@ def _choose(
         notices.append(Notice("function_chosen", text))
     elif chosen[0].data["func_type"] == SPECTRUM:
         text = (
-            f"{file} holds spectra, no frequency responses: their phases are those of one motion only when every "
+            f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
+            "every "
             "point was triggered by the excitation."
         )
         notices.append(Notice("spectra_phase", text))
@@ -422,7 +423,8 @@ def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
     in_text = sorted({text for text in texts if _IN_TEXT.search(text)})
     if len(in_text) > 1:
         step = (
-            f"Their directions stand in the text alone ({list_some(in_text)}): export them with directions of the "
+            f"Their directions stand in the text alone ({list_some(in_text)}): export them with directions "
+            "of the "
             "degrees of freedom (record 6), or as a wide table"
         )
     listed = list_some((f"{group[0].point} ({group[0].data['rsp_dir']:+d})" for group in twice), 6)

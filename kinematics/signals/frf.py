@@ -1,12 +1,12 @@
 """Frequency responses from time series: H1 with its coherence and the variance of each channel.
 
-Random or transient excitation: averages over overlapping Hann segments by scipy.signal. Periodic excitation: whole
-periods without a window, the noise from what differs between them. One reference; any number of channels recorded
-with it; any number of records.
+Random or transient excitation: averages over overlapping Hann segments by scipy.signal. Periodic excitation:
+whole periods without a window, the noise from what differs between them. One reference; any number of
+channels recorded with it; any number of records.
 
-Sources: Bendat and Piersol, Random Data, 4th ed. 2010, ch. 7 and 9 (H1, coherence, random errors); Welch 1967, IEEE
-Trans. Audio Electroacoust. 15:70, doi:10.1109/TAU.1967.1161901 (overlapping segments); Pintelon and Schoukens,
-System Identification, 2nd ed. 2012, ch. 2 (periodic excitation).
+Sources: Bendat and Piersol, Random Data, 4th ed. 2010, ch. 7 and 9 (H1, coherence, random errors); Welch
+1967, IEEE Trans. Audio Electroacoust. 15:70, doi:10.1109/TAU.1967.1161901 (overlapping segments); Pintelon
+and Schoukens, System Identification, 2nd ed. 2012, ch. 2 (periodic excitation).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Records = Sequence[tuple[Array, Array]]
 """Reference (sample,) and responses (channel, sample) of every record."""
 
 OVERLAP = 0.5
-"""Share of a segment that it has in common with the next: with a Hann window more adds nothing (Welch 1967)."""
+"""Share of a segment that it shares with the next: more adds nothing with a Hann window (Welch 1967)."""
 
 _FEWEST = 3  # two segments give no variance of a variance
 _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
@@ -47,15 +47,15 @@ class Frf:
     value : ndarray, (channel, freq), complex
         Unit of the response over unit of the reference, e^{+iwt}.
     sd : ndarray, (channel, freq)
-        Standard deviation of the real (= imaginary) part: the channel's own noise, without what the noise of the
-        reference does to all channels alike.
+        Standard deviation of the real (= imaginary) part: the channel's own noise, without what the noise of
+        the reference does to all channels alike.
     coherence : ndarray, (channel, freq), or None
         None where nothing was averaged.
     n_avg : float
         Effective number of independent averages; NaN where nothing was averaged.
     common_sd : ndarray, (freq,)
-        Relative standard deviation of the real (= imaginary) part of the factor that multiplies the responses of
-        all channels: noise of the reference. It changes neither a rigid fit nor ratios of motions.
+        Relative standard deviation of the real (= imaginary) part of the factor that multiplies the responses
+        of all channels: noise of the reference. It changes neither a rigid fit nor ratios of motions.
     line_spread : float
         By what factor the variance of slowly varying sums over lines exceeds that of independent lines.
     """
@@ -113,11 +113,12 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
 
     Notes
     -----
-    With G the averaged spectra and n the effective averages H1 = Gxy / Gxx, low by 1 / (1 + noise over signal in the
-    reference). Conditional on the reference E|dH1|^2 = Gyy (1 - g2) / ((n - 1) Gxx), g2 the coherence (Bendat and
-    Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real part has half of it.
-    Below a hundred averages the noise power is averaged over neighbouring lines. Spectra of white signals at lines
-    m apart have the correlation R_m = DFT(w^2)_m / DFT(w^2)_0; the line spread is the sum of R_m^2.
+    With G the averaged spectra and n the effective averages H1 = Gxy / Gxx, low by 1 / (1 + noise over signal
+    in the reference). Conditional on the reference E|dH1|^2 = Gyy (1 - g2) / ((n - 1) Gxx), g2 the coherence
+    (Bendat and Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real
+    part has half of it. Below a hundred averages the noise power is averaged over neighbouring lines. Spectra
+    of white signals at lines m apart have the correlation R_m = DFT(w^2)_m / DFT(w^2)_0; the line spread is
+    the sum of R_m^2.
     """
     from scipy.signal import get_window, stft
 
@@ -131,7 +132,7 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
         raise StapeskitError.of("the records", f"at least {_FEWEST} segments long", got, where, step)
 
     def spectra(signal: Array) -> ComplexArray:
-        """Return the lines of every segment (..., line, segment), without 0 Hz and what the window spreads of it."""
+        """Return the lines of every segment (..., line, segment), without 0 Hz and its neighbour."""
         lines = stft(
             signal, window=taper, nperseg=segment, noverlap=segment - hop, detrend="constant", boundary=None,
             padded=False, return_onesided=True,
@@ -173,9 +174,10 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
 
     Notes
     -----
-    With X_p, Y_p the discrete Fourier transforms of the periods H = sum X* Y / sum |X|^2 over the means of the
-    records, and E|dH|^2 = mean |V|^2 / sum |X|^2 with V_p = (Y_p - Ym) - H (X_p - Xm): noise in both signals and its
-    correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is averaged over lines.
+    With X_p, Y_p the discrete Fourier transforms of the periods H = sum X* Y / sum |X|^2 over the means of
+    the records, and E|dH|^2 = mean |V|^2 / sum |X|^2 with V_p = (Y_p - Ym) - H (X_p - Xm): noise in both
+    signals and its correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is
+    averaged over lines.
     """
     check_reference(records, where)
     exact = period_s * sample_rate_hz
@@ -250,16 +252,17 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
     Returns
     -------
     own : ndarray, (channel, freq)
-        Mean square of the residual without the common part; of all of it when no common part is significant or
-        fewer than three channels were recorded together.
+        Mean square of the residual without the common part; of all of it when no common part is significant
+        or fewer than three channels were recorded together.
     common : ndarray, (freq,)
         Mean square of the reference's error e in the residual -H e; 0 when none is significant.
 
     Notes
     -----
-    In every block the least-squares estimate of e over the channels, weighted by their noise, is taken out, and the
-    loss of one of the channels' degrees of freedom given back by the leverage w_i |H_i|^2 / sum. Without a common
-    part e times its information has mean 1 a line: the part is significant at four standard deviations of that.
+    In every block the least-squares estimate of e over the channels, weighted by their noise, is taken out,
+    and the loss of one of the channels' degrees of freedom given back by the leverage w_i |H_i|^2 / sum.
+    Without a common part e times its information has mean 1 a line: the part is significant at four standard
+    deviations of that.
     """
     whole = np.mean(np.abs(residuals) ** 2, axis=0)
     blocks, channels, lines = residuals.shape
@@ -282,8 +285,8 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
 def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     """Average a noise spectrum (channel, freq) over neighbouring lines, fewer towards the ends.
 
-    ``freedom`` are the complex degrees of freedom of each value: what is made of m of them is raised by m / (m - 1),
-    the mean of one over a chi2 variable, so that chi2 of later fits keeps its mean.
+    ``freedom`` are the complex degrees of freedom of each value: what is made of m of them is raised by m /
+    (m - 1), the mean of one over a chi2 variable, so that chi2 of later fits keeps its mean.
     """
     lines = spectrum.shape[1]
     place = np.arange(lines)
@@ -311,8 +314,10 @@ def _common_notice(common_sd: Array) -> list[Notice]:
         return []
     text = (
         "the noise of the reference moves all channels recorded together alike, by "
-        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from the noise of "
-        "each channel, does not change ratios of motions, K and D, and is part of the covariance of the motion itself."
+        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from "
+        "the noise of "
+        "each channel, does not change ratios of motions, K and D, and is part of the covariance of the "
+        "motion itself."
     )
     return [Notice("reference_noise", text)]
 

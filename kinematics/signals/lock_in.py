@@ -1,8 +1,9 @@
 """Stepped sine by lock-in: least squares of cosine, sine, second and third harmonic, offset and drift.
 
-Sources: IEEE Std 1057-2017, annex B (least-squares sine fits); the variance of a fitted amplitude in coloured noise is
-that of the noise near the line, G(f) / T for each of the two parts with the one-sided spectrum G and the duration T
-(Kay, Fundamentals of Statistical Signal Processing I, 1993, ex. 3.14, with the local spectrum for white noise).
+Sources: IEEE Std 1057-2017, annex B (least-squares sine fits); the variance of a fitted amplitude in coloured
+noise is that of the noise near the line, G(f) / T for each of the two parts with the one-sided spectrum G and
+the duration T (Kay, Fundamentals of Statistical Signal Processing I, 1993, ex. 3.14, with the local spectrum
+for white noise).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _FEWEST_CYCLES, _FEWEST_SAMPLES = 4.0, 16
 
 @dataclass(frozen=True)
 class Step:
-    """One step: set frequency, samples of the reference (sample,) or None, and of the responses (channel, sample)."""
+    """One step: set frequency, samples of the reference (sample,) or None, responses (channel, sample)."""
 
     freq_hz: float
     reference: Array | None
@@ -48,8 +49,11 @@ def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, whe
         reference without its line; of all steps.
     """
     faults: list[Fault] = []
-    freq, values, spreads, common = [], [], [], []
-    for number, step in enumerate(sorted(steps, key=lambda one: one.freq_hz), 1):
+    freq: list[float] = []
+    values: list[ComplexArray] = []
+    spreads: list[Array] = []
+    common: list[float] = []
+    for step in sorted(steps, key=lambda one: one.freq_hz):
         place = f"{where}, step of {step.freq_hz:g} Hz"
         begin = round(settle * step.responses.shape[1])
         signals = step.responses[:, begin:]
@@ -111,7 +115,8 @@ def fit_sine(
     Raises
     ------
     StapeskitError
-        The frequency lies above half the sampling rate, or the record is shorter than four cycles or 16 samples.
+        The frequency lies above half the sampling rate, or the record is shorter than four cycles or 16
+        samples.
     """
     count = signals.shape[1]
     if not 0.0 < freq_hz < 0.49 * sample_rate_hz:
@@ -131,7 +136,7 @@ def fit_sine(
 
 
 def _noise(rest: Array, sample_rate_hz: float, freq_hz: float) -> Array:
-    """Return the sd of an amplitude from the spectrum of what the fit leaves, near the line and off its harmonics.
+    """Return the sd of an amplitude from what the fit leaves near the line, off its harmonics.
 
     A Hann window keeps other frequencies out; sum w^2 / (sum w)^2 of it takes the place of 1 / n.
     """

@@ -32,13 +32,15 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
     notices = []
     if clipped:
         text = (
-            f"{', '.join(clipped)} of {file}: clipped; neighbouring samples lie at the largest or smallest value again "
+            f"{', '.join(clipped)} of {file}: clipped; neighbouring samples lie at the largest or smallest "
+            "value again "
             "and again. The responses are too small there: lower the level or take a wider range."
         )
         notices.append(Notice("clipped", text))
     if still:
         text = (
-            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, as when a "
+            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, "
+            "as when a "
             "decoder holds its last value. Such responses are too small: measure these points again."
         )
         notices.append(Notice("dropouts", text))
@@ -46,7 +48,7 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
 
 
 def is_clipped(row: Array) -> bool:
-    """Return whether samples (n,) stay at an extreme that is not their resting level, in three stretches or more."""
+    """Return whether samples (n,) stay at an extreme in three stretches or more, and not at rest."""
     low, high = float(np.min(row)), float(np.max(row))
     middle = float(np.median(row))
     for extreme in (low, high):
