@@ -1,0 +1,148 @@
+"""The kinds of faults that have a size, as sets of tangents, and who can have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.joint.expected import Layout
+from kinematics.joint.tangents import (
+    BEAM_U,
+    BEAM_V,
+    DELAY,
+    GAIN,
+    GAIN_DRIFT,
+    PHASE,
+    PHASE_DRIFT,
+    SHIFT,
+    TURN,
+    Parameters,
+)
+from stapeskit.arrays import Array
+
+SHARE = {"channel": 1.0, "point": 0.3, "laser": 1.0, "body": 0.3}
+"""Share of the alarm probability of the tests of each owner: two thirds of the faults of notes and complaints
+are of single channels or lasers."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    Attributes
+    ----------
+    tangents : tuple of int
+    owners : tuple of str
+        Of `SHARE`.
+    verdict : str
+        Word in dof.channels.csv.
+    courses : bool
+        Whether it changes over the lines.
+    """
+
+    tangents: tuple[int, ...]
+    owners: tuple[str, ...]
+    verdict: str
+    courses: bool = False
+
+
+KINDS: dict[str, Kind] = {
+    "gain": Kind((GAIN,), ("channel", "point", "laser"), "gain"),
+    "phase": Kind((GAIN, PHASE), ("channel", "point", "laser"), "gain"),
+    "delay": Kind((DELAY,), ("channel", "point", "laser"), "gain", True),
+    "drift": Kind((GAIN, PHASE, GAIN_DRIFT, PHASE_DRIFT), ("channel", "point", "laser"), "drift", True),
+    "direction": Kind((BEAM_U, BEAM_V), ("channel", "laser"), "direction"),
+    "position": Kind(SHIFT, ("point",), "position"),
+    "axes": Kind(TURN, ("body",), "direction"),
+}
+"""Kinds by name. A new kind is one entry here and one sentence in sentences.py."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong, and where.
+
+    Attributes
+    ----------
+    kind : str
+        Of `KINDS`, or ``label_swap``, ``noise``, ``zeros``, ``elsewhere`` (moves unlike the others),
+        ``flexible``.
+    owner : str
+        ``channel``, ``point``, ``laser``, ``body``; of exchanged names ``points``, ``beams``, ``lasers``.
+    channels : tuple of int
+    values, sd : ndarray, (k,)
+        Size, by the tangents of the kind; of noise its factor.
+    log_p : float
+        Natural logarithm of the probability of data like these without it.
+    share : float
+        Of the misfit that it explains.
+    """
+
+    kind: str
+    owner: str
+    channels: tuple[int, ...]
+    values: Array
+    sd: Array
+    log_p: float = 0.0
+    share: float = 1.0
+
+    @property
+    def verdict(self) -> str:
+        """Word in dof.channels.csv."""
+        if self.kind in ("gain", "phase", "drift") and is_reversed(self.values):
+            return "sign"
+        if self.kind == "elsewhere":
+            return "flexible"
+        return KINDS[self.kind].verdict if self.kind in KINDS else self.kind
+
+    @property
+    def parameters(self) -> NDArray[np.intp]:
+        """Tangents of ``values``."""
+        return np.array(KINDS[self.kind].tangents if self.kind in KINDS else (), dtype=np.intp)
+
+    def as_parameters(self, channels: int) -> Parameters:
+        """Return the free parameters of the finding, for `kinematics.joint`."""
+        return free(self.kind, self.channels, channels)
+
+
+def is_reversed(values: Array) -> bool:
+    """Return whether a factor 1 + values[0] has the wrong sign and the right size, within a third."""
+    return bool(abs(values[0] + 2.0) < 0.35)
+
+
+def free(kind: str, own: Sequence[int], channels: int) -> Parameters:
+    """Return the free parameters of a kind at some of so many channels."""
+    return Parameters.of(channels, [(own, tangent, np.inf) for tangent in KINDS[kind].tangents])
+
+
+@dataclass(frozen=True)
+class Place:
+    """Channels that can have a fault together: one channel, a point, a laser or the body."""
+
+    owner: str
+    channels: tuple[int, ...]
+
+    def kinds(self, groups: int, parallel: bool) -> list[str]:
+        """List the kinds that can be told here, from so many groups of lines."""
+        return [
+            name
+            for name, kind in KINDS.items()
+            if self.owner in kind.owners
+            and not (self.owner == "point" and len(self.channels) == 1 and name != "position")
+            and not (kind.courses and groups < 4)
+            and not (parallel and name in ("direction", "axes"))
+        ]
+
+
+def places(layout: Layout, live: Sequence[int], complete: bool) -> list[Place]:
+    """List all places of channels in use; the body only where none is left out (``complete``)."""
+    lasers = layout.by_laser(live)
+    found = [Place("channel", (int(channel),)) for channel in live]
+    found += [Place("point", tuple(own)) for own in layout.by_point(live).values()]
+    found += [Place("laser", tuple(own)) for own in lasers.values() if len(own) > 2]
+    if complete and lasers:
+        found.append(Place("body", tuple(int(channel) for channel in live)))
+    return found

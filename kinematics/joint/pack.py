@@ -1,0 +1,292 @@
+"""Compress the lines of a body into few columns that hold all of its motion, and a sample of pure noise.
+
+Every value that follows the motion lies in the span of the motion's own courses over the lines: a turn of the
+lines puts these into at most six columns, and leaves noise in all others.
+
+Shapes: c channels, N lines (of all runs), G groups of lines, n columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.joint.tangents import Geometry, Parameters
+from stapeskit.arrays import Array, ComplexArray
+
+SEGMENTS = 12
+"""Groups of lines of all runs together: within one, drifts and delays count as constant."""
+
+_COLUMNS = 6  # a rigid motion has no more courses
+_LEAST_LINES = 12  # of a group that is turned: six columns of motion, six of noise
+_NOISE_COLUMNS = 40  # of a group: 12 groups of 15 channels know the level to 1 %
+_MOST_VALUES = 1_200_000  # values that are looked at; 2000 lines of 600 channels
+_MOST_SINGLE = 20_000  # values of lines that keep weights of their own: each has a factorisation
+_VISIBLE = 1e-4  # relative strength of motions that are part of the model
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The values of one body in all runs, as they are assumed to be.
+
+    Attributes
+    ----------
+    value : ndarray, (c, N), complex
+        NaN where missing.
+    sd : ndarray, (c, N)
+        Standard deviation of its real part.
+    freq_hz, tau : ndarray, (N,)
+        Frequency, and place from -1 to 1 in the run.
+    run : ndarray, (N,), int
+    geometry : Geometry
+        Positions about the centroid; ``factor`` is (1, c), or (N, c) with a delay or drift.
+    noise_factor : ndarray, (c,)
+        What ``sd`` is multiplied with; infinite for channels that are left out.
+    """
+
+    value: ComplexArray
+    sd: Array
+    freq_hz: Array
+    tau: Array
+    run: NDArray[np.intp]
+    geometry: Geometry
+    noise_factor: Array
+
+    @classmethod
+    def of(
+        cls, value: ComplexArray, sd: Array, freq_hz: Array, positions_m: Array, directions: Array
+    ) -> Readings:
+        """Gather runs (r, c, L) of values and their sd into one; many lines are thinned out evenly."""
+        runs, channels, lines = value.shape
+        most = max(32, _MOST_VALUES // (channels * runs))
+        pick = np.unique(np.linspace(0, lines - 1, min(most, lines)).astype(int))
+        chosen = value[:, :, pick].transpose(1, 0, 2).reshape(channels, -1)
+        spread = np.broadcast_to(sd, value.shape)[:, :, pick].transpose(1, 0, 2).reshape(channels, -1)
+        used = np.isfinite(chosen) & np.isfinite(spread) & (spread > 0.0)
+        geometry = Geometry(
+            positions_m - positions_m.mean(axis=0), directions, np.ones((1, channels), dtype=complex)
+        )
+        return cls(
+            np.where(used, chosen, np.nan),
+            np.where(used, spread, np.nan),
+            np.tile(freq_hz[pick], runs),
+            np.tile(np.linspace(-1.0, 1.0, len(pick)), runs),
+            np.repeat(np.arange(runs), len(pick)),
+            geometry,
+            np.ones(channels),
+        )
+
+    @property
+    def rho(self) -> Array:
+        """Frequency over its mean, (N,)."""
+        return self.freq_hz / float(np.mean(self.freq_hz))
+
+    def without(self, channels: Sequence[int]) -> Readings:
+        """Return the readings without channels."""
+        factor = self.noise_factor.copy()
+        factor[list(channels)] = np.inf
+        return replace(self, noise_factor=factor)
+
+    def louder(self, channel: int, by: float) -> Readings:
+        """Return the readings with larger noise of a channel."""
+        factor = self.noise_factor.copy()
+        factor[channel] *= by
+        return replace(self, noise_factor=factor)
+
+    def corrected(self, parameters: Parameters, values: Array) -> Readings:
+        """Return the readings under a geometry with parameters (p,) of the given values."""
+        return replace(self, geometry=self.geometry.moved(parameters, values, self.tau, self.rho))
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Values over noise in groups of columns.
+
+    Attributes
+    ----------
+    y : ndarray, (G, c, n), complex
+        Columns that hold the motion; zero where missing.
+    w : ndarray, (G, c)
+        Root weights 1 / (sqrt 2 sd), up to a factor per line that is in ``y``.
+    columns : ndarray, (G,), int
+        Columns in use of each group.
+    tau, rho : ndarray, (G,)
+        As in `Readings`.
+    rest : ndarray, (G, c, k), complex
+        Columns without motion: noise alone.
+    rest_columns : ndarray, (G,), int
+    geometry : Geometry
+        Its factor is (1, c) or (G, c).
+    visible : ndarray, (6, r)
+        Motions (about the centroid, dimensionless by ``scale``) that the beams see.
+    scale : ndarray, (6,)
+    """
+
+    y: ComplexArray
+    w: Array
+    columns: NDArray[np.intp]
+    tau: Array
+    rho: Array
+    rest: ComplexArray
+    rest_columns: NDArray[np.intp]
+    geometry: Geometry
+    visible: Array
+    scale: Array
+    live: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    @property
+    def turned(self) -> bool:
+        """Whether the groups hold more than single lines, and noise apart from motion."""
+        return bool(self.rest.size)
+
+    @property
+    def values(self) -> int:
+        """Real numbers that are looked at, without the sample of noise."""
+        return int(2 * np.sum(np.count_nonzero(self.w, axis=1) * self.columns))
+
+    def merged(self, motion: ComplexArray) -> Packed:
+        """Return one group of columns, for what is the same at all lines; itself where weights differ.
+
+        Parameters
+        ----------
+        motion : ndarray, (G, r, n), complex
+            The motion in the columns.
+        """
+        same = np.array_equal(self.w, np.broadcast_to(self.w[:1], self.w.shape))
+        if len(self.y) == 1 or not same or len(self.geometry.factor) > 1:
+            return self
+        vectors = np.linalg.svd(motion.transpose(1, 0, 2).reshape(motion.shape[1], -1), full_matrices=False)[2]
+        y = self.y.transpose(1, 0, 2).reshape(self.y.shape[1], -1) @ vectors.conj().T
+        number = np.array([y.shape[1]])
+        empty = np.zeros((1, len(y), 0), dtype=complex)
+        return replace(
+            self, y=y[None], w=self.w[:1], columns=number, tau=np.zeros(1), rho=np.ones(1), rest=empty,
+            rest_columns=np.zeros(1, dtype=np.intp),
+        )  # fmt: skip
+
+    def scaled(self, levels: Array) -> Packed:
+        """Return the values over noise that is ``levels`` (G,) or (G, c) times as large."""
+        by = np.broadcast_to(levels.reshape(len(self.y), -1), self.w.shape)[:, :, None]
+        return replace(self, y=self.y / by, w=self.w / by[:, :, 0], rest=self.rest / by)
+
+
+def pack(readings: Readings) -> Packed:
+    """Compress readings under their present geometry and noise.
+
+    Notes
+    -----
+    Lines with the same channels and the same ratios of noise form groups, cut into segments. In each, the
+    motion of all lines is estimated, and a QR factorisation of its courses gives the turn of the lines. Lines
+    whose weights are like those of no other stay as they are; of many such, a sample is taken.
+    """
+    geometry = readings.geometry
+    lever = float(np.sqrt(np.mean(np.sum(geometry.positions_m**2, axis=1)))) or 1.0
+    scale = np.array([1.0, 1.0, 1.0, lever, lever, lever])
+    live = np.isfinite(readings.noise_factor)
+    used = np.isfinite(readings.value) & live[:, None]
+    spread = np.where(used, np.sqrt(2.0) * readings.sd * np.where(live, readings.noise_factor, 1.0)[:, None], 1.0)
+    root = used / spread
+    value = np.where(used, readings.value, 0.0) * root
+    rows = geometry.rows() / scale
+    visible = _visible(rows[live])
+    factor = geometry.factor.T
+    groups, single = _groups(used, root, readings.run)
+    parts = [_turned(value, root, factor, rows @ visible, lines) for lines in groups]
+    room = max(48, _MOST_SINGLE // len(root))
+    single = single[np.unique(np.linspace(0, len(single) - 1, min(room, len(single))).astype(int))]
+    parts += [_Part(value[:, [k]], root[:, k], np.zeros((len(root), 0)), np.array([k])) for k in single]
+    tau, rho = readings.tau, readings.rho
+    weights = [part.power / part.power.sum() for part in parts]
+    places = [part.lines for part in parts]
+    static = len(geometry.factor) == 1
+    mean = [geometry.factor[lines].mean(axis=0) for lines in places if not static]
+    return Packed(
+        _stack([part.y for part in parts]),
+        np.array([part.w for part in parts]),
+        np.array([part.y.shape[1] for part in parts]),
+        np.array([weight @ tau[lines] for weight, lines in zip(weights, places, strict=True)]),
+        np.array([weight @ rho[lines] for weight, lines in zip(weights, places, strict=True)]),
+        _stack([part.rest for part in parts]),
+        np.array([part.rest.shape[1] for part in parts]),
+        geometry if static else geometry.with_factor(np.array(mean)),
+        visible,
+        scale,
+        np.flatnonzero(root.any(axis=1)),
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Columns, root weights and noise of a group, the lines it is made of and their power."""
+
+    y: ComplexArray
+    w: Array
+    rest: ComplexArray
+    lines: NDArray[np.intp]
+    power: Array = field(default_factory=lambda: np.ones(1))
+
+
+def _visible(rows: Array) -> Array:
+    """Return orthonormal motions (6, r) that rows (c, 6) see."""
+    _, s, vt = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(vt[s > _VISIBLE * s[0]].T)
+
+
+def _groups(
+    used: NDArray[np.bool_], root: Array, run: NDArray[np.intp]
+) -> tuple[list[NDArray[np.intp]], NDArray[np.intp]]:
+    """Return groups of lines that share channels and ratios of noise, and the lines that are in none."""
+    patterns, number = np.unique(np.packbits(used, axis=0), axis=1, return_inverse=True)
+    number = number.reshape(-1)
+    groups: list[NDArray[np.intp]] = []
+    left: list[NDArray[np.intp]] = []
+    for pattern in range(patterns.shape[1]):
+        for own_run in np.unique(run[number == pattern]):
+            lines = np.flatnonzero((number == pattern) & (run == own_run))
+            some = root[:, lines]
+            first = int(np.argmax(some[:, 0]))
+            product = some[:, :1] / max(some[first, 0], 1e-300) * some[first]
+            alike = bool(np.all(np.abs(some - product) <= 1e-6 * product))
+            share = max(1, round(SEGMENTS * len(lines) / len(run)))
+            pieces = np.array_split(lines, max(1, min(share, len(lines) // _LEAST_LINES)))
+            if alike and len(lines) >= _LEAST_LINES and some.any():
+                groups += pieces
+            else:
+                left.append(lines)
+    return groups, np.sort(np.concatenate(left)) if left else np.empty(0, dtype=np.intp)
+
+
+def _turned(
+    value: ComplexArray, root: Array, factor: ComplexArray, rows: Array, lines: NDArray[np.intp]
+) -> _Part:
+    """Turn the lines of a group so that few columns hold the motion.
+
+    A factor that changes within the group is replaced by its mean there, in values and model alike.
+    """
+    weight = root[:, lines[0]]
+    y = value[:, lines]
+    own = factor
+    if factor.shape[1] > 1:
+        own = factor[:, lines].mean(axis=1, keepdims=True)
+        y = y * (own / factor[:, lines])
+    z = np.linalg.lstsq(weight[:, None] * rows, y / own, rcond=1e-9)[0]
+    number = min(len(z), _COLUMNS, len(lines))
+    noise = min(len(lines) - number, _NOISE_COLUMNS)
+    draw = np.random.default_rng(len(lines)).normal(size=(len(lines), noise))
+    q = np.linalg.qr(np.hstack([z.conj().T, draw]))[0]
+    turned = y @ q
+    power = np.sum(np.abs(z) ** 2, axis=0)
+    power = power if power.any() else np.ones(len(lines))
+    return _Part(turned[:, :number], weight, turned[:, number:], lines, power)
+
+
+def _stack(parts: list[ComplexArray]) -> ComplexArray:
+    """Stack matrices (c, n) of different widths, filled up with zeros."""
+    width = max(part.shape[1] for part in parts)
+    out = np.zeros((len(parts), len(parts[0]), width), dtype=complex)
+    for k, part in enumerate(parts):
+        out[k, :, : part.shape[1]] = part
+    return out
