@@ -31,7 +31,7 @@ MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def as_text_cell(text: object) -> str:
     """Return a text that no spreadsheet takes for a formula: an apostrophe before what begins one.
 
     Numbers stay as they are; everything else that begins with ``=``, ``+``, ``-``, ``@``, a tab or a return
-    gets the apostrophe (OWASP, "CSV Injection").
+    (OWASP, "CSV Injection"), or with an apostrophe, gets one.
     """
     shown = str(text)
     return f"'{shown}" if shown.startswith(_FORMULA) and not _NUMBER.fullmatch(shown) else shown
@@ -314,7 +314,9 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether the number columns hold several words and no number."""
     words = [cell for cell in cells if cell not in MISSING]
-    return len(words) > 1 and not any(letter.isdigit() for word in words for letter in word.rstrip("23²³"))
+    letters = "".join(word.rstrip("23²³") for word in words)
+    plain = any(_NUMBER.fullmatch(word) for word in words)
+    return len(words) > 1 and not plain and not any(letter.isdigit() for letter in letters)
 
 
 def _parse(
