@@ -1,0 +1,112 @@
+"""Do one K and one D hold over the whole band? Local factors of both, band by band, to first order.
+
+In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. The factors are further unknowns of the likelihood,
+found by one step from its minimum; a factor common to all bands is K (or D) itself and is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from fitting.data import Data
+from fitting.solve import Fit
+from fitting.unknowns import Parts, Unknown
+from stapeskit.arrays import Array
+
+SIGNIFICANT_P = 1e-3
+"""Below it K and D do not hold over the band: 1 of 1000 right fits is called frequency dependent."""
+
+_BANDS, _FEWEST_LINES = 5, 8  # bands to see a trend; lines a band: 48 equations for 12 unknowns
+
+
+@dataclass(frozen=True)
+class BandFactors:
+    """Local stiffness and damping over those of the whole band.
+
+    Attributes
+    ----------
+    ends_hz : ndarray, (bands, 2)
+        First and last line of each band.
+    lines : ndarray, (bands,), int
+    factors, sd : ndarray, (2, bands)
+        Of K and of D; their means, weighted by information, are 1.
+    chi2 : float
+        Of all factors being 1.
+    """
+
+    ends_hz: Array
+    lines: NDArray[np.intp]
+    factors: Array
+    sd: Array
+    chi2: float
+    n_dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such factors where one K and one D hold."""
+        return float(chdtrc(self.n_dof, self.chi2))
+
+    def words(self) -> str:
+        """Describe between which factors K and D vary."""
+        parts = []
+        for name, factor, sd in zip("KD", self.factors, self.sd, strict=True):
+            ends = [
+                f"{factor[at]:.3f} ± {sd[at]:.1g} ({self.ends_hz[at][0]:.0f} to {self.ends_hz[at][1]:.0f} Hz)"
+                for at in (int(np.argmin(factor)), int(np.argmax(factor)))
+            ]
+            parts.append(f"{name} by factors of {ends[0]} to {ends[1]}")
+        return ", ".join(parts)
+
+
+def _stiffer(inside: Array, value: float, parts: Parts, _data: Data) -> None:
+    factor = 1.0 + value * inside
+    parts.factor, parts.loss = parts.factor * factor, parts.loss / factor
+
+
+def _lossier(inside: Array, value: float, parts: Parts, _data: Data) -> None:
+    parts.loss = parts.loss * (1.0 + value * inside)
+
+
+def band_factors(found: Fit) -> BandFactors | None:
+    """Return the factors of five bands of equally many lines; fewer where lines are few, None for less than two."""
+    data, likelihood, theta = found.data, found.likelihood, found.theta
+    bands = min(_BANDS, data.count // _FEWEST_LINES)
+    if bands < 2:
+        return None
+    members = np.array_split(np.argsort(data.freq_hz, kind="stable"), bands)
+    masks = [np.isin(np.arange(data.count), part).astype(float) for part in members]
+    table = [
+        Unknown(f"{name}_{number}", "", "", 1.0, partial(change, mask))
+        for name, change in (("k", _stiffer), ("d", _lossier))
+        for number, mask in enumerate(masks)
+    ]
+    _, whitening, _, fitted = likelihood.look(theta)
+    columns = whitening @ likelihood.slopes_of(theta, table, fitted[:, :, None])
+    white = np.sqrt(2.0) * columns[..., 0].reshape(len(table), -1).T
+    new = np.concatenate([white.real, white.imag, np.zeros((len(likelihood.root), len(table)))])
+    own = np.sum(new**2, axis=0).reshape(2, bands)
+    contrasts = np.linalg.qr(np.column_stack([np.ones(bands), np.eye(bands)[:, 1:]]))[0][:, 1:]
+    turned = np.kron(np.eye(2), contrasts)
+    basis = np.linalg.qr(likelihood.jacobian(theta))[0]
+    free = new @ turned
+    free = free - basis @ (basis.T @ free)
+    level = max(1.0, found.level / found.noise)
+    inverse = np.linalg.inv(free.T @ free)
+    values = -inverse @ (free.T @ likelihood.residuals(theta))
+    covariance = level * turned @ inverse @ turned.T
+    factors = (turned @ values).reshape(2, bands)
+    share = own / own.sum(axis=1, keepdims=True)
+    middle = np.eye(2 * bands) - np.kron(np.eye(2), np.ones((bands, 1))) @ np.stack(
+        [np.concatenate([share[0], np.zeros(bands)]), np.concatenate([np.zeros(bands), share[1]])]
+    )
+    centred = (middle @ factors.ravel()).reshape(2, bands)
+    sd = np.sqrt(np.maximum(np.diag(middle @ covariance @ middle.T), 0.0)).reshape(2, bands)
+    chi2 = float(values @ (free.T @ free) @ values) / level
+    ends = np.array([[data.freq_hz[part].min(), data.freq_hz[part].max()] for part in members])
+    counts = np.array([len(part) for part in members])
+    return BandFactors(ends, counts, 1.0 + centred, sd, chi2, 2 * bands - 2)

@@ -1,0 +1,273 @@
+"""From motion and mass to stiffness and damping: the function `stapeskit.dof2kd` and the work of the command."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fitting.checks import result_notices
+from fitting.kd import solve
+from fitting.mass import RigidMass, has_products, read_mass_csv, with_tensor_signs
+from fitting.options import KDOptions
+from fitting.result import KDFit
+from fitting.suspicions import suspicions
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.options import with_options
+from stapeskit.provenance import document_hash, frames_hash, record
+from stapeskit.records.mass import MassRecord, read_mass_json
+from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
+from stapeskit.records.motion import RigidMotion, read_motion
+from stapeskit.warnings import Notice, unique
+
+if TYPE_CHECKING:
+    from stapeskit.records.mass import MassMatrix
+
+
+class HasMotion(Protocol):
+    """A result that has a motion, as that of points2dof."""
+
+    @property
+    def motion(self) -> RigidMotion:
+        """The motion of the bodies."""
+
+
+@dataclass(frozen=True)
+class MassSource:
+    """A mass as it was given.
+
+    Attributes
+    ----------
+    mass : RigidMass or ndarray
+    record : MassRecord or None
+        The whole mass.json, where it is one.
+    file : Path or None
+    notices : tuple of Notice
+        What was assumed of it.
+    """
+
+    mass: RigidMass | Array
+    record: MassRecord | None = None
+    file: Path | None = None
+    notices: tuple[Notice, ...] = ()
+    source: Path | Mapping[str, Any] | None = None
+
+
+@with_options(KDOptions)
+def dof2kd(
+    motion: str | os.PathLike[str] | RigidMotion | HasMotion,
+    *,
+    mass: MassInput | MassMatrix | ArrayLike | None = None,
+    force: bool = False,
+    confirmed: Sequence[str] = (),
+    **options: Any,
+) -> KDFit:
+    """Estimate stiffness and damping from motion and mass.
+
+    Parameters
+    ----------
+    motion : path, RigidMotion or result of points2dof
+    mass : path or result of ct2mass, MassMatrix, or array_like, (n, n)
+        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: the mass.json
+        beside the file of the motion.
+    force : bool
+        Use a mass that is not the one whose frames the motion was computed with, with a warning.
+    confirmed : sequence of str
+        Codes of warnings that were checked: they do not lower the verdict.
+
+    Raises
+    ------
+    StapeskitError
+        An option is unknown (the nearest is named), or options or files are at fault; all of it together.
+
+    Examples
+    --------
+    >>> fit = dof2kd(motion, mass=mass, band=(400, 5000))  # doctest: +SKIP
+    """
+    chosen = KDOptions.of(**options)
+    file = Path(motion) if isinstance(motion, str | os.PathLike) else None
+    if mass is None:
+        mass = find_mass(file)
+    source = mass_source(mass, chosen)
+    moved = read_motion(file) if file is not None else motion
+    moved = moved if isinstance(moved, RigidMotion) else moved.motion  # type: ignore[union-attr]
+    inputs = {"motion": file, "mass": source.source}
+    provenance = record(inputs, chosen.parameters(), ["stapeskit.dof2kd"])
+    return fit_of(
+        moved, source, chosen, provenance, "the motion" if file is None else file.name, force, confirmed
+    )
+
+
+def find_mass(motion: Path | None) -> Path:
+    """Return the mass.json beside a motion, or the only one of a folder ``*_mass`` beside it.
+
+    Raises
+    ------
+    StapeskitError
+        There is none, or more than one.
+    """
+    folder = Path() if motion is None else Path(motion).absolute().parent
+    found = (
+        [folder / "mass.json"]
+        if (folder / "mass.json").is_file()
+        else sorted(folder.glob("*_mass/mass.json"))
+    )
+    if motion is None or len(found) != 1:
+        got = "nothing" if not found else ", ".join(str(path.relative_to(folder)) for path in found)
+        step = "ct2mass writes mass.json; a plain M.csv serves as well"
+        raise StapeskitError.of("--mass", "a mass.json, or one beside the motion", got, "", step)
+    return found[0]
+
+
+def mass_source(mass: Any, options: KDOptions) -> MassSource:
+    """Read a mass in any form that it may be given in.
+
+    Raises
+    ------
+    StapeskitError
+        It is none of them, or its file is at fault.
+    """
+    if isinstance(mass, str | os.PathLike):
+        path = Path(mass)
+        if path.suffix.lower() == ".json":
+            known = read_mass_json(path)
+            return MassSource(known.mass_matrix, known, path, source=path)
+        return replace(_plain(read_mass_csv(path, options.dof), options), file=path, source=path)
+    if isinstance(mass, HasMass | MassRecord | MeasuredMass):
+        measured = measured_mass(mass)
+        return MassSource(
+            measured.record.mass_matrix, measured.record, measured.file, source=measured.provenance_input
+        )
+    if isinstance(mass, RigidMass):
+        return MassSource(mass)
+    try:
+        return _plain(np.asarray(mass, dtype=float), options)
+    except (TypeError, ValueError):
+        wanted = "a file, a result of ct2mass or a matrix in SI"
+        raise StapeskitError.of("the mass", wanted, type(mass).__name__) from None
+
+
+def _plain(matrix: Array, options: KDOptions) -> MassSource:
+    """Return a plain matrix with elements of the inertia tensor, and a warning where that is assumed."""
+    if options.mass_sign != "assumed" or matrix.ndim != 2 or not has_products(matrix, options.dof):
+        sign = "tensor" if options.mass_sign == "assumed" else options.mass_sign
+        return MassSource(with_tensor_signs(matrix, options.dof, sign) if matrix.ndim == 2 else matrix)
+    text = (
+        "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z dm; with "
+        "products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
+    )
+    return MassSource(matrix, notices=(Notice("mass_sign_assumed", text),))
+
+
+def check_chain(
+    motion: RigidMotion, motion_name: str, source: MassSource, force: bool = False
+) -> list[Notice]:
+    """Compare the mass.json that a motion was computed with to the given one; return the warnings that travel.
+
+    Raises
+    ------
+    StapeskitError
+        The motion was computed with another mass.json, unless ``force``.
+    """
+    known = source.record
+    if known is None:
+        return []
+    travelling = [replace(notice, text=f"mass: {notice.text}") for notice in known.notices]
+    own, own_frames = document_hash(known.raw), frames_hash(known.raw)
+    inputs = motion.provenance.get("inputs")
+    used = inputs.get("mass") if isinstance(inputs, Mapping) else None
+    if isinstance(used, Mapping) and used.get("document_hash"):
+        same = used["document_hash"] == own
+        origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')}"
+    else:
+        same = motion.provenance.get("frames_hash") in (None, own_frames)
+        origin = "the mass.json of its study"
+    if same:
+        return travelling
+    given = "the given mass" if source.file is None else source.file.name
+    if not force:
+        raise StapeskitError.of(
+            "--mass",
+            f"the file whose frames {motion_name} was computed with, {origin}",
+            f"{given} with the content {own}",
+            "" if source.file is None else str(source.file),
+            f"Give that file, run points2dof again with {given}, or use the given one by --force",
+        )
+    text = f"{motion_name} was computed with the frames of {origin}, not with {given} ({own}; --force)."
+    return [Notice("other_mass_file", text), *travelling]
+
+
+def fit_of(
+    motion: RigidMotion,
+    source: MassSource,
+    options: KDOptions,
+    provenance: Mapping[str, Any],
+    motion_name: str = "the motion",
+    force: bool = False,
+    confirmed: Sequence[str] = (),
+) -> KDFit:
+    """Fit, and keep with the fit what its record and its page need: the one way of command, study and notebook.
+
+    Raises
+    ------
+    StapeskitError
+        What `fitting.kd.solve` refuses; motion and mass do not belong together.
+    """
+    chain = check_chain(motion, motion_name, source, force)
+    solution = solve(motion, source.mass, options)
+    doubts = suspicions(solution.found.data, options.damping)
+    files = tuple(path for path in (source.file,) if path is not None)
+    whole = {**provenance, **_measured_files(motion), "motion_provenance": dict(motion.provenance)}
+    notices = (*chain, *source.notices, *motion.notices, *doubts)
+    fit = KDFit(
+        options, solution, unique(notices), whole, footplate_outline(source.record), gap_of(source.record), files,
+        confirmed=tuple(confirmed),
+    )  # fmt: skip
+    fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
+    if options.monte_carlo:
+        from fitting.montecarlo import scatter
+
+        fit = replace(fit, scatter=scatter(fit, options.monte_carlo))
+    return fit
+
+
+def _measured_files(motion: RigidMotion) -> dict[str, Any]:
+    """Return the content hashes of the vibrometer files behind a motion."""
+    inputs = motion.provenance.get("inputs") or {}
+    hashes = {
+        role: entry["hash"]
+        for role, entry in inputs.items()
+        if role.split()[0] == "ldv" and isinstance(entry, Mapping) and "hash" in entry
+    }
+    return {"measured": hashes} if hashes else {}
+
+
+def footplate_outline(known: MassRecord | None) -> Array | None:
+    """Return the footplate's outline in footplate axes (points, 2 or 3), mm, where mass.json has one."""
+    raw = _found(known).get("footplate_outline_in_footplate_mm")
+    if raw is None:
+        return None
+    outline = np.asarray(raw, dtype=float)
+    good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
+    return outline if good and np.all(np.isfinite(outline)) else None
+
+
+def gap_of(known: MassRecord | None) -> tuple[float, float] | None:
+    """Return the width of the gap around the footplate and its sd, mm, where mass.json has one.
+
+    The harmonic mean where there is one: over an uneven gap a ligament is as stiff as with that width.
+    """
+    found = _found(known)
+    value = float(found.get("gap_harmonic_mm") or found.get("gap_mm") or 0.0)
+    sd = float(found.get("gap_sd_mm") or np.nan)
+    return (value, sd) if 0.0 < value < np.inf else None
+
+
+def _found(known: MassRecord | None) -> Mapping[str, Any]:
+    return {} if known is None else known.raw.get("found") or {}

@@ -1,0 +1,282 @@
+"""Which unknown of the table the data call for: scores, refits of a few, odds against none, and what they change.
+
+Odds are Laplace's (MacKay 1992, doi:10.1162/neco.1992.4.3.415): fall of chi2, less what the prior width of the
+unknown costs, times its chance. Unknowns that are one error at different places share the chance, and their odds
+are summed. Between damping laws, whose D have different units, the criterion of Schwarz (1978) is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from fitting.causes import candidates
+from fitting.data import Data
+from fitting.laws import LAWS
+from fitting.likelihood import Likelihood
+from fitting.solve import Fit, bic, fit, minimise, start_of
+from fitting.unknowns import Parts, Unknown
+from stapeskit.arrays import Array
+
+_SHORTLIST = 5  # refits of a search
+_LEAST_ODDS = -4.0  # log odds of a score below which a refit changes nothing: a weight below 2 %
+_LAW_CHANCE = 0.02  # that another damping law than the stated one holds
+_HOPELESS = 2.0  # times chi2 that another law leaves after a few steps, to be given up
+LOOK_ALIKE = 3.0
+"""Log odds within which another cause is reported with the best: e^3 = 20."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """An unknown to first order at a fit without it: size, sd and log odds against none."""
+
+    unknown: Unknown
+    value: float
+    sd: float
+    log_odds: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A refit with one more unknown, or under another damping law.
+
+    Attributes
+    ----------
+    name, title, unit : str
+    value, sd : float
+        Size of the unknown in its unit; for a law that of its own unknown.
+    log_odds : float
+        Against the fit without it.
+    found : Fit
+    unknown : Unknown or None
+        None for a damping law.
+    """
+
+    name: str
+    title: str
+    unit: str
+    value: float
+    sd: float
+    log_odds: float
+    found: Fit = field(repr=False)
+    unknown: Unknown | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether its size is above its standard deviation."""
+        return self.unknown is None or abs(self.value) > self.sd
+
+
+@dataclass(frozen=True)
+class Search:
+    """Scores of every unknown and refits of the likeliest, best first.
+
+    Attributes
+    ----------
+    scores : tuple of Score
+        The best of each family.
+    searched : bool
+        Whether misfit or scores called for refits.
+    """
+
+    scores: tuple[Score, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    searched: bool = False
+
+    @property
+    def weights(self) -> Array:
+        """Posterior probabilities of the alternatives; what they lack to one is that nothing is wrong."""
+        odds = np.array([0.0, *(other.log_odds for other in self.alternatives)])
+        return np.asarray(np.exp(odds - logsumexp(odds))[1:])
+
+    @property
+    def best(self) -> Alternative | None:
+        """The likeliest alternative where it is likelier than none."""
+        likely = [other for other in self.alternatives if other.determined]
+        return likely[0] if likely and likely[0].log_odds > 0.0 else None
+
+    @property
+    def look_alikes(self) -> tuple[Alternative, ...]:
+        """Alternatives that the data cannot distinguish from the best."""
+        best = self.best
+        if best is None:
+            return ()
+        least = max(best.log_odds - LOOK_ALIKE, 0.0)
+        return tuple(other for other in self.alternatives if other is not best and other.log_odds > least)
+
+
+def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
+    """Return unknowns that are not in the model to first order, likeliest first: the efficient score of each alone."""
+    likelihood, theta = found.likelihood, found.theta
+    _, whitening, _, fitted = likelihood.look(theta)
+    columns = whitening @ likelihood.slopes_of(theta, table, fitted[:, :, None])
+    white = np.sqrt(2.0) * columns[..., 0].reshape(len(table), -1).T
+    new = np.concatenate([white.real, white.imag, np.zeros((len(likelihood.root), len(table)))])
+    basis = np.linalg.qr(likelihood.jacobian(theta))[0]
+    free = new - basis @ (basis.T @ new)
+    information = np.maximum(np.sum(free**2, axis=0), 1e-12)
+    values, sds = -(free.T @ likelihood.residuals(theta)) / information, 1.0 / np.sqrt(information)
+    scores = [
+        Score(unknown, float(value), float(sd), log_odds(float(value), float(sd), unknown))
+        for unknown, value, sd in zip(table, values, sds, strict=True)
+    ]
+    return sorted(scores, key=lambda score: -score.log_odds)
+
+
+def log_odds(value: float, sd: float, unknown: Unknown) -> float:
+    """Return the log odds of an unknown with a likelihood (value, sd) against none: normal prior, its chance."""
+    wide, chance = sd**2 + unknown.sd**2, np.log(unknown.chance)
+    odds = 0.5 * value**2 * (1.0 / sd**2 - 1.0 / wide) + 0.5 * np.log(sd**2 / wide) + chance
+    if unknown.positive:  # the half of the prior that is there, and the half of the posterior
+        odds += np.log(2.0) + log_ndtr(value * unknown.sd / (sd * np.sqrt(wide)))
+    return float(odds)
+
+
+def family_terms(scores: Sequence[Score]) -> list[tuple[Score, float]]:
+    """Return the best score of each family, with what the other places add to its log odds."""
+    families: dict[str, list[Score]] = {}
+    for score in scores:
+        families.setdefault(score.unknown.family or score.unknown.name, []).append(score)
+    found = []
+    for members in families.values():
+        odds = np.array([member.log_odds for member in members])
+        share = float(logsumexp(odds - odds[0]) - np.log(len(members)))
+        found.append((replace(members[0], log_odds=members[0].log_odds + share), share))
+    return sorted(found, key=lambda pair: -pair[0].log_odds)
+
+
+def refit(found: Fit, score: Score, share: float = 0.0, explained: bool = False) -> Alternative | None:
+    """Fit with an unknown; None where it does not settle.
+
+    Parameters
+    ----------
+    share : float
+        What the other places of its family add to its log odds.
+    explained : bool
+        Whether another unknown explains the data: sizes far from first order are not tried then.
+    """
+    unknown = score.unknown
+    model = found.likelihood.model
+    model = replace(model, unknowns=(*model.unknowns, unknown))
+    place, size = found.at["extra"].stop, 1 + len(unknown.companions)
+    best = None
+    for value in (max(score.value, 0.0) if unknown.positive else score.value, *unknown.starts):
+        theta = np.insert(found.theta, place, [value, *np.zeros(size - 1)])
+        if best is not None:
+            if explained or best.explained:
+                break
+            theta = start_of(Likelihood(found.data, model, found.noise), theta, 2)
+        try:
+            tried = fit(found.data, model, theta, found.noise, covariance=False)
+        except np.linalg.LinAlgError:
+            continue
+        best = tried if best is None or tried.chi2 < best.chi2 else best
+    if best is None:
+        return None
+    value = float(best.theta[place])
+    inverse = np.linalg.inv(best.likelihood.information(best.theta))
+    level = max(1.0, best.level)
+    posterior = inverse[place : place + size, place : place + size] * level / max(best.noise, 1.0)
+    sd = float(np.sqrt(posterior[0, 0]))
+    widths = np.log([unknown.sd, *(companion.sd for companion in unknown.companions)]).sum()
+    odds = 0.5 * (found.chi2 - best.chi2) / level + 0.5 * np.linalg.slogdet(posterior)[1] - widths
+    odds += np.log(unknown.chance) + share
+    if unknown.positive:
+        odds += np.log(2.0) + float(log_ndtr(value / sd))
+    return Alternative(unknown.name, unknown.title, unknown.unit, value, sd, float(odds), best, unknown)
+
+
+def other_laws(found: Fit) -> list[Alternative]:
+    """Refit under the damping laws that were not asked for; their exponents count as unknowns."""
+    alternatives = []
+    for name in LAWS:
+        model = replace(found.likelihood.model, law=name)
+        if name == found.likelihood.model.law:
+            continue
+        likelihood = Likelihood(found.data, model, found.noise)
+        theta = np.concatenate(
+            [likelihood.mean[: likelihood.at["law"].stop], found.theta[found.at["law"].stop :]]
+        )
+        theta[: likelihood.at["entries"].stop] = found.theta[found.at["entries"]]
+        try:
+            theta, rough, _, _ = minimise(likelihood, start_of(likelihood, theta, 2), 1e-2, 8)
+            if rough > _HOPELESS * found.chi2 / found.noise:
+                continue
+            other = fit(found.data, model, theta, found.noise, covariance=False)
+        except np.linalg.LinAlgError:
+            continue
+        if other.law.physical:
+            alternatives.append(_as_alternative(found, other))
+    return alternatives
+
+
+def _as_alternative(found: Fit, other: Fit) -> Alternative:
+    """Return a fit under another law with its odds."""
+    level = max(1.0, min(found.level, other.level))
+    odds = 0.5 * (bic(found, level) - bic(other, level)) + np.log(_LAW_CHANCE)
+    law, sd = other.law, 0.0
+    if law.free:
+        inverse = np.linalg.inv(other.likelihood.information(other.theta))
+        sd = float(
+            np.sqrt(inverse[other.at["law"], other.at["law"]][0, 0] * max(1.0, other.level) / other.noise)
+        )
+        sd = sd / other.data.reference if law.kind.is_time else sd
+    unit = "s" if law.kind.is_time else ""
+    return Alternative(f"law_{law.name}", f"{law.name} damping", unit, law.value, sd, float(odds), other)
+
+
+def _power(value: float, parts: Parts, data: Data) -> None:
+    parts.loss = parts.loss + value * parts.loss * np.log(1j * data.omega)
+
+
+def _relaxing(value: float, parts: Parts, data: Data) -> None:
+    parts.loss = parts.loss + value * data.omega**2
+
+
+_LAW_SCORES = (Unknown("law_power", "", "", 0.5, _power), Unknown("law_relaxation", "", "", 0.3, _relaxing))
+"""Damping of another power of the frequency, and one that relaxes, to first order."""
+
+
+def search(found: Fit, laws: bool = True) -> Search:
+    """Score every unknown and refit with the likeliest; in a misfit also with those that may be large.
+
+    Parameters
+    ----------
+    laws : bool
+        Whether other damping laws are among the causes: the law was stated and not compared.
+    """
+    present = {unknown.name for unknown in found.likelihood.model.unknowns}
+    table = [unknown for unknown in candidates(found.data) if unknown.name not in present]
+    listed = family_terms(screen(found, table))
+    misfit = not found.explained
+    by_law = laws and (misfit or screen(found, _LAW_SCORES)[0].log_odds > 0.0)
+    likely = [pair for pair in listed if pair[0].log_odds > _LEAST_ODDS][:_SHORTLIST]
+    large = (
+        [pair for pair in listed if pair not in likely and _may_be_large(pair[0].unknown)] if misfit else []
+    )
+    alternatives = other_laws(found) if by_law else []
+    for score, share in (*likely, *large):
+        explained = any(other.found.explained for other in alternatives)
+        if explained and (score, share) in large:
+            break
+        other = refit(found, score, share, explained)
+        alternatives += [] if other is None else [other]
+    alternatives.sort(key=lambda other: -other.log_odds)
+    return Search(tuple(score for score, _ in listed), tuple(alternatives), misfit or bool(alternatives))
+
+
+def _may_be_large(unknown: Unknown) -> bool:
+    """Return whether an unknown may be as large as the body itself: its score, a linear test, says little then."""
+    return bool(unknown.starts) or unknown.name in ("inertia", "mirrored")
+
+
+def with_covariance(found: Fit) -> Fit:
+    """Return a fit with its covariance where it was left out."""
+    if found.covariance.size:
+        return found
+    factor = max(1.0, found.level) / found.noise
+    covariance, inverse = found.likelihood.covariance(found.theta, found.level)
+    return replace(found, covariance=factor * covariance, inverse=factor * inverse)

@@ -1,0 +1,147 @@
+"""Damping laws: the factor s(w) in the dynamic stiffness Z(w) = K + s(w) D, a table of a few lines each.
+
+A law has at most one unknown, an exponent or a relaxation time. A new law is one entry of `LAWS`; options,
+help, comparison, modes and reports follow from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stapeskit.arrays import ComplexArray
+
+
+@dataclass(frozen=True)
+class LawKind:
+    """One kind of damping.
+
+    Attributes
+    ----------
+    factor : callable
+        s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is one.
+    formula : str
+        The dynamic stiffness as text, with {a} for the unknown.
+    meaning : str
+        For people.
+    usual, usual_sd : float
+        Expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none.
+    time_power : float or None
+        Power of time in the unit of D; None: the unknown itself.
+    is_time : bool
+        Whether the unknown is a time.
+    causal : bool
+        Whether nothing moves before it is pushed (Kramers and Kronig).
+    includes : tuple of str
+        Simpler laws that it becomes at a value of its unknown.
+    """
+
+    factor: Callable[..., ComplexArray]
+    formula: str
+    meaning: str
+    usual: float = 0.0
+    usual_sd: float = 0.0
+    time_power: float | None = 1.0
+    is_time: bool = False
+    causal: bool = True
+    includes: tuple[str, ...] = ()
+
+
+LAWS: dict[str, LawKind] = {
+    "viscous": LawKind(lambda w: 1j * w, "K + i w D", "force proportional to velocity"),
+    "hysteretic": LawKind(
+        lambda w: np.full(np.shape(w), 1j), "K + i D", "constant loss factor", time_power=0.0, causal=False
+    ),
+    "fractional": LawKind(
+        lambda w, a: (1j * w) ** a,
+        "K + (i w)^{a:.4g} D",
+        "spring-pot, its exponent estimated",
+        usual=0.8,
+        usual_sd=0.5,
+        time_power=None,
+        includes=("viscous", "hysteretic"),
+    ),
+    "relaxation": LawKind(
+        lambda w, a: 1j * w / (1.0 + 1j * w * a),
+        "K + i w D / (1 + i w {a:.3g} s)",
+        "standard linear solid, its time estimated",
+        usual=0.3,
+        usual_sd=1.0,
+        is_time=True,
+        includes=("viscous",),
+    ),
+}
+"""By name."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A damping law with its unknown, SI.
+
+    Attributes
+    ----------
+    name : str
+        Of `LAWS`.
+    value : float
+        The exponent, or the relaxation time (s); not used where the law has no unknown.
+    """
+
+    name: str = "viscous"
+    value: float = 0.0
+
+    @property
+    def kind(self) -> LawKind:
+        """The entry of the table."""
+        return LAWS[self.name]
+
+    @property
+    def free(self) -> int:
+        """Number of unknowns."""
+        return int(self.kind.usual_sd > 0.0)
+
+    @property
+    def physical(self) -> bool:
+        """Whether a ligament can have it: an exponent or a time below zero is noise."""
+        return not self.free or self.value > 0.0
+
+    @property
+    def time_power(self) -> float:
+        """Power of time in the unit of D."""
+        return self.value if self.kind.time_power is None else self.kind.time_power
+
+    @property
+    def formula(self) -> str:
+        """The dynamic stiffness as text."""
+        return self.kind.formula.format(a=self.value)
+
+    def factor(self, omega: ArrayLike) -> ComplexArray:
+        """Return s of angular frequencies, rad/s; complex ones continue it to eigenvalues i w."""
+        values = (self.value,) if self.free else ()
+        return np.asarray(self.kind.factor(np.asarray(omega), *values), dtype=complex)
+
+    def scaled(self, reference: float) -> Law:
+        """Return the law of frequencies divided by ``reference``, rad/s."""
+        return replace(self, value=self.value * reference) if self.kind.is_time else self
+
+    def damping_unit(self, stiffness_unit: str) -> str:
+        """Return the unit of an entry of D from that of the same entry of K."""
+        power = self.time_power
+        time = {0.0: "", 1.0: " s"}.get(power, f" s^{power:.3g}")
+        numerator, slash, denominator = stiffness_unit.partition("/")
+        return f"{numerator}{time}{slash}{denominator}"
+
+
+VISCOUS = Law()
+
+
+def causal_rise(law: Law, loss_factor: float, band_hz: tuple[float, float]) -> float | None:
+    """Return by which share of itself K must rise over a band; None for a law that is causal as it is.
+
+    To first order d Re Z / d ln w = (2 / pi) Im Z (Booij and Thoone 1982, Rheologica Acta 21:15).
+    """
+    if law.kind.causal:
+        return None
+    return float(2.0 / np.pi * loss_factor * np.log(band_hz[1] / band_hz[0]))

@@ -1,0 +1,316 @@
+"""One likelihood of everything that a fit of K and D leaves open.
+
+Per line the equations are B(theta) y = 0, y the motion of both bodies with the covariance C. Minimised is
+2 sum e^H (B C B^H)^-1 e + priors with e = B y: errors in all variables. Only `Likelihood.act`, B times a motion, is
+written down; derivatives are central differences of it (for K, D and shared errors, in which B is linear, its own
+terms), taken at the fitted motion yhat = y - C B^H (B C B^H)^-1 e, where J^T r is the exact gradient (Pintelon and
+Schoukens 2012, System Identification, ch. 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fitting.data import Data
+from fitting.entries import basis, split
+from fitting.laws import LAWS
+from fitting.unknowns import Parts, Unknown
+from stapeskit.arrays import Array, ComplexArray
+
+PLAIN, LOAD, PLANE, INPLANE = "plain", "load", "plane", "inplane"
+"""Motion outside the model: left out; a known load; with the plane of the ligament; and its own equations."""
+
+_STEP = 1e-5  # of central differences: B is linear or quadratic in most unknowns, all of order one
+_AT_ONCE = 2  # columns of noise whose derivatives are held at once
+_LEAST_INFORMATION = 0.05  # kept of directions that are nearly all noise of the regressor
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A normal distribution of parameters: mean (p,) and covariance (p, p)."""
+
+    mean: Array
+    covariance: Array
+
+    @property
+    def root(self) -> Array:
+        """R with R^T R the inverse covariance."""
+        return np.asarray(np.linalg.cholesky(np.linalg.inv(self.covariance)).T)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted.
+
+    Attributes
+    ----------
+    law : str
+        Damping law.
+    motion : str
+        One of PLAIN, LOAD, PLANE, INPLANE.
+    coupling : Prior or None
+        Of Y (9,), scaled, rows times columns; with PLANE and INPLANE.
+    unknowns : tuple of Unknown
+        Further ones; the companions of each follow it.
+    entries : Prior or None
+        Of the entries of K and D, scaled.
+    held : tuple of (int, float, float)
+        Places of parameters, values and sd to which they are held.
+    law_value : float or None
+        Scaled unknown of the law where it is fixed.
+    """
+
+    law: str = "viscous"
+    motion: str = PLAIN
+    coupling: Prior | None = None
+    unknowns: tuple[Unknown, ...] = ()
+    entries: Prior | None = None
+    held: tuple[tuple[int, float, float], ...] = ()
+    law_value: float | None = None
+
+    @property
+    def extras(self) -> tuple[Unknown, ...]:
+        """The further unknowns with their companions."""
+        return tuple(part for unknown in self.unknowns for part in (unknown, *unknown.companions))
+
+
+class Likelihood:
+    """Residuals and derivatives of one model on one data set.
+
+    Parameters are ordered K and D (of the rows), the law's, Y, further unknowns, shared errors.
+
+    Parameters
+    ----------
+    noise : float
+        Variance of the noise over that stated.
+    weights : ndarray, (lines,), optional
+        On the precision of each line.
+    """
+
+    def __init__(self, data: Data, model: Model, noise: float = 1.0, weights: Array | None = None):
+        self.data, self.model, self.noise, self.weights = data, model, noise, weights
+        rows, columns = data.rows, data.columns
+        if model.motion == INPLANE:
+            rows, columns = columns, rows
+        self.n, m = len(rows), len(data.measured)
+        self.row_units, self.column_units = np.eye(m)[rows], np.eye(m)[columns]
+        kind = LAWS[model.law]
+        counts = {
+            "entries": self.n * (self.n + 1),
+            "law": int(kind.usual_sd > 0.0),
+            "coupling": len(rows) * len(columns) if model.coupling is not None else 0,
+            "extra": len(model.extras),
+            "shared": len(data.sources),
+        }
+        ends = np.cumsum([0, *counts.values()])
+        spans = zip(counts, ends[:-1], ends[1:], strict=True)
+        self.at = {name: slice(int(first), int(last)) for name, first, last in spans}
+        self.count = int(ends[-1])
+        self._set_priors(kind.usual, kind.usual_sd)
+        self._cost = np.inf
+        self._known: tuple[Array, tuple[ComplexArray, ...]] | None = None
+
+    def _set_priors(self, usual: float, usual_sd: float) -> None:
+        """Set mean and root of the prior: rows of the root are those of a least-squares problem."""
+        model, at = self.model, self.at
+        self.mean = np.zeros(self.count)
+        blocks = [np.zeros((0, at["entries"].stop))]
+        if model.entries is not None:
+            self.mean[at["entries"]], blocks = model.entries.mean, [model.entries.root]
+        if usual_sd:
+            self.mean[at["law"]] = usual if model.law_value is None else model.law_value
+            blocks.append(np.array([[1.0 / usual_sd if model.law_value is None else 1e6]]))
+        if model.coupling is not None:
+            self.mean[at["coupling"]] = model.coupling.mean
+            blocks.append(model.coupling.root)
+        blocks.append(np.diag([1.0 / unknown.sd for unknown in model.extras]))
+        blocks.append(np.eye(len(self.data.sources)))
+        self.root = block_diag(*blocks)
+        self.offset = self.root @ self.mean
+        for place, value, sd in model.held:
+            row = np.eye(self.count)[place] / sd
+            self.root, self.offset = np.vstack([self.root, row]), np.append(self.offset, value / sd)
+
+    def parts(self, theta: Array) -> Parts:
+        """Return the parts of the equations at theta."""
+        data, ones = self.data, np.ones(self.data.count)
+        changes = np.tensordot(theta[self.at["shared"]], data.mass_changes, 1)
+        loss = LAWS[self.model.law].factor(data.omega, *theta[self.at["law"]])
+        still = np.zeros((self.n, self.n))
+        parts = Parts(loss, data.mass + changes, still, ones, ones.astype(complex), ones.astype(complex))
+        for value, unknown in zip(theta[self.at["extra"]], self.model.extras, strict=True):
+            unknown.change(value, parts, data)
+        return parts
+
+    def shapes(self, theta: Array) -> tuple[Array, Array]:
+        """Return what deflects the suspension (n, m) and what loads its rows (n, m).
+
+        With Z_rc = Y Z_cc the motion of the columns is eliminated: Z' (q_s - q_b)_r = w2 (M_r - Y M_c) q_s with
+        Z' = Z_rr - Y Z_cc Y^T; in the plane, Z_cc (q_c + Y^T q_r) = w2 M_c q.
+        """
+        if self.model.motion == PLAIN:
+            return self.row_units, self.row_units
+        if self.model.coupling is None:
+            return self.row_units, self.row_units
+        coupling = theta[self.at["coupling"]]
+        if self.model.motion == INPLANE:
+            turned = coupling.reshape(len(self.column_units), self.n)
+            return self.row_units + turned.T @ self.column_units, self.row_units
+        turned = coupling.reshape(self.n, len(self.column_units))
+        return self.row_units, self.row_units - turned @ self.column_units
+
+    def act(self, theta: Array, motion: ComplexArray, parts: Parts | None = None) -> ComplexArray:
+        """Return B(theta) times motions (lines or 1, 2 m, c): the whole physics, (lines, n, c)."""
+        data, parts = self.data, self.parts(theta) if parts is None else parts
+        turn, m = data.turns(theta[self.at["shared"]]), len(data.measured)
+        structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
+        base = parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
+        deflecting, loading = self.shapes(theta)
+        load = loading @ self._seen_mass(parts.mass)
+        elastic = self._dynamic(theta, parts) @ (deflecting @ (structure - base))
+        return np.asarray(elastic - (data.omega**2)[:, None, None] * (load @ structure))
+
+    def _dynamic(self, theta: Array, parts: Parts) -> ComplexArray:
+        """Return the dynamic stiffness (lines, n, n)."""
+        stiffness, damping = split(theta[self.at["entries"]], self.n)
+        dynamic = parts.factor[:, None, None] * (stiffness + parts.loss[:, None, None] * damping)
+        return np.asarray(dynamic - (self.data.omega**2)[:, None, None] * parts.added)
+
+    def _seen_mass(self, mass: Array) -> Array:
+        """Return the mass matrix; without a load that of the rows alone."""
+        if self.model.motion != PLAIN:
+            return mass
+        own = self.row_units.T @ self.row_units
+        return np.asarray(own @ mass @ own)
+
+    def look(self, theta: Array) -> tuple[ComplexArray, ...]:
+        """Return white residuals (lines, n), what whitens, C B^H W^H and the fitted motion; the last is kept."""
+        if self._known is not None and np.array_equal(self._known[0], theta):
+            return self._known[1]
+        data = self.data
+        operator = self.act(theta, np.eye(data.y.shape[1], dtype=complex)[None])
+        gain = self.noise * data.covariance @ operator.conj().swapaxes(1, 2)
+        if self.weights is not None:
+            gain = gain / self.weights[:, None, None]
+        whitening = np.linalg.inv(np.linalg.cholesky(operator @ gain))
+        white = (whitening @ (operator @ data.y[:, :, None]))[:, :, 0]
+        back = gain @ whitening.conj().swapaxes(1, 2)
+        fitted = data.y - (back @ white[:, :, None])[:, :, 0]
+        self._known = (theta.copy(), (white, whitening, back, fitted))
+        return self._known[1]
+
+    def residuals(self, theta: Array) -> Array:
+        """Return the rows of the least-squares problem: their squares sum to chi2 with priors."""
+        white = np.sqrt(2.0) * self.look(theta)[0].ravel()
+        return np.concatenate([white.real, white.imag, self.root @ theta - self.offset])
+
+    def slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
+        """Return dB/dtheta times motions (lines, 2 m, c), (p, lines, n, c)."""
+        data, parts, m = self.data, self.parts(theta), len(self.data.measured)
+        free = slice(self.at["law"].start, self.at["shared"].start)
+        steps = [
+            self.act(theta + h, motion) - self.act(theta - h, motion)
+            for h in _STEP * np.eye(self.count)[free]
+        ]
+        deflecting, loading = self.shapes(theta)
+        turn = data.turns(theta[self.at["shared"]])
+        structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
+        base = parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
+        deflection = deflecting @ (structure - base)
+        elastic = (parts.factor[:, None, None] * basis(self.n)[:, None]) @ deflection
+        columns = [elastic, parts.loss[:, None, None] * elastic]
+        if steps:
+            columns.append(np.array(steps) / (2.0 * _STEP))
+        if data.sources:
+            columns.append(self._shared_slopes(theta, parts, motion, structure))
+        return np.concatenate(columns)
+
+    def _shared_slopes(
+        self, theta: Array, parts: Parts, motion: ComplexArray, structure: ComplexArray
+    ) -> ComplexArray:
+        """Return the columns of the shared errors, in which B is linear: they move motion and mass."""
+        data, m, width = self.data, len(self.data.measured), motion.shape[2]
+        deflecting, loading = self.shapes(theta)
+        square = (data.omega**2)[:, None, None]
+        elastic = self._dynamic(theta, parts) @ deflecting
+        bare = (elastic - square * (loading @ self._seen_mass(parts.mass)), -elastic)
+        columns = np.zeros((len(data.sources), data.count, self.n, width), dtype=complex)
+        for maps in data.maps:
+            power = data.powers(maps.power)[:, None, None]
+            for body, factor in ((0, parts.structure), (1, parts.base)):
+                used = np.flatnonzero(np.any(maps.values[body], axis=(0, 1)))
+                flat = motion[:, body * m : (body + 1) * m].transpose(1, 0, 2).reshape(m, -1)
+                turned = maps.values[body][..., used].transpose(0, 2, 1).reshape(-1, m) @ flat
+                turned = turned.reshape(m, len(used), data.count, width).transpose(2, 0, 1, 3)
+                moved = (bare[body] * (factor[:, None, None] * power)) @ turned.reshape(data.count, m, -1)
+                moved = moved.reshape(data.count, self.n, len(used), width)
+                columns[maps.errors[used]] += moved.transpose(2, 0, 1, 3)
+        heavy = np.flatnonzero(np.any(data.mass_changes, axis=(1, 2)))
+        changes = np.array([loading @ self._seen_mass(data.mass_changes[error]) for error in heavy])
+        if len(heavy):
+            columns[heavy] -= square * (changes[:, None] @ structure)
+        return columns
+
+    def slopes_of(self, theta: Array, unknowns: Sequence[Unknown], motion: ComplexArray) -> ComplexArray:
+        """Return dB/dvalue at zero times motions, (unknowns, lines, n, c), of unknowns that are not in the model."""
+        parts, columns = self.parts(theta), []
+        for unknown in unknowns:
+            ends = []
+            for step in (_STEP, -_STEP):
+                changed = replace(parts)
+                unknown.change(step, changed, self.data)
+                ends.append(self.act(theta, motion, changed))
+            columns.append((ends[0] - ends[1]) / (2.0 * _STEP))
+        return np.array(columns)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Return the derivative of the rows by theta; J^T r is the exact gradient."""
+        _, whitening, _, fitted = self.look(theta)
+        columns = whitening @ self.slopes(theta, fitted[:, :, None])
+        white = np.sqrt(2.0) * columns[..., 0].reshape(self.count, -1).T
+        return np.concatenate([white.real, white.imag, self.root])
+
+    def reduced(self, theta: Array) -> tuple[Array, Array]:
+        """Return the QR form of the least-squares problem: residuals (p + 1,) and Jacobian (p + 1, p).
+
+        Value, gradient and Gauss-Newton matrix are those of the whole problem; what follows takes no time.
+        """
+        whole = np.column_stack([self.jacobian(theta), self.residuals(theta)])
+        triangle = np.linalg.qr(whole, mode="r")
+        return triangle[:, -1], triangle[:, :-1]
+
+    def information(self, theta: Array) -> Array:
+        """Return J^T J, priors included."""
+        jacobian = self.jacobian(theta)
+        return np.asarray(jacobian.T @ jacobian)
+
+    def covariance(self, theta: Array, level: float = 1.0) -> tuple[Array, Array]:
+        """Return the covariance of theta and the inverse of what it is known by.
+
+        What the noise of the fitted motion adds to J^T J is spread, but no information (Pintelon and Schoukens
+        2012, section 9.11); of directions that are nearly all noise a twentieth of the information is kept.
+        """
+        _, whitening, back, _ = self.look(theta)
+        hessian = self.information(theta)
+        added = np.zeros_like(hessian)
+        noise = self.noise * self.data.covariance
+        if self.weights is not None:
+            noise = noise / self.weights[:, None, None]
+        values, vectors = np.linalg.eigh(noise - back @ back.conj().swapaxes(1, 2))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        for first in range(0, root.shape[2], _AT_ONCE):
+            part = whitening @ self.slopes(theta, root[:, :, first : first + _AT_ONCE])
+            spread = part.reshape(self.count, -1)
+            added += 2.0 * (spread.conj() @ spread.T).real
+        added *= min(level, 1.0)
+        size = np.sqrt(np.diag(hessian))
+        values, vectors = np.linalg.eigh(hessian / np.outer(size, size))
+        values = np.maximum(values, 1e-14 * values[-1])
+        half = (vectors / np.sqrt(values)) @ vectors.T / size[None, :]
+        shares, turned = np.linalg.eigh(np.eye(len(size)) - half @ added @ half.T)
+        inverse = half.T @ (turned / np.maximum(shares, _LEAST_INFORMATION)) @ turned.T @ half
+        return inverse @ hessian @ inverse, inverse

@@ -1,0 +1,255 @@
+"""The mass matrix of a fit: from a result of ct2mass, a mass.json, or a plain matrix in SI (M.csv)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
+from stapeskit.frames import cross_matrix
+from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters, parameters_from_matrix
+
+FRAME_SOURCE = "frame"
+"""Source of the error of the footplate frame in mass.json: motion may have the same one."""
+
+MASS_SIGNS = {
+    "tensor": "elements of the inertia tensor",
+    "positive": "products of inertia, + integral x z dm",
+}
+"""What the mixed rotational entries of a plain matrix can be."""
+
+_SMALLEST, _LARGEST = 1e-30, 1e6  # kg, kg m2: of no body that is measured here
+
+
+@runtime_checkable
+class RigidMass(Protocol):
+    """A mass matrix with its uncertainty by source, as mass.json has it."""
+
+    @property
+    def about(self) -> str:
+        """Reference point."""
+
+    @property
+    def axes(self) -> str:
+        """Axes."""
+
+    @property
+    def parameters(self) -> Array:
+        """Ten inertial parameters."""
+
+    @property
+    def contributions(self) -> Mapping[str, Array]:
+        """Covariance (10, 10) of the parameters by source."""
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """A mass matrix about the footplate centre in footplate axes.
+
+    Attributes
+    ----------
+    dof : tuple of str, (k,)
+        Its degrees of freedom: those of the model, or all six.
+    matrix : ndarray, (k, k)
+        SI.
+    contributions : mapping of str to ndarray, (10, 10)
+        Covariance of its ten inertial parameters by source; only where it has all six degrees of freedom.
+    """
+
+    dof: tuple[str, ...]
+    matrix: Array
+    contributions: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has all six degrees of freedom."""
+        return self.dof == DOF_NAMES
+
+    def block(self, dof: tuple[str, ...]) -> Array:
+        """Return the matrix of some of its degrees of freedom, (n, n)."""
+        places = [self.dof.index(name) for name in dof]
+        return self.matrix[np.ix_(places, places)]
+
+
+def frame_slopes(matrix: Array) -> Array:
+    """Return the change (6, 6, 6) of a 6 x 6 mass matrix per m and rad of its frame's own displacement.
+
+    M' = X^-T M X^-1 with q' = X q, so that dM = -(G^T M + M G) with G = dX (kinetic energy is the same).
+    """
+    slopes = []
+    for axis in range(6):
+        arm = cross_matrix(np.eye(3)[axis % 3])
+        generator = np.zeros((6, 6))
+        if axis < 3:
+            generator[:3, 3:] = -arm
+        else:
+            generator[:3, :3] = generator[3:, 3:] = -arm
+        slopes.append(-(generator.T @ matrix + matrix @ generator))
+    return np.stack(slopes)
+
+
+def inertia_of(mass: RigidMass | ArrayLike, dof: tuple[str, ...]) -> Inertia:
+    """Take a mass in either form and check it against the degrees of freedom of the model.
+
+    Parameters
+    ----------
+    mass : RigidMass or array_like
+        About the footplate centre in footplate axes; an array (SI) is (n, n) in the order of ``dof``, or (6, 6).
+    dof : tuple of str, (n,)
+
+    Raises
+    ------
+    StapeskitError
+        Its shape does not fit, it is about another point or in other axes, or no body can have it.
+    """
+    if isinstance(mass, RigidMass):
+        if (mass.about, mass.axes) != ("footplate_centre", "footplate"):
+            raise StapeskitError.of(
+                "the mass matrix",
+                "about footplate_centre in footplate axes",
+                f"about {mass.about} in {mass.axes} axes",
+                next_step="Take the block mass_matrix of mass.json",
+            )
+        return Inertia(DOF_NAMES, matrix_from_parameters(mass.parameters), mass.contributions)
+    try:
+        matrix = np.asarray(mass, dtype=float)
+    except (TypeError, ValueError):
+        wanted = "a file, a result of ct2mass or a matrix in SI"
+        raise StapeskitError.of("--mass", wanted, type(mass).__name__) from None
+    if matrix.shape not in ((len(dof),) * 2, (6, 6)):
+        shape = " x ".join(str(size) for size in matrix.shape) or "a single number"
+        wanted = f"{len(dof)} x {len(dof)} for --dof {','.join(dof)}, or 6 x 6"
+        raise StapeskitError.of("the mass matrix", wanted, shape, "", "Give M in the order of --dof")
+    check_mass(matrix)
+    return Inertia(dof if len(matrix) == len(dof) else DOF_NAMES, matrix)
+
+
+def check_mass(matrix: Array, where: str = "") -> None:
+    """Refuse a matrix that is not finite, symmetric, positive definite and of a size that bodies have.
+
+    Raises
+    ------
+    StapeskitError
+        Any of these, or, of six degrees of freedom, a matrix that no rigid body has.
+    """
+    thing, diagonal = "the mass matrix", np.diag(matrix)
+    if not np.all(np.isfinite(matrix)):
+        raise StapeskitError.of(thing, "of finite numbers", "NaN or infinite values", where)
+    if np.any((diagonal < _SMALLEST) | (diagonal > _LARGEST)):
+        got = f"{diagonal.min():g} to {diagonal.max():g}"
+        wanted = f"within {_SMALLEST:g} and {_LARGEST:g} (kg, kg m2)"
+        raise StapeskitError.of("the diagonal of the mass matrix", wanted, got, where, "Check its units")
+    scaled = matrix / np.sqrt(np.outer(diagonal, diagonal))
+    if np.max(np.abs(scaled - scaled.T)) > 1e-6:
+        step = "Check the order of its rows"
+        raise StapeskitError.of(thing, "symmetric", "an asymmetric one", where, step)
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
+    if smallest <= 1e-9:
+        step = "Check units and signs (M(y, alpha) = -m z, M(y, gamma) = +m x)"
+        got = f"a smallest scaled eigenvalue of {smallest:.3g}"
+        raise StapeskitError.of(thing, "positive definite", got, where, step)
+    if len(matrix) == 6:
+        raise_all(inertia_faults(matrix, where=where))
+
+
+def with_tensor_signs(matrix: Array, dof: tuple[str, ...], sign: str) -> Array:
+    """Return a plain mass matrix with elements of the inertia tensor, whatever sign it was written with."""
+    turned = np.array([name in DOF_NAMES[3:] for name in (dof if len(matrix) == len(dof) else DOF_NAMES)])
+    flipped = np.outer(turned, turned) & ~np.eye(len(matrix), dtype=bool) & (sign == "positive")
+    return np.where(flipped, -matrix, matrix)
+
+
+def has_products(matrix: Array, dof: tuple[str, ...]) -> bool:
+    """Return whether a plain mass matrix has products of inertia, whose sign is a convention."""
+    return bool(np.any(with_tensor_signs(matrix, dof, "positive") != matrix))
+
+
+def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
+    """Read a square matrix without header, SI, in the order of ``dof`` or of all six degrees of freedom.
+
+    Comma separated, or with semicolons or tabs, where a comma is a decimal comma.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, binary, not square, holds text, or is no mass matrix; every wrong cell is named.
+    """
+    path = Path(path)
+    if not path.is_file():
+        step = "Run ct2mass to make a mass.json"
+        raise StapeskitError.of("--mass", "an existing mass.json or M.csv", path, "", step)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        wanted, step = "a text file of numbers or a mass.json", "Give the mass.json of ct2mass"
+        raise StapeskitError.of("--mass", wanted, "a binary file", path.name, step) from None
+    for mark in (";", "\t"):
+        if mark in text:
+            text = text.replace(",", ".").replace(mark, ",")
+    rows = [(line, words) for line, words in enumerate(text.splitlines(), 1) if words.strip()]
+    faults = list[Fault]()
+    values = [_numbers(words, Place(path.name, "row", (line,)), faults) for line, words in rows]
+    if rows and all(cell.strip(' "')[:1].isalpha() for cell in rows[0][1].split(",")):
+        cells = [cell.strip(' "') for cell in rows[0][1].split(",")]
+        step = "Remove the header"
+        if "freq_hz" in cells:
+            step = "It looks like the motion of points2dof: give that first, and the mass with --mass"
+        wanted = "numbers separated by commas, without a header"
+        raise StapeskitError.of("M.csv", wanted, list_some(cells, 6), Place(path.name, "row", (1,)), step)
+    raise_all(faults)
+    if len(values) not in (len(dof), 6) or any(len(row) != len(values) for row in values):
+        widths = sorted({len(row) for row in values}) or [0]
+        wanted = f"{len(dof)} x {len(dof)} for --dof {','.join(dof)}, or 6 x 6"
+        got = f"{len(values)} rows of {' or '.join(map(str, widths))} numbers"
+        raise StapeskitError.of("M.csv", wanted, got, path.name, "Give M in the order of --dof")
+    return np.array(values)
+
+
+def _numbers(words: str, place: Place, faults: list[Fault]) -> list[float]:
+    """Return the numbers of a row, and add the faults of its cells."""
+    numbers = []
+    for column, cell in enumerate(words.split(","), 1):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            shown = f'"{cell.strip()[:40]}"' if cell.strip() else "an empty cell"
+            where = Place(place.file, place.unit, place.numbers, f"column {column}")
+            step = "Write SI numbers with decimal points and commas between them"
+            faults.append(Fault("M.csv", "numbers separated by commas", shown, where, step))
+    return numbers
+
+
+def parameter_changes(contributions: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the changes (k, 6, 6) of a mass matrix by errors of unit variance, by source."""
+    changes = {}
+    for source, covariance in contributions.items():
+        size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        if np.any(size > 0.0):
+            safe = np.where(size > 0.0, size, 1.0)
+            values, vectors = np.linalg.eigh(np.asarray(covariance) / np.outer(safe, safe))
+            kept = values > 1e-9 * values[-1]
+            roots = (vectors[:, kept] * np.sqrt(values[kept])).T * safe
+            changes[source] = np.stack([matrix_from_parameters(root) for root in roots])
+    return changes
+
+
+__all__ = [
+    "FRAME_SOURCE",
+    "MASS_SIGNS",
+    "Inertia",
+    "RigidMass",
+    "check_mass",
+    "frame_slopes",
+    "has_products",
+    "inertia_of",
+    "parameter_changes",
+    "parameters_from_matrix",
+    "read_mass_csv",
+    "with_tensor_signs",
+]

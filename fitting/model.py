@@ -1,0 +1,253 @@
+"""The model: dynamic stiffness, frequency response (paper, Eq. 8), modes, stability, passivity.
+
+Harmonic signals are e^{+i w t}. Matrices are SI; the length of the modes' shapes is stated by NORMALISATION.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fitting.laws import VISCOUS, Law
+from stapeskit.arrays import Array, ComplexArray
+
+NORMALISATION = (
+    "unit Euclidean norm of the state eigenvector (q, lambda q) in SI; phase such that the component of "
+    "largest kinetic energy is real and positive"
+)
+_ROUNDING = 1e-12  # of the largest eigenvalue: a real part that rounding can bring about
+_MOST_STEPS = 60  # of the iteration for one pole of a law that is not viscous
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One conjugate pair of eigenvalues.
+
+    Attributes
+    ----------
+    eigenvalue : complex
+        The one with positive imaginary part, 1/s.
+    shape : ndarray, (n,), complex
+        Displacement part of the eigenvector, m and rad, normalised as NORMALISATION says.
+    """
+
+    eigenvalue: complex
+    shape: ComplexArray
+
+    @property
+    def frequency_hz(self) -> float:
+        """Damped eigenfrequency Im(lambda) / 2 pi."""
+        return self.eigenvalue.imag / (2.0 * np.pi)
+
+    @property
+    def undamped_frequency_hz(self) -> float:
+        """Magnitude of the eigenvalue over 2 pi."""
+        return abs(self.eigenvalue) / (2.0 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Damping ratio -Re(lambda) / |lambda|."""
+        return -self.eigenvalue.real / abs(self.eigenvalue)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenvalues of a model.
+
+    Attributes
+    ----------
+    pairs : tuple of Mode
+        One per conjugate pair, ascending damped frequency.
+    overdamped_roots_1_s : tuple of float
+        Real eigenvalues, ascending.
+    max_real_1_s : float
+        Largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make it so.
+    """
+
+    pairs: tuple[Mode, ...]
+    overdamped_roots_1_s: tuple[float, ...]
+    max_real_1_s: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether no motion grows."""
+        sizes = [abs(mode.eigenvalue) for mode in self.pairs]
+        sizes += [abs(root) for root in self.overdamped_roots_1_s]
+        return self.max_real_1_s <= _ROUNDING * max(sizes, default=0.0)
+
+
+def dynamic_stiffness(
+    stiffness: ArrayLike, damping: ArrayLike, omega: ArrayLike, law: Law = VISCOUS
+) -> ComplexArray:
+    """Return Z(w) = K + s(w) D, (lines, n, n), SI, at angular frequencies (lines,), rad/s."""
+    factor = law.factor(omega)[:, None, None]
+    return np.asarray(stiffness, dtype=float) + factor * np.asarray(damping, dtype=float)
+
+
+def simulate(
+    mass: ArrayLike,
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+    freq_hz: ArrayLike,
+    base: ArrayLike,
+    load: ArrayLike | None = None,
+    law: Law = VISCOUS,
+) -> ComplexArray:
+    """Return the motion of the structure for a base motion and, if any, a known inertial load (paper, Eq. 8).
+
+    Parameters
+    ----------
+    mass, stiffness, damping : array_like, (n, n)
+        SI.
+    freq_hz : array_like, (lines,)
+    base : array_like, (lines, n), complex
+        Base motion at the footplate centre, m and rad.
+    load : array_like, (lines, n), complex, optional
+        w^2 M_rc q_c: the inertial load of measured motion outside the model, N and N m.
+
+    Returns
+    -------
+    ndarray, (lines, n), complex
+        m and rad.
+    """
+    omega = 2.0 * np.pi * np.asarray(freq_hz, dtype=float)
+    z = dynamic_stiffness(stiffness, damping, omega, law)
+    force = (z @ np.asarray(base, dtype=complex)[..., None])[..., 0]
+    if load is not None:
+        force = force + np.asarray(load, dtype=complex)
+    dynamic = z - omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
+    return np.asarray(np.linalg.solve(dynamic, force[..., None])[..., 0])
+
+
+def state_matrix(mass: Array, stiffness: Array, damping: Array) -> Array:
+    """Return the matrices (..., 2n, 2n) of the first-order form of viscous models; the state is (q, q')."""
+    n = mass.shape[-1]
+    state = np.zeros((*np.broadcast_shapes(mass.shape[:-2], stiffness.shape[:-2]), 2 * n, 2 * n))
+    state[..., :n, n:] = np.eye(n)
+    state[..., n:, :n] = -np.linalg.solve(mass, stiffness)
+    state[..., n:, n:] = -np.linalg.solve(mass, damping)
+    return state
+
+
+def passive(matrix: ArrayLike) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite, in any units: such a K stores, such a D loses energy."""
+    values = np.asarray(matrix, dtype=float)
+    diagonal = np.diag(values)
+    if not np.all(np.isfinite(values)) or np.any(diagonal < 0.0):
+        return False
+    zero = diagonal == 0.0
+    if np.any(values[zero] != 0.0):
+        return False
+    root = np.sqrt(np.where(zero, 1.0, diagonal))
+    return bool(np.linalg.eigvalsh(values / np.outer(root, root))[0] >= -1e-12)
+
+
+def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = VISCOUS) -> Modes:
+    """Return eigenvalues and shapes of a model; matrices (n, n), SI, mass positive definite.
+
+    Notes
+    -----
+    The viscous law has a state matrix; for others lambda^2 M + s(lambda) D + K = 0 is iterated from the undamped
+    eigenvalues. With M > 0, K >= 0, D >= 0 no real part is positive; where one is zero, rounding decides its sign.
+    """
+    m, k, d = (np.asarray(part, dtype=float) for part in (mass, stiffness, damping))
+    root = np.sqrt(np.diag(m))
+    unit = [part / np.outer(root, root) for part in (m, k, d)]
+    time = 1.0 / (float(np.sqrt(np.max(np.abs(unit[1])))) or 1.0)
+    if law.name == "viscous":
+        values, vectors = np.linalg.eig(state_matrix(unit[0], unit[1] * time**2, unit[2] * time))
+        values, shapes = values / time, vectors[: len(m)].T / root
+    else:
+        values, shapes = _iterated(*unit, law)
+        shapes = shapes / root
+    tiny = 1e-9 * float(np.max(np.abs(values)))
+    pairs = [
+        Mode(complex(value), _normalised(shape, complex(value), m))
+        for value, shape in zip(values, shapes, strict=True)
+        if value.imag > tiny
+    ]
+    real = sorted(float(value.real) for value in values if abs(value.imag) <= tiny)
+    largest = float(np.max(values.real))
+    if largest > 0.0 and passive(k) and passive(d):
+        largest, real = 0.0, [min(value, 0.0) for value in real]
+    return Modes(tuple(sorted(pairs, key=lambda mode: mode.frequency_hz)), tuple(real), largest)
+
+
+def _iterated(mass: Array, stiffness: Array, damping: Array, law: Law) -> tuple[ComplexArray, ComplexArray]:
+    """Iterate lambda^2 M phi = -(K + s(lambda) D) phi for each mode of the undamped model."""
+    squares, vectors = np.linalg.eig(np.linalg.solve(mass, stiffness.astype(complex)))
+    values, shapes = [], []
+    for square, vector in zip(squares, vectors.T, strict=True):
+        now, shape = 1j * np.sqrt(max(square.real, 0.0)), vector
+        for _ in range(_MOST_STEPS):
+            factor = complex(law.factor(np.array([-1j * now]))[0])
+            squares_now, candidates = np.linalg.eig(np.linalg.solve(mass, stiffness + factor * damping))
+            overlap = np.abs(candidates.conj().T @ mass @ shape)
+            best = int(
+                np.argmax(
+                    overlap / np.sqrt(np.einsum("ij,ik,kj->j", candidates.conj(), mass, candidates).real)
+                )
+            )
+            root = np.sqrt(-squares_now[best] + 0j)
+            root, shape = (-root if root.imag < 0.0 else root), candidates[:, best]
+            done = abs(root - now) < 1e-13 * abs(root) + 1e-300
+            now = complex(root)
+            if done:
+                break
+        values.append(now)
+        shapes.append(shape)
+    return np.array(values), np.array(shapes)
+
+
+def moved_eigenvalues(
+    found: Modes, mass: Array, stiffness: Array, damping: Array, law: Law = VISCOUS, steps: int = 4
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return eigenvalues (draws, modes) and shapes (draws, modes, n) of models near one that is solved.
+
+    Parameters
+    ----------
+    found : Modes
+        Of the model in the middle.
+    mass, stiffness, damping : ndarray, (draws, n, n)
+
+    Notes
+    -----
+    Inverse iteration with Newton's step of the eigenvalue (Ruhe 1973, doi:10.1137/0710059), which holds for every
+    law and for all draws at once.
+    """
+    values, shapes = [], []
+    for mode in found.pairs:
+        now = np.full(len(mass), mode.eigenvalue)
+        shape = np.tile(mode.shape, (len(mass), 1))
+        size = np.sqrt(np.diagonal(mass, axis1=1, axis2=2))
+        small = 1e-14 * np.eye(mass.shape[-1])
+        for _ in range(steps):
+            near, step = _pencil(mass, stiffness, damping, law, now), 1e-6 * np.abs(now)
+            slope = (_pencil(mass, stiffness, damping, law, now + step) - near) / step[:, None, None]
+            lowered = near / (size[:, :, None] * size[:, None, :])
+            pushed = (slope @ shape[..., None])[..., 0] / size
+            lifted = np.linalg.solve(lowered + np.abs(lowered).max() * small, pushed[..., None])
+            new = lifted[..., 0] / size
+            left = np.einsum("di,di->d", shape, (slope @ shape[..., None])[..., 0])
+            right = np.einsum("di,di->d", shape, (slope @ new[..., None])[..., 0])
+            now = now - left / right
+            shape = new / np.linalg.norm(new, axis=1)[:, None]
+        values.append(now)
+        shapes.append(shape)
+    n = mass.shape[-1]
+    empty = (np.zeros((len(mass), 0), complex), np.zeros((len(mass), 0, n), complex))
+    return (np.stack(values, 1), np.stack(shapes, 1)) if values else empty
+
+
+def _pencil(mass: Array, stiffness: Array, damping: Array, law: Law, values: ComplexArray) -> ComplexArray:
+    """Return lambda^2 M + s(lambda) D + K, (draws, n, n)."""
+    factor = law.factor(-1j * values)[:, None, None]
+    return np.asarray((values**2)[:, None, None] * mass + factor * damping + stiffness)
+
+
+def _normalised(shape: ComplexArray, eigenvalue: complex, mass: Array) -> ComplexArray:
+    norm = np.linalg.norm(shape) * np.sqrt(1.0 + abs(eigenvalue) ** 2)
+    leading = shape[int(np.argmax(np.abs(shape) * np.sqrt(np.diag(mass))))]
+    return np.asarray(shape / norm * (abs(leading) / leading), dtype=complex)

@@ -1,0 +1,236 @@
+"""The plane of the ligament: what is known of it beforehand, its stiffness in the plane, K and D about the footplate centre.
+
+A ligament in a plane of its own couples piston and rocking to the motion in that plane: Z_rc = Y Z_cc with a real
+Y, for a ring at the height h above the footplate centre Y[alpha, z] = h = -Y[gamma, x]. The piston equations
+determine Y and Z' = Z_rr - Y Z_cc Y^T (K', D' about the ligament's own plane); the equations of x, z and beta give
+Z_cc, and K = K' + Y K_cc Y^T follows by draws, since the height enters squared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fitting.calibrated import calibrated
+from fitting.data import Data
+from fitting.entries import split, symmetric, vector
+from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
+from fitting.solve import Fit, entry_scale, minimise
+from stapeskit.arrays import Array
+from stapeskit.spatial import DOF_NAMES
+
+PISTON_DOF = ("y", "alpha", "gamma")
+INPLANE_DOF = ("x", "z", "beta")
+_MM = 1e-3
+
+
+def applies(data: Data) -> bool:
+    """Return whether the plane of the ligament can be estimated: six degrees of freedom of motion and mass."""
+    return data.dof == PISTON_DOF and data.measured == DOF_NAMES and data.mass_known == DOF_NAMES
+
+
+def coupling_scale(data: Data) -> Array:
+    """Return SI over scaled of Y, (3, 3)."""
+    return np.asarray(data.root_mass[data.rows][:, None] / data.root_mass[data.columns][None, :])
+
+
+def coupling_prior(data: Data) -> Prior:
+    """Return what is known of Y beforehand: a plane at .15 +- .15 mm, tilted by 3 degrees, of an uneven ring."""
+    height, spread = calibrated("ligament.height_mm"), calibrated("ligament.height_sd_mm")
+    apart = calibrated("ligament.height_difference_sd_mm")
+    tilt, turned = calibrated("ligament.tilt_sd"), calibrated("ligament.torsion_sd")
+    second = calibrated("ligament.second_order_sd")
+    mean = np.array([[0.0, 0.0, 0.0], [0.0, height, 0.0], [-height, 0.0, 0.0]])
+    sd = np.array([[tilt, tilt, second], [second, spread, turned], [spread, second, turned]])
+    covariance = np.diag(sd.ravel() ** 2)
+    # Both heights of uneven rings differ little.
+    covariance[[4, 6], [4, 6]] = spread**2 + 0.25 * apart**2
+    covariance[4, 6] = covariance[6, 4] = -(spread**2 - 0.25 * apart**2)
+    si = np.array([[1.0, 1.0, 1.0 / _MM], [_MM, _MM, 1.0], [_MM, _MM, 1.0]])
+    scale = (si / coupling_scale(data)).ravel()
+    return Prior(mean.ravel() * scale, covariance * np.outer(scale, scale))
+
+
+def plane_model(data: Data, law: str = "viscous", **more: object) -> Model:
+    """Return the model with the plane of the ligament."""
+    return Model(law, PLANE, coupling_prior(data), **more)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class InPlane:
+    """Stiffness and damping in the plane of the ligament (x, z, beta), about its centre.
+
+    Attributes
+    ----------
+    entries : ndarray, (12,)
+        Of K_cc and D_cc, SI.
+    covariance : ndarray, (12, 12)
+    determined : bool
+        Whether the in-plane equations fit; otherwise the usual ratio to the piston's is given.
+    p_value : float or None
+        Of their chi2.
+    """
+
+    entries: Array
+    covariance: Array
+    determined: bool
+    p_value: float | None
+
+
+def in_plane(found: Fit) -> InPlane:
+    """Fit the equations of x, z and beta, with weak priors from the piston's stiffness.
+
+    They are a second fit with Y as the first left it: a misfit in the plane does not reach K' and D'.
+    """
+    from scipy.special import chdtrc
+
+    data, at = found.data, found.at
+    parts = found.likelihood.parts(found.theta)
+    lines = data.corrected(found.theta[at["shared"]], (parts.structure, parts.base), parts.mass)
+    coupling = Prior(found.theta[at["coupling"]], found.covariance[at["coupling"], at["coupling"]])
+    law = found.theta[at["law"]]
+    value = float(law[0]) if len(law) else None
+    model = Model(found.likelihood.model.law, INPLANE, coupling, law_value=value)
+    scale = _inplane_scale(found)
+    usual = _usual(
+        found, calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
+    )
+    model = replace(model, entries=Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale)))
+    likelihood = Likelihood(lines, model, weights=found.weights)
+    p_value = None
+    for share in (1.0, 0.3):
+        start = likelihood.mean.copy()
+        start[:12] *= share
+        try:
+            theta, chi2, _, converged = minimise(likelihood, start, 1e-5, 40)
+            covariance, _ = likelihood.covariance(theta, chi2 / (6 * lines.count))
+        except np.linalg.LinAlgError:
+            continue
+        p_value = float(chdtrc(6 * lines.count, chi2))
+        if converged and p_value > calibrated("ligament.inplane_least_p"):
+            covariance = covariance[:12, :12] * np.outer(scale, scale)
+            return InPlane(theta[:12] * scale, covariance, True, p_value)
+    usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
+    return InPlane(usual.mean, usual.covariance, False, p_value)
+
+
+def _inplane_scale(found: Fit) -> Array:
+    """Return SI over scaled of K_cc and D_cc, (12,)."""
+    root = found.data.root_mass[found.data.columns]
+    product, reference = vector(np.outer(root, root)), found.data.reference
+    return np.concatenate([product * reference**2, product * reference ** (2.0 - found.law.time_power)])
+
+
+def _usual(found: Fit, ratio: float, ratio_sd: float) -> Prior:
+    """Return mean and covariance of K_cc and D_cc, SI, by the piston's: torsion that of a ring of 1 mm."""
+    scale = entry_scale(found)
+    stiffness = found.theta[0] * scale[0]
+    least = 0.05 * stiffness / found.data.reference**found.law.time_power
+    means, spreads = [], []
+    for value in (stiffness, max(found.theta[6] * scale[6], least)):
+        means.append(vector(np.diag([ratio, ratio, ratio * _MM**2])) * value)
+        sd = np.array([[ratio_sd, 1.0, _MM], [1.0, ratio_sd, _MM], [_MM, _MM, ratio * _MM**2]])
+        spreads.append(vector(sd) * value)
+    return Prior(np.concatenate(means), np.diag(np.concatenate(spreads) ** 2))
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What a fit says of K and D about the footplate centre, SI, as draws.
+
+    Attributes
+    ----------
+    estimate, draws : ndarray, (12,) or (n (n + 1),), and (draws, ...)
+        K and D.
+    spread : ndarray, (draws, p)
+        Draws of theta that they belong to, less the estimate.
+    plane_estimate, plane_draws
+        K' and D' about the plane of the ligament; the same where it is not estimated.
+    plane : InPlane or None
+    """
+
+    estimate: Array
+    draws: Array = field(repr=False)
+    spread: Array = field(repr=False)
+    plane_estimate: Array
+    plane_draws: Array = field(repr=False)
+    plane: InPlane | None
+
+
+def standard_draws(count: int, size: int, seed: int = 0) -> Array:
+    """Return normal draws (count, size) of exactly zero mean and unit covariance, in mirrored pairs.
+
+    Odd moments vanish: what is linear in the draws has the covariance that was asked for, without sampling error.
+    """
+    rng = np.random.default_rng(seed)
+    half = rng.standard_normal((count // 2, size))
+    if count // 2 > size:
+        values, vectors = np.linalg.eigh(half.T @ half / len(half))
+        half = half @ (vectors / np.sqrt(values)) @ vectors.T
+    return np.concatenate([half, -half])
+
+
+def posterior(found: Fit, plane: InPlane | None, draws: int = 2000, seed: int = 0) -> Posterior:
+    """Draw K and D about the footplate centre: K = K' + Y K_cc Y^T."""
+    size, n = len(found.theta), found.likelihood.n
+    normal = standard_draws(draws, size + (0 if plane is None else len(plane.entries)), seed)
+    spread = normal[:, :size] @ root_of(found.covariance).T
+    scale, count = entry_scale(found), found.at["entries"].stop
+    own_estimate, own = found.theta[:count] * scale, (found.theta[:count] + spread[:, :count]) * scale
+    if found.likelihood.model.law == "fractional" and found.law.free:  # D's unit depends on the exponent
+        change = found.data.reference ** -spread[:, found.at["law"]]
+        own[:, count // 2 :] *= change
+    if plane is None or not found.likelihood.column_units.size or found.likelihood.model.motion != PLANE:
+        return Posterior(own_estimate, own, spread, own_estimate, own, None)
+    coupling_si = coupling_scale(found.data).ravel()
+    couplings = (found.theta + spread)[:, found.at["coupling"]] * coupling_si
+    inside = plane.entries + normal[:, size:] @ root_of(plane.covariance).T
+    whole = own + _lifted(couplings, inside, n)
+    estimate = (
+        own_estimate
+        + _lifted(found.theta[found.at["coupling"]][None] * coupling_si, plane.entries[None], n)[0]
+    )
+    return Posterior(estimate, whole, spread, own_estimate, own, plane)
+
+
+def _lifted(couplings: Array, inside: Array, n: int) -> Array:
+    """Return the entries of Y K_cc Y^T and Y D_cc Y^T for draws of Y and of K_cc, D_cc."""
+    turned = couplings.reshape(len(couplings), n, -1)
+    parts = [vector(turned @ part @ turned.swapaxes(1, 2)) for part in split(inside, 3)]
+    return np.concatenate(parts, axis=1)
+
+
+def root_of(covariance: Array) -> Array:
+    """Return R with R R^T the covariance, which may be singular."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def heights(coupling: Array, covariance: Array) -> tuple[float, float]:
+    """Return the weighted mean height of the plane above the footplate centre and its sd, m.
+
+    Parameters
+    ----------
+    coupling : ndarray, (3, 3)
+        Y, SI.
+    covariance : ndarray, (9, 9)
+    """
+    places, signs = [4, 6], np.array([1.0, -1.0])
+    own = covariance[np.ix_(places, places)] * np.outer(signs, signs)
+    weights = np.linalg.solve(own, np.ones(2))
+    values = np.array([coupling[1, 1], -coupling[2, 0]])
+    return float(weights @ values / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+
+
+__all__ = [
+    "INPLANE_DOF",
+    "InPlane",
+    "Posterior",
+    "applies",
+    "in_plane",
+    "plane_model",
+    "posterior",
+    "symmetric",
+]

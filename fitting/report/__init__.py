@@ -1,0 +1,1 @@
+"""kd.json, kd.html and the figures of a fit."""

@@ -1,0 +1,365 @@
+"""Find the minimum of the likelihood: starts, the noise level, robust weights, weak entries, damping laws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fitting.data import Data
+from fitting.entries import basis, diagonal, split, symmetric, vector
+from fitting.laws import LAWS, Law
+from fitting.likelihood import Likelihood, Model
+from stapeskit.arrays import Array
+
+MISFIT_P = 1e-4
+"""Probability of chi2 below which noise and shared errors do not explain the data."""
+
+_STUDENT = 4.0  # degrees of freedom of the robust weights (Lange, Little and Taylor 1989)
+_WEAK = (
+    0.25  # relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it
+)
+_FARTHEST = 20.0  # sd or values that a weak entry is followed
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A minimum with its covariance.
+
+    Attributes
+    ----------
+    likelihood : Likelihood
+        With the noise level at which it was found.
+    theta : ndarray, (p,)
+    chi2 : float
+        With the noise as stated, priors and shared errors included.
+    n_dof : int
+        2 n lines less the unknowns without a prior.
+    covariance, inverse : ndarray, (p, p)
+        Of theta, and the inverse of what the data and priors know.
+    weights : ndarray, (lines,), or None
+        Robust weights.
+    """
+
+    likelihood: Likelihood
+    theta: Array
+    chi2: float
+    n_dof: int
+    evaluations: int
+    converged: bool
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+
+    @property
+    def noise(self) -> float:
+        """Variance of the noise over that stated."""
+        return self.likelihood.noise
+
+    @property
+    def data(self) -> Data:
+        """What was fitted."""
+        return self.likelihood.data
+
+    @property
+    def at(self) -> dict[str, slice]:
+        """Places of the parameters by their kind."""
+        return self.likelihood.at
+
+    @property
+    def weights(self) -> Array | None:
+        """Robust weights of the lines."""
+        return self.likelihood.weights
+
+    @property
+    def level(self) -> float:
+        """Chi2 per degree of freedom."""
+        return self.chi2 / max(self.n_dof, 1)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a chi2, or a larger one, when model, noise and shared errors are as stated."""
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.n_dof, self.chi2)) if self.n_dof > 0 else 1.0
+
+    @property
+    def explained(self) -> bool:
+        """Whether noise, shared errors and priors explain the data."""
+        return self.weights is not None or self.p_value > MISFIT_P
+
+    @property
+    def law(self) -> Law:
+        """The damping law, SI."""
+        values = self.theta[self.at["law"]]
+        law = Law(self.likelihood.model.law, float(values[0]) if len(values) else 0.0)
+        return law.scaled(1.0 / self.data.reference)
+
+
+def start_of(likelihood: Likelihood, theta: Array | None = None, rounds: int = 3) -> Array:
+    """Return theta with K and D from weighted linear least squares: the equations are linear in them."""
+    n = likelihood.n
+    entries = likelihood.at["entries"]
+    if theta is None:
+        theta = likelihood.mean.copy()
+        theta[entries] = np.tile(vector(np.eye(n)), 2)
+    y = likelihood.data.y[:, :, None]
+    for _ in range(rounds):
+        whitening = likelihood.look(theta)[1]
+        half = theta.copy()
+        half[entries] = 0.0
+        columns = (whitening @ likelihood.slopes(theta, y)[entries])[..., 0].reshape(entries.stop, -1).T
+        constant = -(whitening @ likelihood.act(half, y))[..., 0].ravel()
+        rows = np.concatenate([columns.real, columns.imag])
+        size = np.linalg.norm(rows, axis=0)
+        size = np.where(size > 0.0, size, 1.0)
+        wanted = np.concatenate([constant.real, constant.imag])
+        theta = theta.copy()
+        theta[entries] = np.linalg.lstsq(rows / size, wanted, rcond=1e-12)[0] / size
+    return theta
+
+
+def _roots_of(entries: Array, n: int, floor: float = 1e-3) -> Array:
+    """Return the Cholesky factors (entries) of the nearest positive definite K and D."""
+    factors = []
+    for part in split(entries, n):
+        values, vectors = np.linalg.eigh(part)
+        near = (vectors * np.maximum(values, floor * max(values[-1], 1e-9))) @ vectors.T
+        factors.append(vector(np.linalg.cholesky(near).T))
+    return np.concatenate(factors)
+
+
+def _from_roots(roots: Array, n: int) -> tuple[Array, Array]:
+    """Return K = L L^T and D likewise, which are positive semidefinite, and their derivative by the roots."""
+    half = len(roots) // 2
+    lower = np.tril(np.ones((n, n)))
+    entries, slopes = [], []
+    for part in (roots[:half], roots[half:]):
+        factor = symmetric(part, n) * lower
+        entries.append(vector(factor @ factor.T))
+        steps = basis(n) * lower
+        slopes.append(vector(steps @ factor.T + factor @ steps.swapaxes(1, 2)).T)
+    return np.concatenate(entries), block_diag(*slopes)
+
+
+def minimise(
+    likelihood: Likelihood, theta: Array, tolerance: float = 1e-8, most: int = 60
+) -> tuple[Array, float, int, bool]:
+    """Return the minimum from a start, with its value (chi2), evaluations and whether it settled.
+
+    K and D are kept positive semidefinite by their Cholesky factors. The problem is handed over in its QR form,
+    of which value, gradient and Gauss-Newton matrix are those of the whole one.
+    """
+    from scipy.optimize import least_squares
+
+    n, count = likelihood.n, likelihood.at["entries"].stop
+    phi = theta.copy()
+    phi[:count] = _roots_of(theta[:count], n)
+    kept: dict[bytes, tuple[Array, Array]] = {}
+
+    def reduced(phi: Array) -> tuple[Array, Array]:
+        key = phi.tobytes()
+        if key not in kept:
+            kept.clear()
+            point = phi.copy()
+            point[:count], slopes = _from_roots(phi[:count], n)
+            try:
+                residual, jacobian = likelihood.reduced(point)
+            except np.linalg.LinAlgError:
+                residual, jacobian = np.full(len(phi) + 1, 1e8), np.zeros((len(phi) + 1, len(phi)))
+            jacobian = jacobian.copy()
+            jacobian[:, :count] = jacobian[:, :count] @ slopes
+            kept[key] = residual, jacobian
+        return kept[key]
+
+    found = least_squares(
+        lambda phi: reduced(phi)[0],
+        phi,
+        lambda phi: reduced(phi)[1],
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=1e-10,
+        gtol=1e-10,
+        max_nfev=most,
+    )
+    point = found.x.copy()
+    point[:count], _ = _from_roots(found.x[:count], n)
+    return point, 2.0 * float(found.cost), int(found.nfev), found.status > 0
+
+
+def degrees(likelihood: Likelihood) -> int:
+    """Return 2 n lines less the unknowns of K, D and law."""
+    free = likelihood.at["law"].stop if likelihood.model.law_value is None else likelihood.at["entries"].stop
+    return 2 * likelihood.n * likelihood.data.count - (free if likelihood.model.entries is None else 0)
+
+
+def fit(
+    data: Data,
+    model: Model,
+    start: Array | None = None,
+    noise: float | None = None,
+    robust: bool = False,
+    covariance: bool = True,
+) -> Fit:
+    """Fit; where the data are not explained, with as much noise as there is.
+
+    Parameters
+    ----------
+    start : ndarray, (p,), optional
+    noise : float, optional
+        Where the noise level begins: that of a fit with fewer unknowns.
+    robust : bool
+        Weigh lines by Student's t with four degrees of freedom.
+
+    Notes
+    -----
+    The equations have a trivial solution, K, D and load zero, which a large misfit makes cheap. The noise comes
+    down from that of a fit without shared errors until chi2 agrees with it (discrepancy principle, Morozov 1966).
+    """
+    likelihood = Likelihood(data, model)
+    n_dof = degrees(likelihood)
+    theta = start if start is not None else best_start(likelihood)
+    if noise is None:
+        quick = Likelihood(data.without_errors(), model)
+        bare, value, _, _ = minimise(quick, theta[: quick.count], 1e-4)
+        theta = np.concatenate([bare, theta[quick.count :]])
+        noise = max(1.0, value / max(n_dof, 1))
+        noise = noise if noise > 1.5 else 1.0
+    if robust:
+        return _with_covariance(*_robust(data, model, theta, n_dof), covariance)
+    evaluations = 0
+    for _ in range(6):
+        likelihood = Likelihood(data, model, noise)
+        theta, _, used, converged = minimise(likelihood, theta, 1e-8 if noise == 1.0 else 1e-6)
+        evaluations += used
+        chi2 = float(np.sum(Likelihood(data, model).residuals(theta) ** 2))
+        level = max(1.0, chi2 / max(n_dof, 1))
+        if noise == 1.0 or 0.9 * noise < level > 1.05:
+            break
+        noise = level if level > 1.05 else 1.0
+    found = Fit(likelihood, theta, chi2, n_dof, evaluations, converged)
+    return _with_covariance(found, max(1.0, chi2 / max(n_dof, 1)) / noise, covariance)
+
+
+def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, float]:
+    """Return the fit with weights (nu + d) / (nu + squared distance) of each line, and a factor on variances."""
+    weights, used = np.ones(data.count), 0
+    for _ in range(12):
+        likelihood = Likelihood(data, model, 1.0, weights)
+        theta, chi2, count, converged = minimise(likelihood, theta, 1e-7)
+        used += count
+        white = likelihood.look(theta)[0]
+        distance = 2.0 * np.sum(np.abs(white) ** 2, axis=1) / weights
+        new = (_STUDENT + 2 * likelihood.n) / (_STUDENT + distance)
+        settled = np.max(np.abs(new - weights)) < 1e-3
+        weights = new
+        if settled:
+            break
+    likelihood = Likelihood(data, model, 1.0, weights)
+    chi2 = float(np.sum(Likelihood(data, model).residuals(theta) ** 2))
+    # The information of Student's t is (nu + d) / (nu + d + 2) of that of the normal (Lange et al. 1989).
+    factor = (_STUDENT + 2 * likelihood.n + 2.0) / (_STUDENT + 2 * likelihood.n)
+    white = likelihood.look(theta)[0]
+    spread = float(np.sum(np.abs(white) ** 2) * 2.0 / (2 * likelihood.n * data.count))
+    return Fit(likelihood, theta, chi2, n_dof, used, converged), factor * max(spread, 1e-3)
+
+
+def _with_covariance(found: Fit, factor: float, wanted: bool) -> Fit:
+    """Add the covariance, with the noise as large as the misfit says."""
+    if not wanted:
+        return found
+    level = found.chi2 / max(found.n_dof, 1)
+    covariance, inverse = found.likelihood.covariance(found.theta, level)
+    return replace(found, covariance=factor * covariance, inverse=factor * inverse)
+
+
+def best_start(likelihood: Likelihood) -> Array:
+    """Return the best of a few starts for K and D: linear least squares, and an undamped guess where data are weak."""
+    linear = start_of(likelihood)
+    if likelihood.n <= 3:
+        return linear
+    flat = likelihood.mean.copy()
+    flat[likelihood.at["entries"]] = np.concatenate(
+        [vector(np.eye(likelihood.n)), 0.1 * vector(np.eye(likelihood.n))]
+    )
+    values = []
+    for theta in (linear, start_of(likelihood, flat, 1), flat):
+        try:
+            values.append(minimise(likelihood, theta, 1e-3, 15)[:2])
+        except np.linalg.LinAlgError:
+            continue
+    return min(values, key=lambda found: found[1])[0] if values else linear
+
+
+def entry_scale(found: Fit) -> Array:
+    """Return SI over scaled of the entries of K and D of the rows of a fit."""
+    likelihood, law = found.likelihood, found.law
+    root = likelihood.row_units @ found.data.root_mass
+    product = vector(np.outer(root, root))
+    reference = found.data.reference
+    return np.concatenate([product * reference**2, product * reference ** (2.0 - law.time_power)])
+
+
+def weak_spread(found: Fit) -> Array:
+    """Return columns E (p, k): E E^T is by how much the mean square error of weak entries exceeds the covariance.
+
+    Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than noise
+    does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where it has risen
+    by that of a 95 % interval, at what noise feigns of information on the way (where the entry is larger it is
+    more); all unknowns move along.
+    """
+    places = diagonal(found.likelihood.n)
+    sd = np.sqrt(np.diag(found.covariance)[places])
+    if np.all(sd < _WEAK * np.abs(found.theta[places])) or found.weights is not None:
+        return np.zeros((len(found.theta), 0))
+    columns = [_reach(found, place, float(own)) for place, own in zip(places, sd, strict=True)]
+    kept = [column for column in columns if column is not None]
+    return np.stack(kept, axis=1) if kept else np.zeros((len(found.theta), 0))
+
+
+def _reach(found: Fit, place: int, sd: float) -> Array | None:
+    """Return the column of one entry; None where the interval of its sd holds as much."""
+    covariance, inverse, model = found.covariance, found.inverse, found.likelihood.model
+    value = float(np.sum(found.likelihood.residuals(found.theta) ** 2))
+    along = covariance[:, place] / covariance[place, place]
+    feigned = covariance[place, place] / inverse[place, place]
+    farthest = _FARTHEST * max(sd, abs(found.theta[place]))
+    near, low, far, theta = 0.0, 0.0, 1.96 * sd, found.theta
+    while True:
+        held = replace(model, held=(*model.held, (place, found.theta[place] + far, 1e-2 * sd)))
+        likelihood = Likelihood(found.data, held, found.noise)
+        try:
+            theta, risen, _, _ = minimise(likelihood, theta + (far - near) * along, 1e-5, 25)
+            there, known = found.likelihood.covariance(theta)
+        except np.linalg.LinAlgError:
+            return None
+        feigned = max(feigned, there[place, place] / known[place, place])
+        target, high = 1.96 * np.sqrt(feigned), float(np.sqrt(max(risen - value, 0.0)))
+        if high >= target or far >= farthest:
+            break
+        near, low, far = far, high, min(2.0 * far, farthest)
+    share = (near + (far - near) * (target - low) / (high - low)) / far if high > target else 1.0
+    beyond = (share * far / 1.96) ** 2 - sd**2
+    return np.sqrt(beyond) * (theta - found.theta) / far if beyond > 0.0 else None
+
+
+def compare_laws(data: Data, model: Model, names: Sequence[str], robust: bool = False) -> dict[str, Fit]:
+    """Fit under several damping laws; those that do not settle are left out."""
+    fits = {}
+    for name in names:
+        try:
+            fits[name] = fit(data, replace(model, law=name), robust=robust)
+        except np.linalg.LinAlgError:
+            continue
+    return fits
+
+
+def bic(found: Fit, level: float) -> float:
+    """Return chi2 over a level + unknowns ln(equations) (Schwarz 1978, doi:10.1214/aos/1176344136)."""
+    equations = 2 * found.likelihood.n * found.data.count
+    unknowns = found.likelihood.at["law"].stop + len(found.likelihood.model.unknowns)
+    return float(found.chi2 / level + unknowns * np.log(equations))
+
+
+__all__ = ["LAWS", "MISFIT_P", "Fit", "bic", "compare_laws", "entry_scale", "fit", "weak_spread"]

@@ -1,0 +1,216 @@
+"""Estimators of textbooks, as the paper has them: pinv (Eq. 5) and least squares with constraints.
+
+Both minimise the equation error |A p - b|, p the entries of K and D: the noise of the regressor pulls them towards
+zero however many lines there are. What that does is estimated and reported; maximum likelihood has none of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from fitting.data import Data
+from fitting.entries import diagonal, names, split
+from fitting.likelihood import Likelihood, Model
+from fitting.model import state_matrix
+from fitting.solve import Fit, _from_roots, _roots_of, degrees, entry_scale
+from stapeskit.arrays import Array
+
+CONSTRAINTS = ("eigenvalues", "psd")
+_MARGIN = 5e-7  # of the stability constraint, scaled
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The least-squares problem A p = b of K and D, real, of order one."""
+
+    matrix: Array
+    wanted: Array
+
+    def objective(self, p: Array) -> float:
+        """Return |A p - b|^2 / |b|^2."""
+        off = self.matrix @ p - self.wanted
+        return float(off @ off / max(float(self.wanted @ self.wanted), 1e-300))
+
+
+@dataclass(frozen=True)
+class Textbook:
+    """An estimate of a textbook.
+
+    Attributes
+    ----------
+    found : Fit
+        With the covariance of the estimate: noise, and the shared errors that it does not estimate.
+    bias : ndarray, (p,)
+        What noise of the regressor does to K and D, scaled.
+    active : tuple of str
+        Constraints that hold the estimate back.
+    certificate : str
+        What was said about a constrained minimum that is not sure.
+    """
+
+    found: Fit
+    bias: Array
+    active: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+
+def estimate(
+    data: Data,
+    model: Model,
+    constrained: bool = False,
+    constraint: str = "eigenvalues",
+    lower: Mapping[str, float] | None = None,
+    upper: Mapping[str, float] | None = None,
+) -> Textbook:
+    """Estimate K and D by least squares of the equations, balanced by the scales of mass and frequency.
+
+    Parameters
+    ----------
+    constrained : bool
+        Keep signs, ranges and stability.
+    constraint : {"eigenvalues", "psd"}
+        Stability of the eigenvalues (paper), or positive semidefinite K and D, which is sufficient for it.
+    lower, upper : mapping of str to float, optional
+        Bounds of entries, SI.
+    """
+    likelihood = Likelihood(data, model)
+    entries, theta = likelihood.at["entries"], likelihood.mean.copy()
+    columns = likelihood.slopes(theta, data.y[:, :, None])[entries][..., 0].reshape(entries.stop, -1).T
+    rest = theta.copy()
+    rest[entries] = 0.0
+    constant = -likelihood.act(rest, data.y[:, :, None]).ravel()
+    equations = Equations(*(np.concatenate([part.real, part.imag]) for part in (columns, constant)))
+    size = np.linalg.norm(equations.matrix, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    free = np.linalg.lstsq(equations.matrix / size, equations.wanted, rcond=1e-13)[0] / size
+    active, notes = (), ()
+    if constrained:
+        free, active, notes = _constrained(equations, free, likelihood, constraint, lower or {}, upper or {})
+    theta[entries] = free
+    return Textbook(*_spread(likelihood, theta, equations), active, notes)
+
+
+def _spread(likelihood: Likelihood, theta: Array, equations: Equations) -> tuple[Fit, Array]:
+    """Return the estimate with its covariance and the bias by noise in the regressor.
+
+    Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs. The bias
+    is -(A^T A)^-1 sum of Re tr(B C dB_k^H): the expectation of dA^H de.
+    """
+    data, entries = likelihood.data, likelihood.at["entries"]
+    inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
+    half = inverse.shape[1] // 2
+    whole = (inverse[:, :half] - 1j * inverse[:, half:]).reshape(len(inverse), data.count, -1)
+    operator = likelihood.act(theta, np.eye(data.y.shape[1], dtype=complex)[None])
+    noise = operator @ data.covariance @ operator.conj().swapaxes(1, 2)
+    own = 0.5 * np.einsum("pli,lij,qlj->pq", whole, noise, whole.conj()).real
+    white, *_ = likelihood.look(theta)
+    chi2 = 2.0 * float(np.sum(np.abs(white) ** 2))
+    n_dof = degrees(likelihood)
+    own = own * max(1.0, chi2 / max(n_dof, 1))
+    across = likelihood.slopes(theta, np.eye(data.y.shape[1], dtype=complex)[None].repeat(data.count, 0))[
+        entries
+    ]
+    pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, across.conj()).real
+    information = equations.matrix.T @ equations.matrix
+    bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
+    shared = likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]][..., 0]
+    moved = shared.reshape(len(data.sources), data.count * likelihood.n).T
+    gain = -inverse @ np.concatenate([moved.real, moved.imag])
+    covariance = np.eye(likelihood.count)
+    covariance[entries, entries] = own + gain @ gain.T
+    covariance[entries, likelihood.at["shared"]] = gain
+    covariance[likelihood.at["shared"], entries] = gain.T
+    fixed = np.r_[entries.stop : likelihood.at["shared"].start]
+    covariance[fixed, fixed] = 0.0
+    found = Fit(likelihood, theta, chi2, n_dof, 1, True, covariance, own)
+    return found, bias
+
+
+def _constrained(
+    equations: Equations,
+    free: Array,
+    likelihood: Likelihood,
+    constraint: str,
+    lower: Mapping[str, float],
+    upper: Mapping[str, float],
+) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
+    """Return the estimate within signs, ranges and stability, the active constraints and notes."""
+    n, scale = likelihood.n, entry_scale(Fit(likelihood, likelihood.mean, 0.0, 1, 0, True))
+    labels = names(n)
+    low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
+    half = len(free) // 2
+    low[[place + part * half for part in (0, 1) for place in diagonal(n)]] = 0.0
+    for limits, bounds in ((low, lower), (high, upper)):
+        for name, value in bounds.items():
+            limits[labels.index(name)] = value / scale[labels.index(name)]
+    mass = likelihood.row_units @ likelihood.data.mass @ likelihood.row_units.T
+
+    def stability(p: Array) -> float:
+        return float(-np.linalg.eigvals(state_matrix(mass, *split(p, n))).real.max()) - _MARGIN
+
+    def inside(p: Array, slack: float = 1e-9) -> bool:
+        return bool(np.all(p >= low - slack) and np.all(p <= high + slack))
+
+    viscous = likelihood.model.law == "viscous"
+    stable = [np.linalg.eigvalsh(part)[0] >= -1e-12 for part in split(free, n)]
+    if inside(free, 0.0) and (all(stable) if constraint == "psd" or not viscous else stability(free) >= 0.0):
+        return free, (), ()
+    semidefinite = _semidefinite(equations, free, n, low, high)
+    notes = list[str]()
+    best, kind = semidefinite, "psd"
+    if constraint == "eigenvalues" and viscous:
+        guess = np.zeros(len(free))
+        guess[[place + part * half for part in (0, 1) for place in diagonal(n)]] = np.repeat([1.0, 0.3], n)
+        for start in (semidefinite, guess, free):
+            found = minimize(
+                lambda p: equations.objective(p),
+                np.clip(start, low, high),
+                jac=lambda p: 2.0 * equations.matrix.T @ (equations.matrix @ p - equations.wanted)
+                / max(float(equations.wanted @ equations.wanted), 1e-300),
+                bounds=list(zip(low, high, strict=True)),
+                constraints={"type": "ineq", "fun": stability},
+                method="SLSQP",
+                options={"ftol": 1e-14, "maxiter": 500},
+            )  # fmt: skip
+            feasible = stability(found.x) > -1e-8 and inside(found.x)
+            if feasible and (equations.objective(found.x) < equations.objective(best) or kind == "psd"):
+                best, kind = found.x, "eigenvalues"
+        if kind == "psd":
+            notes.append(
+                "no stable minimum was found from three starts; K and D are positive semidefinite instead"
+            )
+    active = [
+        f"{labels[place]} at its bound"
+        for place in np.flatnonzero((best <= low + 1e-9) | (best >= high - 1e-9))
+    ]
+    if kind == "psd":
+        words = zip(("stiffness_psd", "damping_psd"), split(best, n), strict=True)
+        active += [
+            word for word, part in words if np.linalg.eigvalsh(part)[0] < 1e-6 * np.linalg.eigvalsh(part)[-1]
+        ]
+    elif viscous and stability(best) < 1e-6:
+        active.append("stability")
+    return best, tuple(active), tuple(notes)
+
+
+def _semidefinite(equations: Equations, free: Array, n: int, low: Array, high: Array) -> Array:
+    """Return the minimum with K, D >= 0 by their Cholesky factors, from two starts; bounds by a stiff penalty."""
+    weight = 1e3 * np.linalg.norm(equations.wanted)
+
+    def residual(roots: Array) -> Array:
+        entries = _from_roots(roots, n)[0]
+        over = np.clip(entries, low, high) - entries
+        return np.concatenate(
+            [equations.matrix @ entries - equations.wanted, weight * np.where(np.isfinite(over), over, 0.0)]
+        )
+
+    found = [
+        least_squares(residual, _roots_of(free, n, floor), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
+        for floor in (1e-2, 0.3)
+    ]
+    best = min(found, key=lambda one: one.cost)
+    return _from_roots(best.x, n)[0]
