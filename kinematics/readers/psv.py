@@ -1,27 +1,24 @@
 """Read text exports of scanning vibrometers: FastScan (one block a frequency) and per-point blocks.
 
-A block is some ``Name: value`` lines, a line of column names (units in brackets, or on a line of their own),
-and rows of numbers. The layouts are known from programs that read them; no such file of the vendor was
-available.
-
 FastScan: ``Source File Name``, ``Signal``, ``Frequency: <f> Hz``, ``Interpolated``, ``Filtered``; columns
-Index, X, Y, Z, Real X [m/s] ... Imaginary Z [m/s], or Real and Imaginary of a single head.
-Per point: ``Source File Name``, ``Point Index: <n> [x = .. y = .. z = ..]``, ``Component``, ``Signal``;
-columns Frequency, Real, Imaginary. Positions without a unit are in metres.
+Index, X, Y, Z, Real X [m/s] ... Imaginary Z [m/s], or Real and Imaginary of a single head. Per point:
+``Source File Name``, ``Point Index: <n> [x = .. y = .. z = ..]``, ``Component``, ``Signal``; columns
+Frequency, Real, Imaginary. Positions without a unit are in metres.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import export_files
+from kinematics.readers.psv_text import Block, Signal, blocks_of, names_above, signals_of
 from kinematics.readers.recording import (
     QUANTITY_OF_ORDER,
     Channel,
@@ -30,106 +27,37 @@ from kinematics.readers.recording import (
     recording_of,
     unknown_vector,
 )
-from kinematics.readers.text import cells_of, is_row, number_of, read_rows, read_text, shown
-from kinematics.readers.units import (
-    HERTZ,
-    LENGTHS,
-    PHASES,
-    MotionUnit,
-    is_none,
-    motion_unit,
-    plain,
-    unit_fault,
-)
+from kinematics.readers.text import number_of, shown
+from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
-from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _POINT = ("point index", "punktindex", "punkt-index")
 _COMPONENT = ("component", "komponente", "composante")
 _TIME = ("time", "zeit", "temps")
-_PARTS = {
-    "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
-    "im": re.compile(r"^(imag|imaginary|im|imaginär|imaginärteil|imaginaire)\b", re.IGNORECASE),
-    "amp": re.compile(r"^(magnitude|amplitude|betrag|mag|module)\b", re.IGNORECASE),
-    "phase": re.compile(r"^phase\b", re.IGNORECASE),
-}
-_AXIS_IN_NAME = re.compile(r"(?:^|[\s(_])([+-]?)([XYZ])\s*$", re.IGNORECASE)
 _AXIS_ALONE = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
 _AXIS_IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
 _COORDINATE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
 _HERTZ = re.compile(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(k|M)?Hz\s*")
-_UNIT = re.compile(r"\[([^\]]*)\]")
-_FIELD = re.compile(r"\s*([^:\t]{2,40}):(.*)")
-_LARGEST_FILE = 1 << 30  # 1 GB of text holds 10^7 readings
 _SAME_PLACE_M = 1e-6  # positions written with four digits
 
-
-@dataclass(frozen=True)
-class Block:
-    """One table: its ``Name: value`` lines, names and units of its columns, numbers (row, column)."""
-
-    where: Place
-    fields: Mapping[str, str]
-    columns: tuple[str, ...]
-    units: tuple[str, ...]
-    numbers: Array
-
-    def field(self, names: Sequence[str]) -> str:
-        """Return the value of the first name that is there; empty without one."""
-        return next((self.fields[name] for name in names if name in self.fields), "")
-
-    def column(self, *names: str) -> int | None:
-        """Return the place of the first of some columns; None without one."""
-        low = [column.lower() for column in self.columns]
-        return next((low.index(name) for name in names if name in low), None)
-
-
-@dataclass(frozen=True)
-class Signal:
-    """Complex values (row,) in SI of one axis (``x``, ``-y`` ... or empty) of a block."""
-
-    axis: str
-    unit: MotionUnit
-    value: ComplexArray
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector (3,) of the axis; NaN without one."""
-        vector = axis_vector(self.axis)
-        return unknown_vector() if vector is None else vector
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Values (line,) of one signal of one block at the points and frequencies that the block holds."""
-
-    signal: Signal
-    point: str
-    position_m: Array
-    freq_hz: Array
-    value: ComplexArray
-    block: Block
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Point and axis."""
-        return self.point, self.signal.axis
+_Unit = tuple[int, str]
+"""Order and reference of a signal."""
 
 
 def looks_like_fastscan(text: str) -> bool:
     """Return whether a text begins as one frequency of a FastScan export."""
     lines = text.split("\n", 40)[:40]
     return any(line.lower().startswith("index") for line in lines) and bool(
-        _names_above(lines) & {*_FREQUENCY}
+        names_above(lines) & {*_FREQUENCY}
     )
 
 
 def looks_like_points(text: str) -> bool:
     """Return whether a text begins as a per-point export."""
-    return bool(_names_above(text.split("\n", 40)[:40]) & {*_POINT})
+    return bool(names_above(text.split("\n", 40)[:40]) & {*_POINT})
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -144,70 +72,180 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     path = Path(path)
     files = export_files(path) if path.is_dir() else [path]
     faults: list[Fault] = []
-    blocks = [block for file in files for block in _blocks(file, faults)]
+    blocks = [block for file in files for block in blocks_of(file, faults)]
     raise_all(faults)
     if not blocks:
         step = "Give the folder of the exported text files"
         raise StapeskitError.of("the folder", "one with text exports", "none", path.name, step)
-    fastscan = not blocks[0].field(_POINT)
-    readings, stated = _fastscan(blocks, path.name) if fastscan else _per_point(blocks)
-    readings, notices = _one_quantity(readings, path.name)
-    if len({reading.key for reading in readings}) > len({reading.point for reading in readings}):
-        notices.append(_axes_notice(path.name))
-    treated = [
-        name for name in ("interpolated", "filtered") if any(_yes(block.fields.get(name)) for block in blocks)
-    ]
-    if treated:
+    layout = _per_point if blocks[0].field(_POINT) else _fastscan
+    rows, notices, stated = layout(blocks, path.name)
+    if len({(row.channel.point, row.channel.beam_key) for row in rows}) > len(
+        {row.channel.point for row in rows}
+    ):
         text = (
-            f"{path.name} was exported {' and '.join(treated)}: values were mixed between points, so that "
-            "points "
-            "do not err independently. Export the measured values."
+            f"{path.name} holds x, y, z computed from several beams: their noise is correlated, and larger "
+            "across "
+            "the beams than along them; sd and verdicts, which take channels as independent, are "
+            "approximate. "
+            "Export the single heads with their directions where possible."
+        )
+        notices.append(Notice("axes_from_beams", text))
+    marks = [
+        mark for mark in ("interpolated", "filtered") if any(_yes(block.fields.get(mark)) for block in blocks)
+    ]
+    if marks:
+        text = (
+            f"{path.name} was exported {' and '.join(marks)}: values were mixed between points, so that "
+            "points do "
+            "not err independently. Export the measured values."
         )
         notices.append(Notice("values_smoothed", text))
-    rows = _by_line(readings) if fastscan else _by_point(readings, path.name, notices)
     units = "positions in stated units" if stated else "positions without unit, as metres"
     statement = f"coordinates of the scan, {units}"
     return recording_of(path.name, rows, notices=tuple(notices), statement=statement, length_stated=stated)
 
 
-def _fastscan(blocks: Sequence[Block], name: str) -> tuple[list[Reading], bool]:
-    """Return the readings of FastScan blocks, and whether the unit of positions is stated."""
-    readings, faults, stated = list[Reading](), list[Fault](), True
-    at_frequency: dict[float, Place] = {}
+def _fastscan(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notice], bool]:
+    """Return one row a point and axis of blocks at one frequency each, and whether positions have a unit."""
+    faults: list[Fault] = []
+    tables: dict[float, tuple[Block, list[str], Array, list[Signal]]] = {}
+    stated = True
     for block in blocks:
         with collect_faults(faults):
-            text = block.field(_FREQUENCY)
-            match = _HERTZ.fullmatch(text)
-            number = number_of(match[1]) if match else None
-            if match is None or number is None:
-                step = "Export the bands of a FastScan with their header"
-                got = shown(text) or "none"
-                raise StapeskitError.of(
-                    "the header", "one with a line Frequency: <f> Hz", got, block.where, step
-                )
-            freq = number * HERTZ[f"{(match[2] or '').lower()}hz"]
-            if freq in at_frequency:
+            freq = _frequency(block)
+            if freq in tables:
                 step = "Put every excitation into a folder of its own, and give all folders"
-                got = f"{at_frequency[freq]} and {block.where}"
+                got = f"{tables[freq][0].where} and {block.where}"
                 raise StapeskitError.of(f"the frequency {freq:g} Hz", "there once", got, "", step)
-            at_frequency[freq] = block.where
-            points = _indices(block)
             positions, known = _positions(block)
+            tables[freq] = (block, _indices(block), positions, signals_of(block))
             stated &= known
-            for signal in _signals(block):
-                readings += [
-                    Reading(
-                        signal, point, positions[row], np.array([freq]), signal.value[row : row + 1], block
-                    )
-                    for row, point in enumerate(points)
-                ]
     sources = list(dict.fromkeys(block.fields.get("source file name", "") for block in blocks))
     if len(sources) > 1:
         step = "Put the files of every measurement into a folder of its own"
         got = list_some(map(shown, sources), 4, " and ")
         faults.append(Fault("the source of the files", "one measurement", got, name, step))
     raise_all(faults)
-    return readings, stated
+    unit, notices = _one_unit(
+        ((s.unit.order, s.unit.per) for *_, signals in tables.values() for s in signals), name
+    )
+    freq_hz = np.array(sorted(tables))
+    places: dict[str, Array] = {}
+    values: dict[tuple[str, str], ComplexArray] = {}
+    first: dict[tuple[str, str], tuple[Signal, Place]] = {}
+    for line, freq in enumerate(freq_hz.tolist()):
+        block, points, positions, signals = tables[freq]
+        for point, place in zip(points, positions, strict=True):
+            known_place = places.setdefault(point, place)
+            if np.any(np.abs(place - known_place) > _SAME_PLACE_M + 1e-5 * np.abs(known_place)):
+                got, step = (
+                    f"{known_place.tolist()} and {place.tolist()} m",
+                    "Export all frequencies of one scan",
+                )
+                faults.append(Fault(f"the position of point {point}", "one", got, block.where, step))
+        for signal in signals:
+            if (signal.unit.order, signal.unit.per) != unit:
+                continue
+            for row, point in enumerate(points):
+                key = (point, signal.axis)
+                if key not in values:
+                    values[key] = np.full(len(freq_hz), np.nan + 1j * np.nan)
+                    first[key] = (signal, block.where)
+                values[key][line] = signal.value[row]
+    raise_all(faults)
+    rank = {point: number for number, point in enumerate(places)}
+    keys = sorted(values, key=lambda key: rank[key[0]])
+    return [_row(key[0], *first[key], places[key[0]], freq_hz, values[key]) for key in keys], notices, stated
+
+
+def _per_point(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notice], bool]:
+    """Return one row a signal of per-point blocks; runs are named after the source where points are repeated."""
+    rows: list[tuple[Row, str]] = []
+    faults: list[Fault] = []
+    stated = True
+    for block in blocks:
+        text = block.field(_POINT)
+        number = re.match(r"\s*(\d+)", text)
+        with collect_faults(faults):
+            if number is None:
+                want, step = "one with a line Point Index: <n>", "Leave other files out of the folder"
+                raise StapeskitError.of("the header", want, shown(text) or "none", block.where, step)
+            freq = _frequencies(block)
+            position, known = _position(text[number.end() :], block.where)
+            stated &= known
+            match = _AXIS_ALONE.match(block.field(_COMPONENT)) or _AXIS_IN_SIGNAL.search(
+                block.field(("signal",))
+            )
+            axis = match[1].replace("+", "") + match[2].lower() if match else ""
+            source = block.fields.get("source file name", "") or block.where.file
+            for signal in signals_of(block):
+                signal = replace(signal, axis=signal.axis or axis)
+                rows.append((_row(number[1], signal, block.where, position, freq, signal.value), source))
+    raise_all(faults)
+    unit, notices = _one_unit(((row.channel.order, row.channel.per) for row, _ in rows), name)
+    rows = [(row, source) for row, source in rows if (row.channel.order, row.channel.per) == unit]
+    keys = [(row.channel.point, row.channel.beam_key) for row, _ in rows]
+    again = len(set(keys)) < len(keys)
+    whole = Counter((*key, source) for key, (_, source) in zip(keys, rows, strict=True))
+    twice = [str(key[0]) for key, times in whole.items() if times > 1]
+    if twice:
+        step = "Put every excitation into a folder of its own, and give all folders"
+        thing = f"the signal of points {list_some(twice, 6)}"
+        raise StapeskitError.of(thing, "there once", "two or more", name, step)
+    sources = list(dict.fromkeys(source for _, source in rows))
+    if not again and 1 < len(sources) < len({row.channel.where for row, _ in rows}):
+        text = (
+            f"{name} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
+        )
+        notices.append(Notice("sources_joined", text))
+    if not again:
+        return [row for row, _ in rows], notices, stated
+    runs = [(row, Path(source.replace("\\", "/")).stem) for row, source in rows]
+    return [replace(row, channel=replace(row.channel, run=run)) for row, run in runs], notices, stated
+
+
+def _row(point: str, signal: Signal, where: Place, position: Array, freq: Array, value: ComplexArray) -> Row:
+    channel = Channel(
+        point,
+        order=signal.unit.order,
+        per=signal.unit.per,
+        position_m=position,
+        direction=signal.direction,
+        where=where,
+    )
+    return Row(channel, freq, value)
+
+
+def _one_unit(units: Iterable[_Unit], name: str) -> tuple[_Unit, list[Notice]]:
+    """Choose one quantity, velocity first, and one kind of reference, responses first."""
+    notices = []
+    found = sorted(set(units), key=lambda unit: (unit[0] != 1, *unit))
+    orders = list(dict.fromkeys(order for order, _ in found))
+    if len(orders) > 1:
+        listed = " and ".join(QUANTITY_OF_ORDER[order] for order in orders)
+        notices.append(
+            Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITY_OF_ORDER[orders[0]]} is used.")
+        )
+    pers = [per for order, per in found if order == orders[0]]
+    references = [per for per in pers if per]
+    if len(references) > 1:
+        got = ", ".join(references)
+        raise StapeskitError.of("the unit of the values", "one in all blocks", got, name, "Export it again")
+    if references and len(pers) > 1:
+        text = f"{name} holds spectra and frequency responses: the responses are used."
+        notices.append(Notice("function_chosen", text))
+    return (orders[0], references[0] if references else ""), notices
+
+
+def _frequency(block: Block) -> float:
+    """Return the frequency of a FastScan block, Hz."""
+    text = block.field(_FREQUENCY)
+    match = _HERTZ.fullmatch(text)
+    number = number_of(match[1]) if match else None
+    if match is None or number is None:
+        want, step = "one with a line Frequency: <f> Hz", "Export the bands of a FastScan with their header"
+        raise StapeskitError.of("the header", want, shown(text) or "none", block.where, step)
+    return number * HERTZ[f"{(match[2] or '').lower()}hz"]
 
 
 def _indices(block: Block) -> list[str]:
@@ -219,65 +257,35 @@ def _indices(block: Block) -> list[str]:
         got = shown(", ".join(block.columns)) if column is None else "others, or one of them twice"
         want, step = "one with a column Index of different whole numbers", "Export it again"
         raise StapeskitError.of("the table", want, got, block.where, step)
-    return [f"{number:.0f}" for number in numbers]
+    return [f"{number:.0f}" for number in numbers.tolist()]
 
 
 def _positions(block: Block) -> tuple[Array, bool]:
     """Return positions (row, 3), m, NaN without columns of them, and whether their unit is stated."""
-    columns = [block.column(axis) for axis in "xyz"]
-    if None in columns:
+    places = [column for axis in "xyz" if (column := block.column(axis)) is not None]
+    if len(places) < 3:
         return np.full((len(block.numbers), 3), np.nan), True
-    places = [column for column in columns if column is not None]
     labels = {block.units[column] for column in places}
     label = min(labels)
     if len(labels) > 1 or not (is_none(label) or plain(label) in LENGTHS):
-        got = shown(", ".join(sorted(labels)))
-        raise StapeskitError.of(
-            "the unit of X, Y, Z", "one length unit", got, block.where, "Export them in metres"
-        )
+        got, step = shown(", ".join(sorted(labels))), "Export them in metres"
+        raise StapeskitError.of("the unit of X, Y, Z", "one length unit", got, block.where, step)
     return block.numbers[:, places] * (1.0 if is_none(label) else LENGTHS[plain(label)]), not is_none(label)
-
-
-def _per_point(blocks: Sequence[Block]) -> tuple[list[Reading], bool]:
-    """Return the readings of per-point blocks, and whether the unit of positions is stated."""
-    readings, faults, stated = list[Reading](), list[Fault](), True
-    for block in blocks:
-        text = block.field(_POINT)
-        number = re.match(r"\s*(\d+)", text)
-        with collect_faults(faults):
-            if number is None:
-                want, step = "one with a line Point Index: <n>", "Leave other files out of the folder"
-                raise StapeskitError.of("the header", want, shown(text) or "none", block.where, step)
-            freq = _frequencies(block)
-            position, known = _position(text[number.end() :], block.where)
-            stated &= known
-            axis = _AXIS_ALONE.match(block.field(_COMPONENT)) or _AXIS_IN_SIGNAL.search(
-                block.field(("signal",))
-            )
-            for signal in _signals(block):
-                if not signal.axis and axis:
-                    signal = replace(signal, axis=axis[1].replace("+", "") + axis[2].lower())
-                readings.append(Reading(signal, number[1], position, freq, signal.value, block))
-    raise_all(faults)
-    return readings, stated
 
 
 def _frequencies(block: Block) -> Array:
     """Return the first column of a per-point block, Hz."""
     first, unit = block.columns[0].lower(), block.units[0].lower() or "hz"
     if first.startswith(_TIME):
-        step = (
-            "Export spectra or frequency responses, or give the time series as a table with a column time_s"
-        )
+        step = "Export spectra or frequency responses, or a table of the time series with a column time_s"
         raise StapeskitError.of("the export", "over frequency", "a time series", block.where, step)
     if not first.startswith(_FREQUENCY) or unit not in HERTZ:
         got, step = shown(f"{block.columns[0]} [{block.units[0]}]"), "Export spectra or frequency responses"
         raise StapeskitError.of("the first column", "Frequency [Hz]", got, block.where, step)
     freq = block.numbers[:, 0] * HERTZ[unit]
     if not np.all(freq >= 0.0) or np.any(np.diff(freq) <= 0.0) or np.any(np.isinf(freq)):
-        raise StapeskitError.of(
-            "the frequencies", "ascending and not negative", "others", block.where, "Sort them"
-        )
+        want = "ascending and not negative"
+        raise StapeskitError.of("the frequencies", want, "others", block.where, "Sort them")
     return np.asarray(freq)
 
 
@@ -295,225 +303,5 @@ def _position(text: str, where: Place) -> tuple[Array, bool]:
     return np.array(numbers, dtype=float) * scale, bool(units)
 
 
-def _signals(block: Block) -> list[Signal]:
-    """Pair the columns of a block to complex values.
-
-    Raises
-    ------
-    StapeskitError
-        Amplitudes without phase, a real part without an imaginary part, a unit that is no motion, or no
-        column of values at all; all faults of the block.
-    """
-    pairs: dict[str, dict[str, int]] = {}
-    for place, name in enumerate(block.columns):
-        part = next((part for part, pattern in _PARTS.items() if pattern.match(name)), "")
-        if part:
-            match = _AXIS_IN_NAME.search(name)
-            axis = match[1].replace("+", "") + match[2].lower() if match else ""
-            pairs.setdefault(axis, {})[part] = place
-    signals: list[Signal] = []
-    faults: list[Fault] = []
-    unknown: dict[str, list[str]] = {}
-    for axis, parts in pairs.items():
-        with collect_faults(faults):
-            first, value = _complex(block, parts)
-            label = block.units[first]
-            unit = None if is_none(label) else motion_unit(label)
-            if unit is None:
-                unknown.setdefault(label, []).append(block.columns[first])
-            else:
-                signals.append(Signal(axis, unit, value * unit.scale))
-    step = "Export velocity or displacement on a linear scale"
-    faults += [unit_fault(shown(label), columns, block.where, step) for label, columns in unknown.items()]
-    if not pairs:
-        want, got = (
-            "columns of real and imaginary part, or magnitude and phase",
-            shown(", ".join(block.columns)),
-        )
-        faults.append(Fault("the table", want, got, block.where, "Export Real & Imag., or Magnitude & Phase"))
-    raise_all(faults)
-    return signals
-
-
-def _complex(block: Block, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
-    """Return the column that gives the unit of an axis, and its complex values in that unit."""
-    if {"re", "im"} <= set(parts):
-        value = block.numbers[:, parts["re"]].astype(complex)
-        value.imag = block.numbers[:, parts["im"]]
-        if block.units[parts["re"]] != block.units[parts["im"]]:
-            got = " and ".join(shown(block.units[parts[part]]) for part in ("re", "im"))
-            raise StapeskitError.of(
-                "real and imaginary part", "in one unit", got, block.where, "Export it again"
-            )
-        return parts["re"], value
-    if {"amp", "phase"} <= set(parts):
-        label = block.units[parts["phase"]].strip().lower()
-        if label not in PHASES:
-            got = shown(label) or "none"
-            raise StapeskitError.of(
-                "the unit of the phase", "degrees or rad", got, block.where, "Export it again"
-            )
-        turned = np.exp(1j * PHASES[label] * block.numbers[:, parts["phase"]])
-        return parts["amp"], np.asarray(block.numbers[:, parts["amp"]] * turned)
-    names = {"re": "a real part", "im": "an imaginary part", "amp": "a magnitude", "phase": "a phase"}
-    got = " and ".join(names[part] for part in parts) + " alone"
-    step = "Export Real & Imag., or Magnitude & Phase: motion cannot be computed without its phase"
-    want = "real and imaginary part, or magnitude and phase"
-    raise StapeskitError.of("the values", want, got, block.where, step)
-
-
-def _one_quantity(readings: Sequence[Reading], name: str) -> tuple[list[Reading], list[Notice]]:
-    """Keep one quantity, velocity first, and one kind of reference, responses first."""
-    notices = []
-    ranked = sorted(
-        {reading.signal.unit.order for reading in readings}, key=lambda order: (order != 1, order)
-    )
-    if len(ranked) > 1:
-        listed = " and ".join(QUANTITY_OF_ORDER[order] for order in ranked)
-        text = f"{name} holds {listed}: {QUANTITY_OF_ORDER[ranked[0]]} is used."
-        notices.append(Notice("quantity_chosen", text))
-    chosen = [reading for reading in readings if reading.signal.unit.order == ranked[0]]
-    if len({bool(reading.signal.unit.per) for reading in chosen}) > 1:
-        text = f"{name} holds spectra and frequency responses: the responses are used."
-        notices.append(Notice("function_chosen", text))
-        chosen = [reading for reading in chosen if reading.signal.unit.per]
-    pers = {reading.signal.unit.per for reading in chosen}
-    if len(pers) > 1:
-        got = ", ".join(sorted(pers))
-        raise StapeskitError.of("the unit of the values", "one in all blocks", got, name, "Export it again")
-    return chosen, notices
-
-
-def _axes_notice(name: str) -> Notice:
-    text = (
-        f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
-        "beams than along them; sd and verdicts, which take channels as independent, are approximate. Export "
-        "the single heads with their directions where possible."
-    )
-    return Notice("axes_from_beams", text)
-
-
-def _by_line(readings: Sequence[Reading]) -> list[Row]:
-    """Gather readings at single frequencies to one row a point and axis; refuse points that move."""
-    groups: dict[tuple[str, str], list[Reading]] = {}
-    for reading in readings:
-        groups.setdefault(reading.key, []).append(reading)
-    faults, rows = [], []
-    rank = {point: number for number, point in enumerate(dict.fromkeys(point for point, _ in groups))}
-    for _, group in sorted(groups.items(), key=lambda item: rank[item[0][0]]):
-        group = sorted(group, key=lambda reading: float(reading.freq_hz[0]))
-        first = group[0].position_m
-        for other in group[1:]:
-            if np.any(np.abs(other.position_m - first) > _SAME_PLACE_M + 1e-5 * np.abs(first)):
-                got = f"{first.tolist()} and {other.position_m.tolist()} m"
-                thing, step = f"the position of point {other.point}", "Export all frequencies of one scan"
-                faults.append(Fault(thing, "one", got, other.block.where, step))
-                break
-        freq, value = (np.concatenate([getattr(one, name) for one in group]) for name in ("freq_hz", "value"))
-        rows.append(Row(_channel(group[0]), freq, value))
-    raise_all(faults)
-    return rows
-
-
-def _by_point(readings: Sequence[Reading], name: str, notices: list[Notice]) -> list[Row]:
-    """Return one row a reading; name runs after the source where a point was measured in several."""
-
-    def source(reading: Reading) -> str:
-        return reading.block.fields.get("source file name", "") or reading.block.where.file
-
-    again = Counter(reading.key for reading in readings).most_common(1)[0][1] > 1
-    twice = [key for key, times in Counter((one.key, source(one)) for one in readings).items() if times > 1]
-    if twice:
-        step = "Put every excitation into a folder of its own, and give all folders"
-        listed = list_some((point for (point, _), _ in twice), 6)
-        raise StapeskitError.of(f"the signal of points {listed}", "there once", "two or more", name, step)
-    sources = list(dict.fromkeys(map(source, readings)))
-    if not again and 1 < len(sources) < len({reading.block.where for reading in readings}):
-        listed = list_some(sources, 4)
-        text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as one run."
-        notices.append(Notice("sources_joined", text))
-    return [
-        Row(_channel(one, Path(source(one).replace("\\", "/")).stem if again else ""), one.freq_hz, one.value)
-        for one in readings
-    ]
-
-
-def _channel(reading: Reading, run: str = "") -> Channel:
-    unit, signal = reading.signal.unit, reading.signal
-    return Channel(
-        reading.point, run=run, order=unit.order, per=unit.per, position_m=reading.position_m,
-        direction=signal.direction, where=reading.block.where,
-    )  # fmt: skip
-
-
 def _yes(value: str | None) -> bool:
     return value is not None and value.strip().lower() in ("yes", "ja", "oui", "1", "true")
-
-
-def _names_above(lines: Sequence[str]) -> set[str]:
-    """Return the names of the ``Name: value`` lines, in small letters."""
-    return {match[1].strip().lower() for line in lines if (match := _FIELD.match(line))}
-
-
-def _blocks(path: Path, faults: list[Fault]) -> list[Block]:
-    """Read every table of a file; what is wrong is added to the faults."""
-    if path.stat().st_size > _LARGEST_FILE:
-        faults.append(Fault("a text export", "smaller than 1 GB", "a larger one", path.name))
-        return []
-    lines = read_text(path).split("\n")
-    rows = [bool(line.strip()) and not _FIELD.match(line) and is_row(_cells(line)) for line in lines]
-    blocks: list[Block] = []
-    start, before = 0, len(faults)
-    while (first := next((n for n in range(start, len(lines)) if rows[n]), None)) is not None:
-        end = first
-        while end < len(lines) and lines[end].strip() and not _FIELD.match(lines[end]):
-            end += 1
-        with collect_faults(faults):
-            blocks.append(_block(lines, (start, first, end), path.name, faults))
-        start = end
-    if not blocks and len(faults) == before:
-        step = "Export it again as ASCII, or take it out of the folder"
-        faults.append(Fault("a text export", "a header and a table of numbers", "no table", path.name, step))
-    return blocks
-
-
-def _block(lines: Sequence[str], place: tuple[int, int, int], file: str, faults: list[Fault]) -> Block:
-    """Read the table in lines ``first`` to ``end``, and the header above it from ``start`` on."""
-    start, first, end = place
-    fields, names, units, at = dict[str, str](), "", "", start
-    for number in range(start, first):
-        line = lines[number]
-        match = _FIELD.match(line)
-        if match:
-            fields[match[1].strip().lower()] = match[2].strip(" \t;")
-        elif line.strip():
-            if names and all(_UNIT.fullmatch(cell.strip()) for cell in _split(line) if cell.strip()):
-                units = line
-            else:
-                names, units, at = line, "", number
-    cells = _split(names) if names.strip() else []
-    columns = tuple(_UNIT.sub("", cell).strip() for cell in cells)
-    inline = tuple(match[1].strip() if (match := _UNIT.search(cell)) else "" for cell in cells)
-    below = tuple(cell.strip().strip("[]").strip() for cell in _split(units)) if units else inline
-    width = Counter(len(_cells(line)) for line in lines[first:end]).most_common(1)[0][0]
-    where = Place(file, "line", (at + 1,))
-    if not columns or len(columns) != width or len(below) != width:
-        got = f"{len(columns)} names and {len(below)} units over {width} numbers"
-        raise StapeskitError.of("the table", "one name and one unit to each column", got, where)
-    separator = next((mark for mark in "\t;" if mark in lines[first]), " ")
-    stripped = [line.strip() for line in lines[first:end]]
-    return Block(
-        where, fields, columns, below, read_rows(stripped, first + 1, separator, columns, file, faults)
-    )
-
-
-def _cells(line: str) -> list[str]:
-    return cells_of(line.strip(), next((mark for mark in "\t;" if mark in line), " "))
-
-
-def _split(line: str) -> list[str]:
-    """Split a line of names or units: at tabs or semicolons, else at two blanks or at brackets."""
-    cells = re.split(r"[\t;]", line.strip())
-    if len(cells) == 1:
-        cells = _UNIT.findall(line) if line.strip().startswith("[") else re.split(r"\s{2,}", line.strip())
-    return cells

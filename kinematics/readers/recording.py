@@ -6,7 +6,8 @@ Shapes: P rows (channels), L frequency lines.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,10 +71,10 @@ class Channel:
         beam = "" if np.any(np.isnan(self.direction)) else f" ({direction_name(self.direction)})"
         return f"{self.body} {self.point}{beam}".strip()
 
-    @property
-    def beam_key(self) -> tuple[int, ...]:
+    @cached_property
+    def beam_key(self) -> tuple[float, ...]:
         """The direction in millionths, equal for beams that are one; zeros where it is not known."""
-        return tuple(round(1e6 * float(np.nan_to_num(part))) for part in self.direction)
+        return tuple((np.nan_to_num(np.round(1e6 * self.direction)) + 0.0).tolist())
 
 
 @dataclass(frozen=True)
@@ -300,8 +301,6 @@ def without_dc(recording: Recording) -> Recording:
     StapeskitError
         There is no other line.
     """
-    from dataclasses import replace
-
     good = recording.freq_hz > 0.0
     if np.all(good):
         return recording

@@ -20,6 +20,7 @@ _NUMBER = re.compile(
     r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
 _WITH_COMMA = re.compile(r"[+-]?\d[\d.,]*")
+_SMALL_TEXT = 20_000  # letters; beyond, pandas is faster than splitting
 _LONGEST_NUMBER = 400  # letters; longer ones are no numbers of a measurement
 
 
@@ -145,6 +146,16 @@ def _all_at_once(text: str, separator: str, columns: int) -> Array | None:
 
     if not text.strip():
         return np.empty((0, columns))
+    if len(text) < _SMALL_TEXT:
+        rows = [
+            line.split(None if separator == " " else separator) for line in text.split("\n") if line.strip()
+        ]
+        if {len(row) for row in rows} != {columns}:
+            return None
+        try:
+            return np.array(rows).astype(float)
+        except ValueError:  # a cell that is empty or no number
+            return None
     try:
         frame = pd.read_csv(
             io.StringIO(text),
