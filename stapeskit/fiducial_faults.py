@@ -159,7 +159,8 @@ def _explains(pairs: Pairs, chi2: float, suspect: Wrong, log_number: float = 0.0
     """Return whether nothing but noise is left, and too much is gained for chance among so many."""
     if pairs.stated:
         gain = 2.0 * (log_number - np.log(INCONSISTENT))
-        return not inconsistent(chi2, pairs.n_dof) and pairs.chi2 - chi2 > gain
+        noise = not inconsistent(chi2, pairs.n_dof) and not inconsistent(chi2 - suspect.chi2, 3)
+        return noise and pairs.chi2 - chi2 > gain
     scatter = max(suspect.chi2, _ROUNDING) / suspect.n_dof
     return chi2 * _FAR_BETTER < pairs.chi2 and chi2 / pairs.n_dof < _ALIKE * max(scatter, _ROUNDING)
 
@@ -298,8 +299,13 @@ def _scale_cause(pairs: Pairs, suspect: Wrong) -> str:
     scale = float(np.sum(weights * turned * target) / np.sum(weights * turned**2))
     chi2, n_dof = float(np.sum(weights * (scale * turned - target) ** 2)), pairs.n_dof - 1
     scatter = max(chi2, _ROUNDING) / n_dof
-    significant = float(fdtrc(1, n_dof, max(pairs.chi2 - chi2, 0.0) / scatter)) < INCONSISTENT
-    if not significant or abs(scale - 1.0) < 1e-3 or scatter > max(suspect.chi2, _ROUNDING) / suspect.n_dof:
+    gain = max(pairs.chi2 - chi2, 0.0)
+    if pairs.stated:  # one parameter more, against three and a choice among n
+        better = inconsistent(gain, 1) and chi2 + 1.0 < suspect.chi2 + 3.0 + 2.0 * np.log(len(pairs))
+    else:
+        better = float(fdtrc(1, n_dof, gain / scatter)) < INCONSISTENT
+        better = better and scatter < max(suspect.chi2, _ROUNDING) / suspect.n_dof
+    if not better or abs(scale - 1.0) < 1e-3:
         return ""
     return (
         f"distances between the references are {scale:.4f} times those that the {pairs.source} frame has; "
