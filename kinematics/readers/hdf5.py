@@ -68,7 +68,7 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
         return STRINGS
     if node.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
-    if node.dtype == h5py.ref_dtype:
+    if h5py.check_ref_dtype(node.dtype) is h5py.Reference:
         return [_value(file, file[reference], depth + 1) for reference in np.asarray(node).T.reshape(-1)]
     if h5py.check_string_dtype(node.dtype) is not None:
         texts = [_attribute(text) for text in np.asarray(node).reshape(-1).tolist()]

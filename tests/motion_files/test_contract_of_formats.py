@@ -1,0 +1,101 @@
+"""The contract of every format of the table: what is written is read, what is cut is refused, nothing crashes."""
+
+import numpy as np
+import pytest
+
+from kinematics.readers.formats import FORMATS, format_of, read_file
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, WRITERS
+
+NAMES = [entry.name for entry in FORMATS]
+SEEDS = 50
+# Rounding of the formats: digits of the text, and of single precision in a genuine scan.
+TOLERANCE = {"time": 1e-9, "fastscan": 1e-11, "points": 1e-11, "uff": 1e-11}
+
+
+def by_channel(recording):
+    """Values by point and beam."""
+    return {
+        (channel.point, channel.beam_key): value
+        for channel, value in zip(recording.channels, recording.value, strict=True)
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_entry_has_a_writer_and_is_recognised(name, tmp_path):
+    path, facts = WRITERS[name](tmp_path)
+    assert format_of(path, facts.mapping is not None).name == name
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "svd"])
+def test_what_is_written_is_read(name, tmp_path):
+    path, facts = WRITERS[name](tmp_path)
+    recording = read_file(path, facts)
+    assert np.allclose(recording.freq_hz, FREQ_HZ, rtol=1e-9)
+    found = by_channel(recording)
+    assert len(found) == 9
+    for point in range(3):
+        for axis in range(3):
+            value = found[str(point + 1), tuple((1e6 * np.eye(3)[axis]).tolist())]
+            size = np.max(np.abs(VELOCITY))
+            assert np.allclose(value, VELOCITY[point, axis], rtol=0.0, atol=TOLERANCE.get(name, 1e-14) * size)
+    if name != "wide":
+        places = {channel.point: channel.position_m for channel in recording.channels}
+        for point in range(3):
+            assert np.allclose(places[str(point + 1)], PLACES_M[point], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_cut_files_are_refused(name, tmp_path):
+    """Cut in their last tenth, where what is there may look whole."""
+    path, facts = WRITERS[name](tmp_path)
+    whole = path.read_bytes()
+    silent = []
+    for share in np.linspace(0.05, 0.97, 12):
+        path.write_bytes(whole[: int(share * len(whole))])
+        try:
+            values = read_file(path, facts).value
+        except StapeskitError:
+            continue
+        silent.append(np.sum(np.isfinite(values)))
+    # A text that ends between two numbers or rows cannot be told from a shorter one; its lines are fewer.
+    most = 9 * len(FREQ_HZ) if name in ("tidy", "wide", "fastscan", "points") else 0
+    assert all(count < most for count in silent), silent
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
+    path, facts = WRITERS[name](tmp_path)
+    whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    for seed in range(SEEDS):
+        rng = np.random.default_rng(seed)
+        content = whole.copy()
+        # half of the seeds strike the head, where formats say what follows
+        end = len(content) if seed % 2 else min(len(content), 600)
+        content[rng.integers(0, end, 1 + seed % 8)] = rng.integers(0, 256, 1 + seed % 8)
+        path.write_bytes(content.tobytes())
+        try:
+            recording = read_file(path, facts)
+        except StapeskitError as error:
+            assert str(error)
+        else:
+            assert recording.value.shape == (len(recording.channels), len(recording.freq_hz))
+            assert np.all(np.diff(recording.freq_hz) > 0.0)
+
+
+def test_an_unknown_file_is_refused_with_the_formats(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, WRITERS["tidy"](tmp_path)[1])
+    assert caught.value.faults[0].got == ".bin"
+    assert all(entry.words in caught.value.faults[0].expected for entry in FORMATS)
+
+
+def test_a_workbook_is_refused_with_the_cure(tmp_path):
+    path = tmp_path / "a.xlsx"
+    path.write_bytes(b"PK\x03\x04" + bytes(40))
+    with pytest.raises(StapeskitError) as caught:
+        format_of(path)
+    assert caught.value.faults[0].got == "a workbook"
+    assert "CSV" in caught.value.faults[0].next_step
