@@ -98,7 +98,13 @@ class _Sheet:
 
 
 def read_table(path: Path, choose: Choose) -> Table:
-    """Read a table.
+    """Read the wanted columns of a table.
+
+    Parameters
+    ----------
+    path : Path
+    choose : callable
+        See `Choose`. A fault that it places in line 1 is placed in the line of the header.
 
     Raises
     ------
