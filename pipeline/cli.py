@@ -1,0 +1,127 @@
+"""The command scan2kd."""
+
+from __future__ import annotations
+
+from stapeskit.command import Outcome, run
+
+TYPE_CHECKING = False  # everything is imported on first use, so that the help is quick
+if TYPE_CHECKING:
+    from typing import NoReturn
+
+    from pipeline.command_options import CohortOptions, RunOptions
+
+_EPILOG = """STUDY: study.toml; left out, the one of the current folder. Several studies
+get a subfolder of --out each, and cohort.csv, cohort.json, cohort.html.
+
+  scan2kd --template > study.toml     every key with its meaning
+  scan2kd study.toml --check          look at everything cheap, compute nothing
+"""
+
+
+def work(words: list[str]) -> Outcome | None:
+    """Run one study or several, check one, or print the template."""
+    from pathlib import Path
+
+    from pipeline.command_options import CohortOptions, RunOptions
+    from stapeskit.options import parse
+
+    chosen, cohort = parse(
+        "scan2kd",
+        "From a scan and a vibrometer file to mass, stiffness and damping.",
+        [RunOptions, CohortOptions],
+        words,
+        _EPILOG,
+    )
+    if chosen.template:
+        import sys
+
+        from pipeline.study import study_template
+
+        sys.stdout.write(study_template())
+        return None
+    paths = chosen.studies or (Path("study.toml"),)
+    if chosen.check:
+        return _check(paths, chosen)
+    return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)
+
+
+def _check(paths: object, chosen: RunOptions) -> Outcome:
+    from pathlib import Path
+
+    from pipeline.run import check_study
+    from pipeline.study import read_study
+
+    rows = []
+    for path in paths:  # type: ignore[attr-defined]
+        study = read_study(Path(path))
+        check_study(study)
+        rows.append((study.name, f"{len(study.inputs())} files, nothing to mend before it runs"))
+    return Outcome("checked", rows, json=chosen.as_json, quiet=chosen.quiet)
+
+
+def _one(path: object, chosen: RunOptions) -> Outcome:
+    import sys
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pipeline.report import summary_rows, write_figures
+    from pipeline.run import FILES, run_study
+    from stapeskit.command import progress_line
+    from stapeskit.warnings import Notice
+
+    told: list[Notice] = []
+
+    def tell(notices: Sequence[Notice]) -> None:
+        fresh = [notice for notice in notices if notice not in told]
+        told.extend(fresh)
+        for notice in () if chosen.quiet else fresh:
+            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
+
+    study = Path(str(path))
+    out = chosen.out or Path(f"{study.stem}_out")
+    with progress_line(not chosen.quiet and not chosen.as_json) as progress:
+        result = run_study(study, out, force=chosen.force, progress=progress, tell=tell)
+        if chosen.figures is not None:
+            write_figures(result, chosen.figures, chosen.force)
+    files = [result.out / name for names in FILES.values() for name in names if (result.out / name).exists()]
+    content = {"schema": "stapeskit.scan2kd/1", "out": str(result.out), "mass": result.mass, "kd": result.kd}
+    return Outcome(result.title, summary_rows(result), (), files, content, chosen.as_json, chosen.quiet)
+
+
+def _several(paths: object, chosen: RunOptions, cohort: CohortOptions) -> Outcome:
+    import sys
+    from pathlib import Path
+
+    from pipeline.cluster import run_on_dask
+    from pipeline.several import CohortChoices, run_here, run_studies
+    from stapeskit.faults import StapeskitError
+
+    def report(line: str) -> None:
+        if not chosen.quiet:
+            sys.stderr.write(f"{line}\n")
+
+    runner = run_on_dask(chosen.scheduler) if chosen.scheduler else run_here(chosen.jobs)
+    choices = CohortChoices(cohort.mix, cohort.use_all, cohort.covariates, cohort.laws)
+    studies = [Path(path) for path in paths]  # type: ignore[attr-defined]
+    out = chosen.out or Path("cohort_out")
+    result = run_studies(studies, out, runner, force=chosen.force, choices=choices, report=report)
+    failed = {name: end for name, end in result.ends.items() if end.code}
+    if len(failed) == len(result.ends):
+        raise StapeskitError(*(f"{name}: {end.fault}" for name, end in failed.items()))
+    rows = [*result.cohort.summary(), ("failed", ", ".join(failed) or "none")]
+    content = {
+        "schema": "stapeskit.cohort/1",
+        "out": str(out),
+        "ends": {name: {"code": end.code, "fault": end.fault} for name, end in result.ends.items()},
+    }
+    title, notices = result.cohort.title, result.cohort.notices
+    return Outcome(title, rows, notices, result.files, content, chosen.as_json, chosen.quiet)
+
+
+def main() -> NoReturn:
+    """Run the command and leave with its exit code."""
+    run("scan2kd", work)
+
+
+if __name__ == "__main__":
+    main()

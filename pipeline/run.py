@@ -1,0 +1,260 @@
+"""One study: scan to mass, measurement to motion, motion to stiffness and damping, and the report.
+
+Each stage's files appear as soon as it ends, so that a later stage that fails costs nothing of them. A
+result file carries what it was made from (hashes of inputs, parameters, versions): a stage whose files are
+as it left them and would be made from the same again is not repeated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.study import Study, read_study
+from stapeskit.command import no_progress
+from stapeskit.faults import Fault, collect_faults, raise_all
+from stapeskit.outputs import Outputs
+from stapeskit.provenance import record, sha256, versions
+from stapeskit.records.mass import read_mass_json
+from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.results import Result
+from stapeskit.warnings import Notice, unique
+
+if TYPE_CHECKING:
+    from kinematics.results import MotionResult
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from fitting.result import KDFit
+    from stapeskit.command import Progress
+
+FILES = {
+    "scan": ("mass.json", "stapes.ply", "plate.ply", "labels.seg.nrrd", "scan_crop.nrrd"),
+    "motion": ("dof.csv", "dof.h5", "dof.channels.csv"),
+    "fit": ("kd.json", "kd.mat", "kd.csv"),
+    "report": ("report.html",),
+}
+"""Files that each stage may write."""
+
+Tell = Callable[[Sequence[Notice]], None]
+
+
+@dataclass(frozen=True, repr=False)
+class StudyResult(Result):
+    """A finished study.
+
+    Attributes
+    ----------
+    study : Study
+    out : Path
+        Folder of the results.
+    measured : MeasuredMass
+        Mass, frames and surfaces.
+    moved : MotionResult
+        Motion of the bodies.
+    fit : KDFit
+        Stiffness and damping.
+    reused : tuple of str
+        Stages that were not made anew.
+    """
+
+    study: Study
+    out: Path
+    measured: MeasuredMass
+    moved: MotionResult
+    fit: KDFit
+    reused: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What this is."""
+        return f"Study {self.name}"
+
+    @property
+    def name(self) -> str:
+        """Name of the ear."""
+        return self.study.name
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the study states of the ear."""
+        return self.study.about.of_ear()
+
+    @property
+    def mass(self) -> Mapping[str, Any]:
+        """Content of mass.json."""
+        return self.measured.record.raw
+
+    @cached_property
+    def kd(self) -> dict[str, Any]:
+        """Content of kd.json."""
+        return self.fit.content()
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Every warning of all stages, once."""
+        return unique([*self.measured.record.notices, *self.moved.notices, *self.fit.notices])
+
+    def summary(self) -> Sequence[tuple[str, str]]:
+        """Return verdict, mass, K, D and modes."""
+        from pipeline.report import summary_rows
+
+        return summary_rows(self)
+
+    def to_frame(self) -> DataFrame:
+        """Return the table of K and D."""
+        return self.fit.to_frame()
+
+    def plot(self) -> Figure:
+        """Draw measured and fitted responses."""
+        return self.fit.plot()
+
+    def write(self, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
+        """Write report.html into another folder.
+
+        Raises
+        ------
+        StapeskitError
+            A file of another origin has its name.
+        """
+        from pipeline.report import study_page
+
+        outputs = Outputs(
+            "scan2kd report", Path(folder), FILES["report"], self.study.inputs().values(), force
+        )
+        with outputs.staged() as stage:
+            study_page(self).write(stage / FILES["report"][0])
+        return (outputs.folder / FILES["report"][0],)
+
+
+def scan2kd(study: Path | str, *, out: Path | str | None = None, force: bool = False) -> StudyResult:
+    """Run a study: scan to mass, points to motion, motion to stiffness and damping, and the report.
+
+    Parameters
+    ----------
+    study : path
+        The study file.
+    out : path, optional
+        Folder of the results; default ``<study name>_out`` in the current folder.
+    force : bool
+        Compute every stage anew, and replace files at the names of outputs that are not known as written by
+        scan2kd.
+
+    Raises
+    ------
+    StapeskitError
+        What is wrong with the study file or the files that it names. What finished stages have written stays.
+
+    Examples
+    --------
+    >>> result = scan2kd("study.toml")  # doctest: +SKIP
+    """
+    path = Path(study)
+    return run_study(path, Path(f"{path.stem}_out") if out is None else Path(out), force=force)
+
+
+def run_study(
+    path: Path,
+    out: Path,
+    *,
+    force: bool = False,
+    progress: Progress = no_progress,
+    tell: Tell = lambda _notices: None,
+) -> StudyResult:
+    """Run a study into a folder; see `scan2kd`.
+
+    Parameters
+    ----------
+    progress : callable
+        Gets the stage at work.
+    tell : callable
+        Gets the warnings of each stage as it ends, also where a later stage fails.
+    """
+    from ct_inertia.ct2mass import measure_mass
+    from kinematics.points2dof import measure_motion
+
+    from fitting.dof2kd import fit_of, mass_source
+    from pipeline.report import study_page
+
+    study = read_study(Path(path))
+    out = Path(out).absolute()
+    read = list(study.inputs().values())
+    outputs = {stage: Outputs(f"scan2kd {stage}", out, names, read, force) for stage, names in FILES.items()}
+    check_study(study, outputs.values())
+    reused = []
+
+    mass_file = out / FILES["scan"][0]
+    if not force and outputs["scan"].unchanged() and _is_made_from(_provenance(mass_file), study.scan):
+        measured = MeasuredMass(read_mass_json(mass_file), mass_file)
+        reused.append("scan")
+    else:
+        mass = measure_mass(study.scan, progress)
+        with outputs["scan"].staged() as stage:
+            mass.write_into(stage, report=False)
+        measured = MeasuredMass(read_mass_json(mass_file), mass_file)
+    tell(measured.record.notices)
+
+    moved = measure_motion(study.ldv, measured, progress)
+    tell(moved.notices)
+    with outputs["motion"].staged() as stage:
+        moved.write_into(stage, report=False)
+
+    progress("fitting stiffness and damping")
+    source = mass_source(measured, study.fit)
+    inputs = {"motion": out / "dof.h5", "mass": mass_file, "study": study.path}
+    provenance = record(inputs, study.fit.parameters())
+    fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
+    tell(fit.notices)
+    with outputs["fit"].staged() as stage:
+        fit.write_into(stage, report=False)
+
+    progress("drawing the report")
+    result = StudyResult(study, out, measured, moved, fit, tuple(reused))
+    with outputs["report"].staged() as stage:
+        study_page(result).write(stage / FILES["report"][0])
+    return result
+
+
+def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:
+    """Look at everything that is cheap to look at, before anything is computed: outputs, headers, tables.
+
+    Raises
+    ------
+    StapeskitError
+        Every fault that shows without computing: files, columns, units, names of bodies and fiducials.
+    """
+    from ct_inertia.ct2mass import check_inputs as check_scan
+    from kinematics.points2dof import check_inputs as check_measurement
+
+    faults: list[Fault] = []
+    for each in outputs:
+        with collect_faults(faults):
+            each.check()
+    with collect_faults(faults):
+        check_scan(study.scan)
+    with collect_faults(faults):
+        check_measurement(study.ldv)
+    raise_all(faults)
+
+
+def _provenance(path: Path) -> Mapping[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return dict(content["provenance"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:
+    """Return whether a result of these inputs, parameters and versions would be the same again."""
+    if provenance.get("versions") != versions() or provenance.get("parameters") != options.parameters():
+        return False
+    stated = provenance.get("inputs") or {}
+    inputs = {role: path for role, path in options.inputs().items() if path is not None}
+    if set(stated) != set(inputs):
+        return False
+    return all(stated[role].get("hash") == f"sha256:{sha256(path)}" for role, path in inputs.items())

@@ -1,0 +1,204 @@
+"""Several studies: a folder for each, each in a process of its own, and the cohort of those that finished."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.cohort.cohort import Cohort, cohort_of
+from pipeline.cohort.ears import Ear, read_ear
+from pipeline.cohort.page import FILES, write_cohort
+from pipeline.study import Study, read_study
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.outputs import Outputs
+from stapeskit.warnings import Notice
+
+
+@dataclass(frozen=True)
+class End:
+    """How one study ended: its exit code, and what went wrong."""
+
+    code: int
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class CohortChoices:
+    """Choices of a cohort in addition to its studies; see `pipeline.cohort.cohort.cohort`."""
+
+    mix: bool = False
+    use_all: bool = False
+    covariates: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SeveralResult:
+    """How several studies ended.
+
+    Attributes
+    ----------
+    cohort : Cohort
+        Of the studies that finished.
+    ends : mapping of str to End
+        By study.
+    files : tuple of Path
+        Of the cohort.
+    """
+
+    cohort: Cohort
+    ends: Mapping[str, End]
+    files: tuple[Path, ...]
+
+
+Runner = Callable[[Mapping[str, Path], Path, bool, Callable[[str, End], None]], None]
+"""Runs studies by name into subfolders of a folder, anew where forced, and reports each end."""
+
+
+def run_here(jobs: int) -> Runner:
+    """Return the runner that uses processes of this machine, ``jobs`` at a time."""
+
+    def run(studies: Mapping[str, Path], out: Path, force: bool, ended: Callable[[str, End], None]) -> None:
+        with ThreadPoolExecutor(jobs) as pool:
+            futures = {name: pool.submit(run_one, path, out / name, force) for name, path in studies.items()}
+            for name, future in futures.items():
+                ended(name, future.result())
+
+    return run
+
+
+def run_one(study: Path, out: Path, force: bool = False) -> End:
+    """Run one study in a process of its own: a crash, or memory that runs out, costs this ear alone."""
+    words = [sys.executable, "-P", "-m", "pipeline.cli", str(study), "--out", str(out), "--quiet"]
+    environment = dict(os.environ)
+    root = str(Path(__file__).resolve().parents[1])
+    environment["PYTHONPATH"] = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        environment.setdefault(name, "1")
+    with tempfile.TemporaryFile("w+") as errors:
+        done = subprocess.run(
+            [*words, *(["--force"] if force else [])],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            env=environment,
+            check=False,
+        )
+        errors.seek(0)
+        text = errors.read()
+    if done.returncode >= 0:
+        return End(done.returncode, text.strip() if done.returncode else "")
+    killed = f"its process was ended by signal {-done.returncode}, most often because memory ran out"
+    return End(2, f"{killed}. Run fewer studies at a time with --jobs, and run it again.")
+
+
+def folder_names(studies: Sequence[Path]) -> list[str]:
+    """Name a folder for each study: the stem of its file, or its folder's name where stems coincide.
+
+    Names that differ in capitals alone are one folder to Windows and macOS, and count as the same; names of
+    the cohort's own files are not used.
+    """
+    times = Counter(path.stem for path in studies)
+    used = {name.casefold() for name in FILES}
+    names = []
+    for path in studies:
+        plain = (path.stem if times[path.stem] == 1 else path.resolve().parent.name).lstrip(".") or "study"
+        name, number = plain, 2
+        while name.casefold() in used:
+            name, number = f"{plain}-{number}", number + 1
+        used.add(name.casefold())
+        names.append(name)
+    return names
+
+
+def run_studies(
+    paths: Sequence[Path],
+    out: Path,
+    runner: Runner,
+    *,
+    force: bool = False,
+    choices: CohortChoices | None = None,
+    report: Callable[[str], None] = lambda _line: None,
+) -> SeveralResult:
+    """Run several studies into subfolders, and compare those that finished.
+
+    Parameters
+    ----------
+    runner : callable
+        `run_here`, or `pipeline.cluster.run_on_dask`.
+    force : bool
+        Make every stage anew, and replace files that are not known as made here.
+    report : callable
+        Gets a line as each study ends.
+
+    Raises
+    ------
+    StapeskitError
+        A study file is at fault, a study would write over what another one reads, or an output of the cohort
+        cannot be replaced.
+    """
+    out, choices = Path(out).absolute(), choices or CohortChoices()
+    named = dict(zip(folder_names(paths), (Path(path).absolute() for path in paths), strict=True))
+    studies = {name: read_study(path) for name, path in named.items()}
+    outputs = _outputs(studies, out, force)
+    ends: dict[str, End] = {}
+
+    def ended(name: str, end: End) -> None:
+        ends[name] = end
+        outcome = end.fault.splitlines()[-1] if end.fault else "done"
+        report(f"{name}: {outcome} ({len(ends)} of {len(named)})")
+
+    runner(named, out, force, ended)
+    failed = {name: end.fault for name, end in ends.items() if end.code}
+    ears = []
+    for name, study in studies.items():
+        if name not in failed:
+            try:
+                ears.append(read_ear(out / name, study.name, study.about.of_ear()))
+            except (OSError, LookupError, ValueError, TypeError) as error:
+                failed[name] = f"its results cannot be read: {error}"
+    found = _cohort(ears, failed, choices)
+    records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
+    with outputs.staged() as stage:
+        write_cohort(stage, found, {"studies": list(named)}, records, failed)
+    return SeveralResult(found, ends, tuple(out / name for name in FILES))
+
+
+def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: CohortChoices) -> Cohort:
+    """Fit every law, or return a cohort without laws and with the reason as its warning."""
+    try:
+        return cohort_of(
+            ears,
+            failed,
+            mix=choices.mix,
+            use_all=choices.use_all,
+            covariates=choices.covariates,
+            laws=choices.laws,
+        )
+    except StapeskitError as error:
+        notice = Notice("cohort_mixed", f"No laws: {' '.join(str(error).split())}")
+        return Cohort(tuple(ears), tuple(failed.items()), None, (), None, (notice,))
+
+
+def _outputs(studies: Mapping[str, Study], out: Path, force: bool) -> Outputs:
+    """Return the outputs of the cohort, after a look whether any study would write over what another reads."""
+    inputs = {path.resolve() for study in studies.values() for path in study.inputs().values()}
+    faults = [
+        Fault(
+            f"the folder {out / name}", "apart from the inputs", path, "", "Choose another place with --out"
+        )
+        for name in studies
+        for path in inputs
+        if path.is_relative_to((out / name).resolve())
+    ]
+    raise_all(faults)
+    outputs = Outputs("scan2kd cohort", out, FILES, inputs, force)
+    outputs.check()
+    return outputs

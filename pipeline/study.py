@@ -1,0 +1,164 @@
+"""The study file: what one ear's scan, measurement and fit are; every fault of it in one message."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from ct_inertia.options import MassOptions
+from kinematics.options import MotionOptions
+
+from fitting.options import KDOptions
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.option_types import Number, ReadFile, Table, Text, Words
+from stapeskit.options import Opt, Options, read_toml, template
+
+TITLE = """A study: one ear, from its scan and its vibrometer file to stiffness and damping.
+# Run it with: scan2kd study.toml. Paths are relative to this file; a line that begins with # is not set."""
+
+
+class About(Options):
+    """``[study]``: what this ear is, what the user has checked, and the columns of a cohort."""
+
+    table: ClassVar[str] = "study"
+
+    name: Annotated[Text, Opt("name of the ear in reports", example="ear 1", recommended=True)] = ""
+    notes: Annotated[
+        Text,
+        Opt("free text at the top of the report", example="incus removed, cochlea closed", recommended=True),
+    ] = ""
+    confirmed: Annotated[
+        Words,
+        Opt("warnings that were checked: they are reported as confirmed and do not lower the verdict",
+            example=["handedness_unconfirmed"]),
+    ] = ()  # fmt: skip
+    side: Annotated[Literal["left", "right"] | None, Opt("left or right ear", example="left")] = None
+    ear: Annotated[Text, Opt("identifier of the ear", example="TB12-L")] = ""
+    subject: Annotated[Text, Opt("identifier of the subject, the same for both ears", example="TB12")] = ""
+    age: Annotated[Number | None, Opt("age of the subject, years", example=61.0)] = None
+    sex: Annotated[Text, Opt("sex of the subject", example="f")] = ""
+    group: Annotated[Text, Opt("group of the ear in a cohort", example="control")] = ""
+    covariates: Annotated[
+        Table | None, Opt("any further columns of a cohort", example={"storage_days": 3.0})
+    ] = None
+    truth: Annotated[
+        ReadFile | None, Opt("true values of a simulated ear, shown in the report", example="truth.json")
+    ] = None
+
+    def of_ear(self) -> dict[str, Any]:
+        """Return what is known of the ear, its covariates among the other columns."""
+        names = ("side", "ear", "subject", "age", "sex", "group")
+        known = {name: getattr(self, name) for name in names}
+        return {
+            **{name: value for name, value in known.items() if value not in (None, "")},
+            **(self.covariates or {}),
+        }
+
+
+TABLES: dict[str, type[Options]] = {
+    "study": About,
+    "scan": MassOptions,
+    "ldv": MotionOptions,
+    "fit": KDOptions,
+}
+_NEEDED = ("scan", "ldv")
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study file.
+
+    Attributes
+    ----------
+    path : Path
+        The file; its folder is where relative paths start.
+    """
+
+    path: Path
+    about: About
+    scan: MassOptions
+    ldv: MotionOptions
+    fit: KDOptions
+
+    @property
+    def name(self) -> str:
+        """Name of the ear; that of the file where none is given."""
+        return self.about.name or self.path.stem
+
+    def inputs(self) -> dict[str, Path]:
+        """Return every file that the study reads, by its role."""
+        tables = (self.about, self.scan, self.ldv, self.fit)
+        found: dict[str, Path] = {"study": self.path}
+        for table in tables:
+            for entry in table.entries():
+                value = getattr(table, entry.key)
+                paths = value if isinstance(value, tuple) else (value,)
+                role = f"{table.table}.{entry.key}"
+                for number, path in enumerate(path for path in paths if isinstance(path, Path)):
+                    found[role if not number else f"{role}.{number + 1}"] = path
+        return found
+
+
+def study_template() -> str:
+    """Return a study file with every key."""
+    return template(TITLE, list(TABLES.values()))
+
+
+def read_study(path: Path) -> Study:
+    """Read and check a study file; files that it names must exist, and nothing of them is read.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing or no TOML, a key is unknown (the nearest valid one is named), a value is not what
+        it must be, or choices contradict each other: all in one message.
+    """
+    path = Path(path)
+    content, name = read_toml(path), path.name
+    faults = [_unknown_table(key, name) for key in content if key not in TABLES]
+    read: dict[str, Any] = {}
+    for key, table in TABLES.items():
+        values = content.get(key, {})
+        if key in _NEEDED and key not in content:
+            step = "scan2kd --template shows a whole study file"
+            faults.append(Fault(f"the table [{key}]", "given", "nothing", name, step))
+        elif not isinstance(values, Mapping):
+            faults.append(Fault(f"the table [{key}]", "a table of keys", values, name))
+        else:
+            with collect_faults(faults):
+                own = _without_other_tables(values, key, name, faults)
+                read[key] = table.from_study(own, name, path.absolute().parent)
+    raise_all(faults)
+    about, scan = read["study"], read["scan"]
+    sides = {about.side, scan.side} - {None}
+    if len(sides) > 1:
+        got = f"{about.side} in [study] and {scan.side} in [scan]"
+        raise StapeskitError.of("the side of the ear", "stated once or alike", got, name)
+    scan = scan.model_copy(update={"side": about.side or scan.side})
+    return Study(path.absolute(), about, scan, read["ldv"], read["fit"])
+
+
+def _without_other_tables(
+    values: Mapping[str, Any], table: str, name: str, faults: list[Fault]
+) -> dict[str, Any]:
+    """Return the values of a table without keys of other tables, which become faults that name their home."""
+    own = set(TABLES[table].model_fields)
+    kept = dict(values)
+    for key in [key for key in values if key not in own]:
+        homes = [f"[{home}]" for home, kind in TABLES.items() if key in kind.model_fields]
+        if homes:
+            step = f"Move it to {' or '.join(homes)}"
+            faults.append(Fault(f"{table}.{key}", "a key of this table", "one of another table", name, step))
+            del kept[key]
+    return kept
+
+
+def _unknown_table(key: str, name: str) -> Fault:
+    known = [f"[{table}]" for table in TABLES]
+    homes = [f"{key} in [{table}]" for table, kind in TABLES.items() if key in kind.model_fields]
+    near = homes or difflib.get_close_matches(f"[{key}]", known, 1)
+    step = f"Did you mean {near[0]}?" if near else ""
+    return Fault("a table", f"one of {', '.join(known)}", f"[{key}]", name, step)
