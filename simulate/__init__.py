@@ -22,21 +22,23 @@ One study in one call:
 
 It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.json. Parts of it on their own:
 
-* ``simulate_truth(ear, scan)``: frames and matrices, nothing rendered; ``simulate_recording(truth, experiment)``:
-  a `Recording` in memory (60 lines: 30 ms); ``render(truth.placed, scan)``: the volume in memory (50 um: 0.1 s
-  with ``Scan(samples=6)``). ``simulate_study(ear, None, experiment, folder)`` leaves the scan away.
+* ``simulate_truth(ear, scan)``: frames and matrices, nothing rendered.
+* ``simulate_recording(truth, experiment)``: a `Recording` in memory (60 lines: 30 ms).
+* ``render(truth.placed, scan)``: the volume in memory (50 um: 0.1 s with ``Scan(samples=6)``).
+* ``simulate_study(ear, None, experiment, folder)`` leaves the scan away, and None in place of the experiment
+  the measurement.
 * ``measure_motion(motions, places, experiment)``: any bodies, motions and points, for example
   ``{"a": resonant_motion(rng, freq_hz)[None]}`` at ``{"a": scattered_points(rng, 9)}``.
-* ``motion_of(recording)``: the rigid motion with its covariance and shared errors, by plain least squares with
-  the reported positions: what a fit of K and D starts from, without a scan or files.
-* ``ring_ligament(Ring(...))`` and ``draw_ring(rng)``: K and D in six degrees of freedom of a ring of springs whose
-  plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
+* ``motion_of(recording)``: the rigid motion with its covariance and shared errors (`RigidMotion`), by plain
+  least squares with the reported positions: what a fit of K and D starts from, without a scan or files.
+* ``ring_ligament(Ring(...))`` and ``draw_ring(rng)``: K and D in six degrees of freedom of a ring of springs
+  whose plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
 * ``multisine``, ``stepped_sine``: time series of a recording. ``cohort``: many ears with a planted law.
 * ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
   ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study).
 * Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``solid_of_field``, ``stapes_solid(Stapes(...))``,
-  ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition; ``coverage_of(solid,
-  ...)``: exact partial volumes of one body.
+  ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition;
+  ``coverage_of(solid, shape, voxel_mm)``: exact partial volumes of one body.
 
 Stated standard deviations of a study are true: density (Ear.density_sd, drawn), points and fiducials
 (position_sd_mm, fiducial_sd_mm), channels (Recording.sd_m_s). Kinds of faults: ``KINDS``; families of stapes:
@@ -66,6 +68,7 @@ from simulate.ligament import (
 )
 from simulate.mass import MassProperties, displaced, graded_mass, point_mass, uniform_mass
 from simulate.motion import motion_of
+from simulate.points import scattered_points
 from simulate.scanner import Renderer, Scan, render
 from simulate.series import TimeSeries, multisine, stepped_sine
 from simulate.solids import Moments, Solid, box, ellipsoid, joined, ring, rod, solid_of_field
@@ -78,7 +81,6 @@ from simulate.vibrometer import (
     measure,
     measure_motion,
     resonant_motion,
-    scattered_points,
 )
 
 __all__ = [

@@ -32,8 +32,8 @@ class Population:
     likeness : float
         Correlation of the two ears of a person, in size and in scatter.
     exponents : tuple of float
-        Of K and D over the mass, for y, alpha and gamma. A force goes with the length of the ligament; a moment
-        with two more powers of length.
+        Of K and D over the mass, for y, alpha and gamma. A force goes with the length of the ligament; a
+        moment with two more powers of length.
     ear : Ear
         What all have in common; its ligament has mass REFERENCE_KG.
     seed : int
@@ -90,12 +90,13 @@ def cohort(population: Population) -> Iterator[Member]:
 
     sizes = np.exp(alike(population.size, 1) + alike(population.stretch, 3))
     scatter, entries = alike(population.scatter, 2), alike(population.entry_scatter, 6)
+    whole = population.ear.mass().mass_kg
     for k, person in enumerate(people):
         second = k > 0 and person == people[k - 1]
         right = bool(second or (person >= population.pairs and k % 3 == 0))
         stretch = (float(sizes[k, 0]), float(sizes[k, 1]), float(sizes[k, 2]))
         ear = replace(population.ear, stapes=Stapes(stretch=stretch, mirrored=right))
-        size = np.log(ear.mass().mass_kg / REFERENCE_KG)
+        size = np.log(whole * np.prod(stretch) / REFERENCE_KG)  # volumes scale with their axes
         factors = [
             np.exp(
                 0.5 * (np.array(population.exponents) * size + scatter[k, j] + entries[k, 3 * j : 3 * j + 3])

@@ -1,4 +1,4 @@
-"""What goes wrong at a vibrometer: a table of faults, each changes the true state and nothing that is reported.
+"""A table of what goes wrong at a vibrometer: each fault changes the true state and nothing that is reported.
 
 A fault is put in by its kind; new kinds are one function with a decorator.
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import rotation_from_vector
@@ -76,7 +78,7 @@ class TrueState:
     loud: Array = field(init=False)
     unit: Array = field(init=False)
     added: ComplexArray = field(init=False)
-    order: Array = field(init=False)
+    order: NDArray[np.int64] = field(init=False)
     conjugated: bool = False
     culprits: dict[int, str] = field(default_factory=dict)
 
@@ -132,6 +134,7 @@ class TrueState:
         return float(np.sqrt(np.mean(np.abs(self.readings()) ** 2)))
 
 
+Factor = Callable[[Array, float], Any]
 Maker = Callable[[TrueState, MeasurementFault, float], tuple[Sequence[int], str]]
 KINDS: dict[str, tuple[Maker, float, str]] = {}
 """Faults by kind: what puts one in and returns channels and verdict; the usual size; what a size is."""
@@ -185,18 +188,18 @@ def _tilt(state: TrueState, channels: list[int], angle_deg: float) -> None:
     state.beam[channels] = state.beam[channels] @ turn.T
 
 
-_FACTORS: dict[str, tuple[float, str, str, Callable[[Array, float], ComplexArray | float]]] = {
+_FACTORS: dict[str, tuple[float, str, str, Factor]] = {
     "gain": (0.05, "relative", "gain", lambda _, size: 1.0 + size),
     "phase": (3.0, "degrees", "gain", lambda _, size: np.exp(1j * np.radians(size)) + 0.0),
     "delay": (1e-5, "s", "gain", lambda freq, size: np.exp(-2j * np.pi * freq * size)),
-    "sign": (0.0, "", "sign", lambda _, size: -1.0),
+    "sign": (0.0, "", "sign", lambda _, __: -1.0),
     "drift": (
         0.06,
         "relative, first to last line",
         "drift",
         lambda f, s: 1.0 + s * np.linspace(0, 1, len(f)),
     ),
-    "zeros": (0.0, "", "zeros", lambda _, size: 0.0),
+    "zeros": (0.0, "", "zeros", lambda _, __: 0.0),
 }
 _WHERE: dict[str, Callable[[TrueState, MeasurementFault], list[int]]] = {
     "": lambda state, fault: [_channel(state, fault)],
@@ -216,7 +219,7 @@ def _enter_factors() -> None:
                 fault: MeasurementFault,
                 size: float,
                 where: Callable[[TrueState, MeasurementFault], list[int]] = where,
-                factor: Callable[[Array, float], ComplexArray | float] = factor,
+                factor: Factor = factor,
                 verdict: str = verdict,
             ) -> tuple[Sequence[int], str]:
                 channels = where(state, fault)
@@ -251,7 +254,7 @@ def _laser_direction(state: TrueState, fault: MeasurementFault, size: float) -> 
 
 
 @_kind("axes", 2.0, "degrees that all beams are turned")
-def _axes(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
+def _axes(state: TrueState, _: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
     channels = state.of()
     state.beam = state.beam @ rotation_from_vector(np.radians(size) * _unit(state.rng)).T
     return channels, "direction"
@@ -313,7 +316,7 @@ def _body_exchange(state: TrueState, fault: MeasurementFault, _: float) -> tuple
 
 
 @_kind("bodies_exchanged")
-def _bodies_exchanged(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
+def _bodies_exchanged(state: TrueState, _: MeasurementFault, __: float) -> tuple[Sequence[int], str]:
     """Let each body move as the other does: their names are exchanged."""
     one, two = list(dict.fromkeys(state.body))[:2]
     state.motion_m[one], state.motion_m[two] = state.motion_m[two], state.motion_m[one]
@@ -348,7 +351,7 @@ def _line_shift(state: TrueState, fault: MeasurementFault, size: float) -> tuple
 
 
 @_kind("conjugate")
-def _conjugate(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
+def _conjugate(state: TrueState, _: MeasurementFault, __: float) -> tuple[Sequence[int], str]:
     """Write all channels in the e^{-i w t} convention."""
     state.conjugated = not state.conjugated
     return state.of(), "sign"

@@ -33,7 +33,18 @@ def footplate_frame(solid: Solid, depth_mm: float = 0.9, edge_mm: float = 0.04) 
         How much of the body above its lowest point is looked at: all of the footplate, no more than needed.
     edge_mm : float
         Longest edge after refinement: below the scale of the diffused normals.
+
+    Notes
+    -----
+    Solved twice: the part that is looked at the second time is cut off square to the footplate itself, so the
+    result turns with the body.
     """
+    first = _solve(solid, depth_mm, edge_mm)
+    second = _solve(solid.moved(first.inverse()), depth_mm, edge_mm)
+    return RigidTransform(first.matrix @ second.matrix, "body", "footplate")
+
+
+def _solve(solid: Solid, depth_mm: float, edge_mm: float) -> RigidTransform:
     points, faces = _refined(solid, depth_mm, edge_mm)
     normals = _diffused_normals(points, faces)
     lateral = np.array([0.0, 1.0, 0.0])
@@ -60,7 +71,9 @@ def _refined(solid: Solid, depth_mm: float, edge_mm: float) -> tuple[Array, Face
 
     height = solid.vertices_mm[:, 1]
     low = np.all(height[solid.faces] < height.min() + depth_mm, axis=1)
-    mesh = pv.PolyData.from_regular_faces(solid.vertices_mm.astype(float), solid.faces[low]).clean()
+    mesh = pv.PolyData.from_regular_faces(
+        solid.vertices_mm.astype(float), solid.faces[low].astype(int)
+    ).clean()
     fine = mesh.subdivide_adaptive(max_edge_len=edge_mm, max_tri_area=1e9, max_n_passes=12).clean()
     return np.asarray(fine.points, dtype=float), np.asarray(fine.regular_faces, dtype=np.int64)
 

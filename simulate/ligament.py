@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +31,7 @@ def _relaxing(omega: Array, *times_s: float) -> ComplexArray:
     return np.asarray(np.mean([1j * omega / (1.0 + 1j * omega * time) for time in times_s], axis=0))
 
 
-LAWS: dict[str, tuple[Callable[[Array, float], ComplexArray], float, Callable[[float], float]]] = {
+LAWS: dict[str, tuple[Callable[[Array, float], Any], float, Callable[[float], float]]] = {
     "viscous": (lambda omega, _: 1j * omega, 1.0, lambda _: 1.0),
     "hysteretic": (lambda omega, _: np.full(omega.shape, 1j), 0.0, lambda _: 0.0),
     "fractional": (lambda omega, power: (1j * omega) ** power, 0.5, lambda power: power),
@@ -89,7 +90,7 @@ class Ligament:
 
     def scaled(self, factors: ArrayLike) -> Ligament:
         """Return the ligament with rows and columns of K and D multiplied by factors (n,)."""
-        both = np.outer(factors, factors)
+        both = np.outer(np.asarray(factors, dtype=float), np.asarray(factors, dtype=float))
         return replace(self, stiffness_si=self.stiffness_si * both, damping_si=self.damping_si * both)
 
 

@@ -1,4 +1,4 @@
-"""The rigid motion of a recording by plain least squares, with its covariance and the errors common to all lines.
+"""The rigid motion of a recording by plain least squares, with its covariance and its shared errors.
 
 What a fit of K and D starts from, without the room that estimates motion: no search for faults, no files. It
 maps the reported places and directions by the true pose of the vibrometer, and draws an error of that pose.
@@ -45,8 +45,8 @@ def motion_of(
     dof : tuple of str
         Degrees of freedom that are solved for; the others are taken to rest.
     registration_sd : (float, float)
-        Standard deviation per axis with which the pose of the footplate is known, m and rad; an error of it is
-        drawn by ``seed``. With (0, 0) it is exact and no shared error.
+        Standard deviation per axis with which the pose of the footplate is known, m and rad; an error of it
+        is drawn by ``seed``. With (0, 0) it is exact and no shared error.
     seed : int
 
     Returns

@@ -1,7 +1,7 @@
 """A micro-CT scanner: grey values of a placed ear from exact partial volumes to stored numbers, slab by slab.
 
-The order is that of a scanner: partial volumes of bone, plastic and soft tissue; motion; point spread; edge
-fringes; cupping; rings; noise; tone curve; storing. No slab of slices depends on how a volume is cut into slabs.
+The order is that of a scanner: partial volumes of bone, plastic and soft tissue; point spread; motion; edge
+fringes; cupping; rings; noise; tone curve; storing. No slice depends on how a volume is cut into slabs.
 """
 
 from __future__ import annotations
@@ -281,7 +281,7 @@ class Renderer:
         return self._stored(grey)
 
     def _stored(self, grey: Floats) -> NDArray[Any]:
-        """Return grey values above air as numbers of the file's type, rounded and clipped; overwrites them."""
+        """Return grey values above air (overwritten) as numbers of the file's type, rounded and clipped."""
         scan = self.scan
         factor, offset = scan._to_stored()
         if factor != 1.0:
@@ -338,7 +338,8 @@ def _rings(shape: tuple[int, ...], scan: Scan) -> Floats:
     rng = np.random.default_rng([scan.noises, 31])
     radius = np.hypot(*np.meshgrid(*(np.arange(n) - 0.5 * (n - 1) for n in shape[:0:-1])))
     count = int(radius.max()) + 2
-    return np.interp(radius, np.arange(count), rng.normal(0.0, scan.rings, count)).astype(np.float32)
+    height = np.interp(radius, np.arange(count), rng.normal(0.0, scan.rings, count))
+    return np.asarray(height, dtype=np.float32)
 
 
 def add_noise(grey: Floats, first: int, scan: Scan) -> None:

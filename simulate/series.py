@@ -56,8 +56,8 @@ def multisine(
 ) -> TimeSeries:
     """Return periods of a random-phase multisine on lines of the FFT near those of the recording.
 
-    The recording's velocities are taken as per volt of the generator, each line of 1 V; between its lines they
-    are interpolated. ``noise``: white, relative to the root mean square of a channel.
+    The recording's velocities are taken as per volt of the generator, each line of 1 V; between its lines
+    they are interpolated. ``noise``: white, relative to the root mean square of a channel.
     """
     rng = np.random.default_rng([seed, 41])
     wanted = recording.freq_hz / RATE_HZ * samples

@@ -70,7 +70,7 @@ class Stapes:
     step_mm: float = 0.04
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=512)
 def stapes_solid(stapes: Stapes) -> Solid:
     """Return the exact mesh of a stapes in its own footplate frame, mm.
 

@@ -1,0 +1,1 @@
+"""The files of a simulated study: formats of scans and of measurements."""

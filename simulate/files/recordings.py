@@ -25,7 +25,7 @@ WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
 
 
 def write_recording(folder: Path, recording: Recording, fmt: str = "csv") -> Path:
-    """Write a recording with its points and fiducials into a folder in one of WRITERS; return the main file."""
+    """Write a recording, its points and fiducials into a folder in one of WRITERS; return the main file."""
     folder.mkdir(parents=True, exist_ok=True)
     path = WRITERS[fmt](folder, recording)
     if recording.fiducials:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from simulate.vibrometer import Recording
 
 def write_npz(folder: Path, series: TimeSeries) -> Path:
     """Write series.npz (m/s and V) and channels.csv; return the first."""
-    names = dict(zip(series.names, series.velocity_m_s, strict=True))
+    names: dict[str, Any] = dict(zip(series.names, series.velocity_m_s, strict=True))
     time = np.arange(len(series.drive_v)) / series.rate_hz
-    more = {} if series.set_hz is None else {"freq_hz": series.set_hz}
+    more: dict[str, Any] = {} if series.set_hz is None else {"freq_hz": series.set_hz}
     path = folder / "series.npz"
     np.savez(path, time_s=time, drive=series.drive_v, **names, **more)
     _write_channels(folder / "channels.csv", series, series.names, "drive", ["m/s"] * len(names), ["V"])
@@ -22,7 +23,7 @@ def write_npz(folder: Path, series: TimeSeries) -> Path:
 
 
 def write_wav(folder: Path, series: TimeSeries) -> Path:
-    """Write series.wav, 16 bit: the drive is channel 1, the velocities follow; sensitivities in channels.csv."""
+    """Write series.wav, 16 bit, the drive as channel 1, and channels.csv with the sensitivities."""
     from scipy.io import wavfile
 
     signals = np.vstack([series.drive_v, series.velocity_m_s])

@@ -1,6 +1,6 @@
 """Write a recording as other programs export it: velocities along x, y, z of points, first run.
 
-They are computed from three beams of each point, as a 3D scanning vibrometer does, or written per beam (HDF5).
+They are computed from three beams of each point, as a 3D scanning vibrometer does; HDF5 holds the beams.
 Points are numbered through all bodies, in points.csv too.
 """
 
@@ -98,7 +98,7 @@ def _spectrum(freq_hz: Array, values: ComplexArray, node: int, direction: int) -
 
 
 def write_uff_text(folder: Path, recording: Recording) -> Path:
-    """Write the same as text by pyuff, double precision; velocities as responses (type 4) to the drive signal."""
+    """Write the same as text by pyuff, double precision; velocities are responses (type 4) to the drive."""
     import pyuff
 
     export = _exported(recording, folder)
@@ -206,7 +206,7 @@ def write_psv_points(folder: Path, recording: Recording) -> Path:
 
 
 def write_matlab(folder: Path, recording: Recording) -> Path:
-    """Write x (Hz), amp_x, amp_y, amp_z (points x F, complex), usd (its unit) and xyz (m), MATLAB version 5."""
+    """Write a MATLAB 5 file: x (Hz), amp_x, amp_y, amp_z (points x F, complex), usd (its unit), xyz (m)."""
     from scipy.io import savemat
 
     export, stream = _exported(recording, folder), io.BytesIO()

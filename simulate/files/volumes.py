@@ -12,6 +12,7 @@ from simulate.ear import Placed
 from simulate.scanner import Scan, render, render_into
 
 IMAGEJ_BYTES = 1 << 31
+_ROOT = "1.2.826.0.1.3680043.8.498"  # of pydicom, for unique names of no registered maker
 Writer = Callable[[Path, Placed, Scan], Path]
 
 
@@ -114,7 +115,7 @@ def _dicom(folder: Path, placed: Placed, scan: Scan) -> Path:
     """Write a folder of DICOM CT slices by pydicom (integers only), slice positions along +z."""
     import pydicom
     from pydicom.dataset import FileDataset, FileMetaDataset
-    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+    from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
 
     volume = render(placed, scan)
     if volume.dtype.kind == "f":
@@ -125,16 +126,16 @@ def _dicom(folder: Path, placed: Placed, scan: Scan) -> Path:
     for number, picture in enumerate(volume):
         meta = FileMetaDataset()
         meta.MediaStorageSOPClassUID = CTImageStorage
-        meta.MediaStorageSOPInstanceUID = f"1.2.826.0.1.3680043.8.498.{scan.noises + 1}.{number + 1}"
+        meta.MediaStorageSOPInstanceUID = UID(f"{_ROOT}.{scan.noises + 1}.{number + 1}")
         meta.TransferSyntaxUID = ExplicitVRLittleEndian
         path = target / f"slice_{number:04d}.dcm"
         slice_set = FileDataset(str(path), {}, file_meta=meta, preamble=bytes(128))
         for name, value in {
             "SOPClassUID": CTImageStorage,
             "SOPInstanceUID": meta.MediaStorageSOPInstanceUID,
-            "StudyInstanceUID": "1.2.826.0.1.3680043.8.498.9",
-            "SeriesInstanceUID": "1.2.826.0.1.3680043.8.498.10",
-            "FrameOfReferenceUID": "1.2.826.0.1.3680043.8.498.11",
+            "StudyInstanceUID": f"{_ROOT}.9",
+            "SeriesInstanceUID": f"{_ROOT}.10",
+            "FrameOfReferenceUID": f"{_ROOT}.11",
             "Modality": "CT",
             "PatientName": "Simulated^Ear",
             "PatientID": "simulated",
@@ -218,8 +219,8 @@ def _zarr(folder: Path, placed: Placed, scan: Scan) -> Path:
     array = group.create_array("0", shape=volume.shape, chunks=(64, 64, 64), dtype=volume.dtype)
     array[...] = volume
     scale = [float(size) * 1e3 for size in placed.voxel_mm[::-1]]
-    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
-    level = {"path": "0", "coordinateTransformations": [{"type": "scale", "scale": scale}]}
+    axes: list[Any] = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
+    level: dict[str, Any] = {"path": "0", "coordinateTransformations": [{"type": "scale", "scale": scale}]}
     group.attrs["multiscales"] = [{"version": "0.4", "name": "scan", "axes": axes, "datasets": [level]}]
     return path
 

@@ -1,0 +1,262 @@
+"""Simulated measurements: equation of motion, rigid readings, noise as stated, faults, gaps and series."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import simulate
+from simulate import KINDS, LAWS, Ear, Experiment, Ligament, MeasurementFault, Ring, Scan
+from stapeskit.frames import cross_matrix
+from stapeskit.spatial import DOF_NAMES, twist_transfer
+
+QUICK = Experiment(lines=24, exact=True)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return simulate.simulate_truth(Ear(ligament=simulate.ring_ligament()), Scan(voxel_um=60.0))
+
+
+def record(truth, **options):
+    return simulate.simulate_recording(truth, replace(QUICK, **options))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_motion_satisfies_the_equation_of_motion(law):
+    piston, full = Ligament(), simulate.ring_ligament()
+    for ligament in (simulate.damped_alike(piston, law), simulate.damped_alike(full, law)):
+        ear = Ear(ligament=ligament, fluid_mass_kg=2e-7)
+        motion = record(simulate.simulate_truth(ear)).motion_m
+        freq, mass = QUICK.freq_hz, ear.moving_mass_si()
+        left = simulate.reaction(freq, motion["stapes"][0], motion["base"][0], mass, ligament)
+        load = (2.0 * np.pi * freq)[:, None] ** 2 * np.abs(motion["stapes"][0] @ mass.T)
+        used = [DOF_NAMES.index(name) for name in ligament.dof]
+        assert np.abs(left / load[:, used].max(axis=0)).max() < 1e-12
+        free = [place for place in range(6) if place not in used]
+        assert np.array_equal(motion["stapes"][..., free], motion["base"][..., free])
+
+
+def test_single_degree_of_freedom_has_the_closed_form():
+    ligament = Ligament(stiffness_si=np.array([[1700.0]]), damping_si=np.array([[0.02]]), dof=("y",))
+    mass, freq = np.diag([3e-6, 3e-6, 3e-6, 1e-11, 1e-11, 1e-11]), np.linspace(100.0, 6000.0, 30)
+    base = np.zeros((30, 6), dtype=complex)
+    base[:, 1] = 1e-7
+    motion = simulate.stapes_motion(freq, base, mass, ligament)[:, 1]
+    w = 2.0 * np.pi * freq
+    dynamic = 1700.0 + 0.02j * w
+    assert motion == pytest.approx(1e-7 * dynamic / (dynamic - 3e-6 * w**2), rel=1e-13)
+
+
+def test_laws_damp_alike_at_one_frequency():
+    size = {
+        law: abs(
+            (simulate.damped_alike(Ligament(), law).damping_factor(np.array([2.0 * np.pi * 2200.0]))[0])
+            * simulate.damped_alike(Ligament(), law).damping_si[0, 0]
+        )
+        for law in ("viscous", "hysteretic", "fractional")
+    }
+    assert size["hysteretic"] == pytest.approx(size["viscous"], rel=1e-12)
+    assert size["fractional"] == pytest.approx(size["viscous"], rel=1e-12)
+
+
+def test_ring_has_closed_form_and_moves_with_its_plane():
+    ring = Ring(centre_mm=(0.0, 0.0, 0.0), half_axes_mm=(1.0, 1.0), pieces=720)
+    matrix = ring.matrix(3.0, 2.0, 5.0)
+    around = 2.0 * np.pi * 1e-3  # length of the rim, m
+    assert np.diag(matrix)[:3] == pytest.approx([around * 2.5, around * 5.0, around * 2.5], rel=1e-5)
+    assert np.diag(matrix)[3:] == pytest.approx(
+        [around * 1e-6 * 2.5, around * 1e-6 * 2.0, around * 1e-6 * 2.5], rel=1e-5
+    )
+    assert np.abs(matrix - np.diag(np.diag(matrix))).max() < 1e-9
+    shift = np.array([-0.2, 0.1, 0.05])
+    moved = replace(ring, centre_mm=tuple(shift)).matrix(3.0, 2.0, 5.0)
+    transfer = np.linalg.inv(twist_transfer(np.eye(3), -shift * 1e-3))
+    assert moved == pytest.approx(transfer.T @ matrix @ transfer, rel=1e-9, abs=1e-15)
+    drawn = simulate.ring_ligament(simulate.draw_ring(np.random.default_rng(2)), law="hysteretic")
+    assert drawn.law == "hysteretic"
+    assert np.linalg.eigvalsh(drawn.stiffness_si)[0] > 0.0
+    assert np.linalg.eigvalsh(Ring(uneven=0.3, warp_mm=0.03).matrix(3.0, 2.0, 5.0))[0] > 0.0
+
+
+def test_ligament_changes_over_lines_and_runs():
+    freq = np.linspace(400.0, 5000.0, 11)
+    plain = Ligament().dynamic_stiffness(freq)
+    for change, expected in (
+        ({"drift": 0.1}, np.linspace(1.0, 1.1, 11)),
+        ({"step": 0.2}, np.r_[np.ones(5), np.full(6, 1.2)]),
+        ({"run_change": 0.3}, np.full(11, 1.3)),
+    ):
+        ratio = replace(Ligament(), **change).dynamic_stiffness(freq, run=1) / plain
+        assert ratio == pytest.approx(np.broadcast_to(expected[:, None, None], ratio.shape), rel=1e-12)
+
+
+def test_readings_are_those_of_rigid_bodies(truth):
+    recording = record(truth)
+    pose = recording.vibrometer_from_footplate.inverse()
+    for channel in (0, 17, 40):
+        q = recording.motion_m[recording.body[channel]][0]
+        arm = pose.points(recording.position_mm[channel]) * 1e-3
+        beam = pose.vectors(recording.direction[channel])
+        moved = q[:, :3] - q[:, 3:] @ cross_matrix(arm).T
+        expected = 2j * np.pi * recording.freq_hz * (moved @ beam)
+        assert recording.velocity_m_s[0, channel] == pytest.approx(expected, rel=1e-10, abs=1e-18)
+
+
+def test_exact_motion_is_found_by_least_squares(truth):
+    for options in ({}, {"in_footplate": True}, {"head_distance_mm": 120.0}, {"missing": 0.1}):
+        motion = simulate.motion_of(record(truth, **options))
+        for place, body in enumerate(motion.bodies):
+            size = np.abs(motion.q[0, place]).max(axis=0)
+            exact = record(truth, **options).motion_m[body][0]
+            assert np.abs((motion.q[0, place] - exact) / size).max() < 1e-10
+
+
+def test_noise_has_the_stated_covariance(truth):
+    experiment = Experiment(lines=200, position_sd_mm=0.0, common_noise=0.0)
+    recording = simulate.simulate_recording(truth, experiment)
+    motion = simulate.motion_of(recording)
+    error = np.stack([motion.q[0, k] - recording.motion_m[body][0] for k, body in enumerate(motion.bodies)])
+    square = np.einsum("bli,blij,blj->bl", error.conj(), np.linalg.inv(motion.covariance[0]), error).real
+    # 2 q^H C^-1 q is chi-square with 12 degrees of freedom.
+    assert chi2.cdf(2.0 * square.sum(), 12 * square.size) == pytest.approx(0.5, abs=0.4999)
+    low, high = chi2.ppf([0.0005, 0.9995], motion.n_dof.sum())
+    assert low < motion.chi2.sum() < high
+
+
+def test_shared_errors_explain_wrong_positions_and_pose(truth):
+    recording = record(truth, exact=False, noise=1e-6, position_sd_mm=0.02)
+    motion = simulate.motion_of(recording, registration_sd=(2e-5, 3e-3))
+    assert len(motion.shared.names) == 3 * 19 + 6
+    error = np.stack(
+        [motion.q[:, k] - recording.motion_m[body] for k, body in enumerate(motion.bodies)], axis=1
+    )
+    slopes = motion.shared.derivatives.reshape(len(motion.shared.names), -1)
+    scale = np.repeat(np.abs(motion.q).max(axis=(0, 2)), 24, axis=0).ravel()
+    share = slopes * np.sqrt(np.diag(motion.shared.covariance))[:, None] / scale
+    both = np.concatenate([share.real, share.imag], axis=1)
+    wrong = np.concatenate([(error.ravel() / scale).real, (error.ravel() / scale).imag])
+    size, *_ = np.linalg.lstsq(both.T, wrong, rcond=1e-9)
+    assert np.linalg.norm(wrong - both.T @ size) < 0.03 * np.linalg.norm(wrong)
+    derivative = motion.shared.maps[-1, 0] @ motion.q[0, 0].T
+    assert pytest.approx(motion.shared.derivatives[-1, 0, 0], rel=1e-9) == derivative.T
+
+
+def test_coherence_and_averages_state_the_noise(truth):
+    recording = record(truth, exact=False, stated="coherence", averages=32)
+    g2, size = recording.coherence(), np.abs(recording.velocity_m_s)
+    assert size * np.sqrt((1.0 - g2) / (2.0 * 32 * g2)) == pytest.approx(recording.sd_m_s, rel=1e-6)
+
+
+def test_common_noise_multiplies_all_channels_of_a_line(truth):
+    plain = record(truth, exact=False, noise=0.0)
+    common = record(truth, exact=False, noise=0.0, common_noise=0.02)
+    ratio = common.velocity_m_s / plain.velocity_m_s
+    assert np.abs(ratio - ratio[:, :1]).max() < 1e-10
+    assert np.std(ratio[0, 0]) > 0.005
+
+
+def test_missing_values_and_mirrored_coordinates(truth):
+    assert np.mean(np.isnan(record(truth, missing=0.1).velocity_m_s)) == pytest.approx(0.1, abs=0.03)
+    assert np.isnan(record(truth, missing_band=True).velocity_m_s).sum() == 12
+    plain, mirrored = record(truth), record(truth, mirror="x")
+    flip = np.array([-1.0, 1.0, 1.0])
+    assert np.array_equal(mirrored.position_mm, plain.position_mm * flip)
+    assert np.array_equal(mirrored.direction, plain.direction * flip)
+    assert np.array_equal(mirrored.velocity_m_s, plain.velocity_m_s)
+
+
+def test_runs_are_named_and_driven_apart(truth):
+    recording = record(truth, excitations=("y", "x", "y"))
+    assert recording.runs == ("y1", "x", "y2")
+    main = np.argmax(np.abs(recording.motion_m["base"][:, 0, :3]), axis=1)
+    assert main.tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_changes_its_culprits_only(truth, kind):
+    plain, faulty = record(truth), record(truth, faults=(MeasurementFault(kind=kind),))
+    assert np.array_equal(plain.position_mm, faulty.position_mm)
+    assert np.array_equal(plain.direction, faulty.direction)
+    change = np.abs(faulty.velocity_m_s - plain.velocity_m_s) > 1e-12 * np.abs(plain.velocity_m_s).max()
+    changed = set(np.flatnonzero(np.any(change, axis=(0, 2))).tolist())
+    assert changed <= set(faulty.culprits)
+    assert faulty.culprits
+    assert changed or kind == "noise"
+
+
+def test_factors_are_as_large_as_they_say(truth):
+    plain, freq = record(truth), QUICK.freq_hz
+    for kind, size, factor in (
+        ("gain", 0.07, 1.07),
+        ("phase", 4.0, np.exp(1j * np.radians(4.0))),
+        ("delay", 2e-5, np.exp(-2j * np.pi * freq * 2e-5)),
+        ("sign", None, -1.0),
+        ("zeros", None, 0.0),
+        ("drift", 0.1, 1.0 + 0.1 * np.linspace(0.0, 1.0, 24)),
+    ):
+        for prefix in ("", "point_", "laser_", "body_"):
+            fault = MeasurementFault(kind=prefix + kind, size=size, point="3", laser=1)
+            faulty = record(truth, faults=(fault,))
+            hit = sorted(faulty.culprits)
+            assert np.allclose(faulty.velocity_m_s[:, hit], plain.velocity_m_s[:, hit] * factor, rtol=1e-12)
+
+
+def test_faults_of_places_and_names_move_what_they_say(truth):
+    plain = record(truth)
+    swapped = record(truth, faults=(MeasurementFault(kind="label_swap", point="2", other="5"),))
+    one, two = plain.channels("stapes", "2"), plain.channels("stapes", "5")
+    assert np.array_equal(swapped.velocity_m_s[:, one], plain.velocity_m_s[:, two])
+    assert np.array_equal(swapped.velocity_m_s[:, two], plain.velocity_m_s[:, one])
+    exchanged = record(truth, faults=(MeasurementFault(kind="body_exchange", point="2", other="4"),))
+    assert np.array_equal(exchanged.velocity_m_s[:, one], plain.velocity_m_s[:, plain.channels("base", "4")])
+    conjugate = record(truth, faults=(MeasurementFault(kind="conjugate"),))
+    assert np.array_equal(conjugate.velocity_m_s, plain.velocity_m_s.conj())
+    unit = record(truth, faults=(MeasurementFault(kind="body_unit", body="base", size=1e3),))
+    base = plain.channels("base")
+    assert unit.velocity_m_s[:, base] == pytest.approx(plain.velocity_m_s[:, base] * 1e3)
+    assert unit.sd_m_s[:, base] == pytest.approx(plain.sd_m_s[:, base] * 1e3)
+
+
+def test_noise_of_a_loud_channel(truth):
+    fault = MeasurementFault(kind="noise", size=5.0, point="1", laser=0)
+    options = {"lines": 400, "exact": False, "position_sd_mm": 0.0}
+    clean, loud = record(truth, lines=400), record(truth, faults=(fault,), **options)
+    (channel,) = loud.culprits
+    error = (loud.velocity_m_s - clean.velocity_m_s)[0] / loud.sd_m_s[0]
+    spread = np.sqrt(np.mean(np.abs(error) ** 2, axis=1) / 2.0)
+    assert spread[channel] == pytest.approx(5.0, rel=0.12)
+    assert np.delete(spread, channel) == pytest.approx(np.ones(56), rel=0.15)
+
+
+def test_wrong_names_are_refused(truth):
+    for fault in (
+        MeasurementFault(kind="gian"),
+        MeasurementFault(kind="gain", point="99"),
+        MeasurementFault(kind="gain", body="incus"),
+    ):
+        with pytest.raises(ValueError):
+            record(truth, faults=(fault,))
+
+
+def test_time_series_hold_the_responses(truth):
+    recording = record(truth, lines=40)
+    series = simulate.multisine(recording, samples=2048, periods=3, noise=0.0)
+    lines = np.rint(series.freq_hz / series.rate_hz * 2048).astype(int)
+    drive = np.fft.rfft(series.drive_v[2048:4096])[lines]
+    response = np.fft.rfft(series.velocity_m_s[:, 2048:4096], axis=1)[:, lines] / drive
+    expected = [np.interp(series.freq_hz, recording.freq_hz, row) for row in recording.velocity_m_s[0]]
+    assert response == pytest.approx(np.array(expected), rel=1e-9, abs=1e-15)
+    stepped = simulate.stepped_sine(recording, seconds=0.02, noise=0.0)
+    first = stepped.set_hz == recording.freq_hz[3]
+    time = np.arange(first.sum()) / stepped.rate_hz
+    columns = np.column_stack(
+        [np.cos(2 * np.pi * recording.freq_hz[3] * time), -np.sin(2 * np.pi * recording.freq_hz[3] * time)]
+    )
+    signals = np.vstack([stepped.drive_v[first], stepped.velocity_m_s[:, first]])
+    parts = np.linalg.lstsq(columns, signals.T, rcond=None)[0]
+    phasor = parts[0] + 1j * parts[1]
+    assert phasor[1:] / phasor[0] == pytest.approx(recording.velocity_m_s[0, :, 3], rel=1e-9, abs=1e-15)

@@ -1,0 +1,263 @@
+"""Simulated scans: exact partial volumes with their order, blur, noise and storing, and every file format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+import simulate
+from simulate import Ear, Scan, Stapes
+from simulate.files.volumes import WITHOUT_SPACING
+from simulate.scanner import Renderer, clean
+
+SMALL = Scan(voxel_um=(60.0, 70.0, 80.0), samples=3, seed=5)
+
+
+@pytest.fixture(scope="module")
+def ear() -> Ear:
+    return Ear()
+
+
+def test_box_aligned_with_voxels_is_exact():
+    h = np.array([0.05, 0.04, 0.03])
+    ends = ((2.1, 7.1), (3.0, 6.0), (4.25, 9.25))
+    low, high = np.array(ends).T
+    counts = (12, 12, 14)
+    share = simulate.coverage_of(simulate.box(low * h, high * h), counts, h, samples=10)
+    x, y, z = (_covered(count, *pair) for count, pair in zip(counts, ends, strict=True))
+    assert np.abs(share - np.einsum("i,j,k->kji", x, y, z)).max() < 1e-6
+
+
+def _covered(count, low, high):
+    """Share of voxels k - 0.5 to k + 0.5 between two ends, in voxels."""
+    k = np.arange(count)
+    return np.clip(np.minimum(k + 0.5, high) - np.maximum(k - 0.5, low), 0.0, 1.0)
+
+
+def test_coverage_sums_to_the_volume_and_converges():
+    solid, rng = simulate.stapes_solid(Stapes()), np.random.default_rng(3)
+    shape = tuple(int(n) for n in np.ceil((np.ptp(solid.vertices_mm, axis=0) + 0.5) / 0.06))
+    squares = np.zeros(4)
+    for _ in range(6):
+        shift = 0.2 - solid.vertices_mm.min(axis=0) + rng.uniform(-0.03, 0.03, 3)
+        moved = simulate.Solid(solid.vertices_mm + shift, solid.faces)
+        exact = moved.moments()
+        for place, samples in enumerate((1, 2, 4, 8)):
+            share = simulate.coverage_of(moved, shape, [0.06] * 3, samples)
+            assert share.min() > -1e-6
+            assert share.max() < 1.0 + 1e-6
+            squares[place] += (share.sum() * 0.06**3 / exact.volume_mm3 - 1.0) ** 2
+        z, y, x = np.indices(share.shape)
+        centre = np.array([(share * part).sum() for part in (x, y, z)]) / share.sum() * 0.06
+        assert centre == pytest.approx(exact.centroid_mm, abs=5e-5)
+    # Heights vanish at the silhouette at best linearly: the rule converges with an order of 1.5 to 2.
+    error = np.sqrt(squares / 6.0)
+    assert np.polyfit(np.log([1.0, 2.0, 4.0, 8.0]), np.log(error), 1)[0] < -1.5
+    assert error[3] < error[0] * 8.0**-1.5
+
+
+def test_noise_free_scan_holds_the_mass_of_all_bodies():
+    ear = Ear(bone=False, plate=False)
+    truth = simulate.simulate_truth(ear, replace(SMALL, samples=8))
+    grey = simulate.render(truth.placed, clean(truth.scan)).astype(float)
+    air, _, bone = truth.scan.levels
+    volume = (grey - air).sum() / (bone - air) * np.prod(truth.placed.voxel_mm)
+    assert volume == pytest.approx(truth.volume_m3 * 1e9, rel=5e-5)
+    index = np.indices(grey.shape)[::-1].reshape(3, -1)
+    centre = (index * (grey - air).ravel()).sum(axis=1) / (grey - air).sum() * truth.placed.voxel_mm
+    assert centre == pytest.approx(
+        truth.scan_from_footplate.points(truth.ear.solid.moments().centroid_mm), abs=2e-4
+    )
+
+
+def test_density_gradient_is_in_the_grey_values_and_the_mass():
+    ear = Ear(bone=False, plate=False, density_gradient=0.2)
+    truth = simulate.simulate_truth(ear, replace(SMALL, voxel_um=40.0, samples=6))
+    grey = simulate.render(truth.placed, clean(truth.scan)).astype(float)
+    air, _, bone = truth.scan.levels
+    mass = (grey - air).sum() / (bone - air) * np.prod(truth.placed.voxel_mm) * 1e-9 * ear.density_kg_m3
+    assert mass == pytest.approx(truth.mass.mass_kg, rel=1e-3)
+
+
+def test_flat_face_is_an_error_function_of_the_blur():
+    ear = Ear(bone=False, plate=True, plate_tilt_deg=(0.0, 0.0), plate_turn_deg=0.0)
+    scan = Scan(voxel_um=50.0, samples=4, rotation_vector_deg=(90.0, 0.0, 0.0), blur_voxels=1.5)
+    truth = simulate.simulate_truth(ear, clean(scan))
+    pose = truth.scan_from_plate
+    column = np.rint(pose.points([1.2, 0.0, -1.1]) / 0.05).astype(int)
+    grey = simulate.render(truth.placed, truth.scan)[:, column[1], column[0]].astype(float)
+    air, plastic, _ = scan.levels
+    height = (np.arange(len(grey)) * 0.05 - pose.translation_mm[2]) * np.sign(pose.rotation[2, 1])
+    # The voxel itself adds a variance of 1/12; the plate is ten voxels thick.
+    sigma = 0.05 * np.hypot(1.5, np.sqrt(1.0 / 12.0))
+    expected = ndtr((height + 0.5) / sigma) - ndtr(height / sigma)
+    near = np.abs(height) < 0.2
+    assert np.abs((grey - air) / (plastic - air) - expected)[near].max() < 0.01
+
+
+def test_noise_has_its_standard_deviation_and_correlation():
+    scan = Scan(voxel_um=60.0, samples=2, noise=0.05, dtype="float32", shape=(60, 60, 60))
+    for sigma in (0.0, 1.0):
+        noisy = replace(scan, noise_correlation_voxels=sigma)
+        truth = simulate.simulate_truth(Ear(), noisy)
+        noise = simulate.render(truth.placed, noisy) - simulate.render(truth.placed, clean(noisy))
+        noise = noise / (scan.levels[2] - scan.levels[0])
+        assert noise.std() == pytest.approx(0.05, rel=0.05)
+        neighbours = np.mean(noise[:, :, 1:] * noise[:, :, :-1]) / noise.var()
+        assert neighbours == pytest.approx(np.exp(-0.25 / sigma**2) if sigma else 0.0, abs=0.05)
+
+
+def test_slices_do_not_depend_on_the_slabs(ear):
+    scan = replace(
+        SMALL, noise_correlation_voxels=0.7, fringe=0.3, rings=0.02, cupping=0.1, motion_voxels=0.5
+    )
+    truth = simulate.simulate_truth(ear, scan)
+    renderer = Renderer(truth.placed, scan)
+    whole = renderer.slices(0, truth.placed.shape[2])
+    assert np.array_equal(renderer.slices(20, 7), whole[20:27])
+
+
+def test_each_effect_changes_what_it_says(ear):
+    truth = simulate.simulate_truth(ear, clean(SMALL))
+    plain = simulate.render(truth.placed, truth.scan)
+    air, _, bone = SMALL.levels
+
+    def changed(**options):
+        scan = replace(truth.scan, **options)
+        return simulate.render(scan.placed(ear), scan)
+
+    middle = tuple(n // 2 for n in plain.shape)
+    cupped = changed(cupping=0.2)
+    assert (cupped[middle] - air) == pytest.approx((plain[middle] - air) * 0.8, rel=0.01)
+    mirrored = changed(mirror="z")
+    assert np.array_equal(mirrored[::-1], plain)
+    jumped, blurred = changed(jump_voxels=2.0), changed(motion_voxels=1.5)
+    for other in (jumped, blurred):
+        assert other.astype(float).sum() == pytest.approx(plain.astype(float).sum(), rel=1e-3)
+        assert np.ptp(other - plain) > 0.05 * (bone - air)
+    fringed = changed(fringe=0.3)
+    assert fringed.astype(float).sum() == pytest.approx(plain.astype(float).sum(), rel=1e-4)
+    steep = (
+        np.linalg.norm(np.gradient(fringed), axis=0).max(),
+        np.linalg.norm(np.gradient(plain), axis=0).max(),
+    )
+    assert steep[0] > 1.1 * steep[1]
+    curved = changed(gamma=0.7)
+    share = (plain - air) / (bone - air)
+    expected = 1.7 * ((share + 0.2) / 1.7) ** 0.7 - 0.2
+    assert (curved - air) / (bone - air) == pytest.approx(expected, abs=1e-4)
+    rings = changed(rings=0.05) - plain
+    assert np.array_equal(rings[0], rings[-1]) or np.abs(rings[0] - rings[-1]).max() < 0.01
+    assert rings.std() > 0.0
+
+
+def test_storing_windows_steps_and_padding(ear):
+    scan = replace(SMALL, dtype="uint8", window=(7000.0, 20000.0))
+    stored = simulate.render(scan.placed(ear), scan)
+    assert stored.dtype == np.uint8
+    whole = simulate.render(SMALL.placed(ear), SMALL)
+    assert np.mean(stored == 255) == pytest.approx(np.mean(whole > 19974), rel=1e-3)
+    assert np.mean(stored == 255) > 0.0
+    steps = replace(SMALL, dtype="uint8", steps=16)
+    assert len(np.unique(simulate.render(steps.placed(ear), steps))) <= 16
+    padded = replace(SMALL, round_field=True, padding=3.0)
+    volume = simulate.render(padded.placed(ear), padded)
+    assert np.all(volume[:, 0, 0] == 3)
+    assert volume[volume.shape[0] // 2, volume.shape[1] // 2, volume.shape[2] // 2] != 3
+    signed = replace(SMALL, dtype="int16", noise=0.0)
+    flat = simulate.render(signed.placed(ear), signed)
+    assert flat.min() == pytest.approx(signed.stored_levels()[0], abs=1.0)
+
+
+def test_soft_tissue_incus_bridges_and_dust_add_material(ear):
+    bare = simulate.simulate_truth(ear, clean(SMALL))
+    start = simulate.render(bare.placed, bare.scan).astype(float).sum()
+    for change in (
+        {"coat_mm": 0.05},
+        {"fluid_depth_mm": 0.3},
+        {"bridges": 3},
+        {"dust": 4},
+        {"incus_gap_mm": 0.06},
+    ):
+        other = replace(ear, **change)
+        shape = bare.placed.shape
+        scan = replace(bare.scan, shape=(shape[0], shape[1], shape[2] + 20))
+        placed = scan.placed(other)
+        base = simulate.render(scan.placed(ear), scan).astype(float).sum()
+        assert simulate.render(placed, scan).astype(float).sum() > base
+    assert start > 0.0
+
+
+def test_plate_touches_the_stapes_where_asked(ear):
+    for gap in (0.0, 0.1, -0.05):
+        touching = replace(ear, plate_gap_mm=gap)
+        inside = touching.footplate_from_plate().inverse().points(touching.solid.vertices_mm)
+        assert inside[:, 1].min() == pytest.approx(gap, abs=1e-9)
+
+
+def test_window_leaves_its_gap(ear):
+    inner = simulate.footplate_outline(ear.solid, ear.gap_mm)
+    rim = simulate.footplate_outline(ear.solid, 0.0)
+    nearest = np.min(np.linalg.norm(inner[:, None] - rim[None], axis=2), axis=1)
+    assert nearest.min() == pytest.approx(ear.gap_mm, rel=0.03)
+    assert nearest.max() < 1.1 * ear.gap_mm
+
+
+def _read(path: Path):
+    """Read a scan by a library; return array (z, y, x) and voxel size x, y, z or None."""
+    import pydicom
+    import SimpleITK as sitk
+    import tifffile
+    import zarr
+
+    if path.name == "slices":
+        return np.stack([tifffile.imread(file) for file in sorted(path.iterdir())]), None
+    if path.name == "dicom":
+        sets = sorted(
+            (pydicom.dcmread(file) for file in path.iterdir()), key=lambda s: s.ImagePositionPatient[2]
+        )
+        dz = sets[1].ImagePositionPatient[2] - sets[0].ImagePositionPatient[2]
+        dy, dx = sets[0].PixelSpacing
+        return np.stack([one.pixel_array for one in sets]), (dx, dy, dz)
+    if path.suffix == ".tif":
+        with tifffile.TiffFile(path) as tif:
+            array = tif.asarray()
+            if tif.is_imagej:
+                x, y = (tif.pages[0].tags[f"{axis}Resolution"].value for axis in "XY")
+                return array, (x[1] / x[0], y[1] / y[0], tif.imagej_metadata["spacing"])
+            pixels = tifffile.xml2dict(tif.ome_metadata)["OME"]["Image"]["Pixels"]
+            return array, tuple(pixels[f"PhysicalSize{axis}"] for axis in "XYZ")
+    if path.suffix == ".zarr":
+        group = zarr.open_group(str(path), mode="r")
+        level = group.attrs["multiscales"][0]["datasets"][0]
+        scale = level["coordinateTransformations"][0]["scale"]
+        return group["0"][...], tuple(part * 1e-3 for part in scale[::-1])
+    if path.suffix == ".isq":
+        head = path.read_bytes()[:1024]
+        size, extent = np.frombuffer(head, "<i4", 3, 44), np.frombuffer(head, "<i4", 3, 56)
+        return np.fromfile(path, "<i2", offset=1024).reshape(size[::-1]), tuple(extent / size * 1e-3)
+    if path.suffix == ".vgi":
+        lines = dict(line.split(" = ") for line in path.read_text().splitlines() if " = " in line)
+        size = [int(word) for word in lines["size"].split()]
+        voxels = np.fromfile(path.with_suffix(".vol"), "<u2").reshape(size[::-1])
+        return voxels, tuple(float(word) for word in lines["resolution"].split())
+    image = sitk.ReadImage(str(path))
+    assert image.GetOrigin() == (0.0, 0.0, 0.0)
+    assert np.array_equal(image.GetDirection(), np.eye(3).ravel())
+    return sitk.GetArrayFromImage(image), image.GetSpacing()
+
+
+@pytest.mark.parametrize("fmt", simulate.SCAN_WRITERS)
+def test_every_format_is_read_back_by_a_library(fmt, tmp_path, ear):
+    scan = replace(SMALL, samples=1, format=fmt)
+    placed = scan.placed(ear)
+    volume = simulate.render(placed, scan)
+    array, spacing = _read(simulate.write_scan(tmp_path, placed, scan))
+    assert np.array_equal(array, volume // 2 if fmt == "isq" else volume)
+    assert (spacing is None) == (fmt in WITHOUT_SPACING)
+    if spacing is not None:
+        assert spacing == pytest.approx(placed.voxel_mm, rel=2e-4 if fmt == "isq" else 1e-6)

@@ -1,0 +1,225 @@
+"""Whole simulated studies: files, truth, the bytes of the sample, cohorts, recordings in every format."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import simulate
+from simulate import Ear, Experiment, Population, Scan
+
+SAMPLE = Path(simulate.__file__).resolve().parents[1] / "sample_volumes"
+QUICK = Experiment(lines=20, seed=3)
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sample")
+    truth = simulate.simulate_study(Ear(), Scan(), Experiment(), folder, name="sample ear")
+    return folder, truth
+
+
+@pytest.mark.parametrize("name", ["ldv.csv", "points.csv", "fiducials.csv", "study.toml"])
+def test_the_sample_study_is_written_as_it_stands(sample, name):
+    folder, _ = sample
+    assert (folder / name).read_bytes() == (SAMPLE / name).read_bytes()
+
+
+def test_the_sample_scan_and_truth_are_those_that_stand(sample):
+    import tifffile
+
+    folder, _ = sample
+    made, stands = tifffile.imread(folder / "scan.tif"), tifffile.imread(SAMPLE / "scan.tif")
+    difference = np.abs(made.astype(int) - stands.astype(int))
+    assert difference.max() <= 1  # another make of processor rounds a few grey values the other way
+    assert np.count_nonzero(difference) < 200
+    now, then = (json.loads((place / "truth.json").read_text()) for place in (folder, SAMPLE))
+    assert list(now) == list(then)
+    for key, value in then.items():
+        if isinstance(value, list) and not isinstance(value[0], str):
+            scale = np.abs(value).max()
+            assert np.abs(np.array(now[key]) - value).max() <= 1e-12 * scale, key
+
+
+def test_study_names_what_lies_in_its_folder(tmp_path):
+    scan = Scan(voxel_um=80.0, samples=1, format="slices", mirror="z", seed=2)
+    truth = simulate.simulate_study(
+        Ear(plate=False),
+        scan,
+        replace(QUICK, mirror="y"),
+        tmp_path,
+        about={"subject": "P1"},
+        fit={"damping": "viscous"},
+    )
+    study = tomllib.loads(truth.study.read_text())
+    assert study["scan"]["file"] == "slices"
+    assert study["scan"]["spacing_mm"] == pytest.approx([0.08] * 3)
+    assert (study["scan"]["mirror"], study["ldv"]["mirror"]) == ("z", "y")
+    assert study["study"]["subject"] == "P1"
+    assert study["fit"]["damping"] == "viscous"
+    for key in ("file", "points", "fiducials"):
+        assert (tmp_path / study["ldv"][key]).exists()
+    stated, sd = (float(part) for part in study["scan"]["density_kg_m3"].split("+-"))
+    assert abs(stated - truth.ear.density_kg_m3) < 4.0 * sd
+    marks = pd.read_csv(tmp_path / "fiducials.csv")
+    assert set(marks["frame"]) == {"scan"}
+    written = json.loads((tmp_path / "truth.json").read_text())
+    assert written["inertial_parameters_si"] == pytest.approx(truth.parameters_si.tolist(), rel=1e-15)
+
+
+def test_parts_may_be_left_away(tmp_path):
+    simulate.simulate_study(Ear(), None, QUICK, tmp_path / "ldv")
+    assert not (tmp_path / "ldv" / "scan.tif").exists()
+    truth = simulate.simulate_study(Ear(), Scan(voxel_um=90.0, samples=1), None, tmp_path / "scan")
+    assert not (tmp_path / "scan" / "ldv.csv").exists()
+    assert truth.recording is None
+    assert "ldv" not in tomllib.loads(truth.study.read_text())
+
+
+def test_frames_hang_together():
+    truth = simulate.simulate_truth(Ear(), Scan(seed=7))
+    both = truth.scan_from_plate @ truth.plate_from_footplate
+    assert np.abs(both.matrix - truth.scan_from_footplate.matrix).max() < 1e-12
+    assert truth.scan_from_plate.rotation[0, 0] > 0.0
+    recording = simulate.simulate_recording(truth, Experiment(exact=True, lines=5))
+    pose = recording.vibrometer_from_footplate @ truth.plate_from_footplate.inverse()
+    for _, seen, place in recording.fiducials:
+        assert seen == pytest.approx(pose.points(place), abs=1e-9)
+    named = truth.placed.fiducials_mm()
+    assert len({tuple(np.round(mark, 6)) for mark in named.values()}) == 6
+
+
+def test_seeds_decide_everything(tmp_path):
+    contents = []
+    for name, seed in (("a", 4), ("b", 4), ("c", 5)):
+        scan, experiment = Scan(voxel_um=80.0, samples=1, seed=seed), replace(QUICK, seed=seed)
+        simulate.simulate_study(Ear(), scan, experiment, tmp_path / name)
+        contents.append(
+            [(tmp_path / name / file).read_bytes() for file in ("scan.tif", "ldv.csv", "truth.json")]
+        )
+    assert contents[0] == contents[1]
+    assert all(one != two for one, two in zip(contents[0], contents[2], strict=True))
+
+
+def test_cohort_follows_its_law():
+    population = Population(ears=120, pairs=20, stretch=0.0, size=0.2)
+    members = list(simulate.cohort(population))
+    whole = population.ear.mass().mass_kg
+    mass = np.log([whole * np.prod(member.ear.stapes.stretch) for member in members])
+    assert members[0].ear.mass().mass_kg == pytest.approx(np.exp(mass[0]), rel=1e-9)
+    first = [member.ear.ligament for member in members]
+    for entry, exponent in ((0, 1.0), (1, 5.0 / 3.0)):
+        response = np.log([ligament.stiffness_si[entry, entry] for ligament in first])
+        slope, _ = np.polyfit(mass, response, 1)
+        spread = population.intrinsic_sd / (np.std(mass) * np.sqrt(120))
+        assert abs(slope - exponent) < 4.0 * spread
+    assert {member.ear.side for member in members} == {"left", "right"}
+    pair = [member for member in members if member.subject == "P01"]
+    assert [member.ear.side for member in pair] == ["left", "right"]
+    right = pair[1].ear.ligament.stiffness_si
+    assert np.sign(right[0, 1]) == -np.sign(simulate.PAPER_STIFFNESS[0, 1])
+    assert np.sign(right[0, 2]) == np.sign(simulate.PAPER_STIFFNESS[0, 2])
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate.simulate_recording(simulate.simulate_truth(Ear()), replace(QUICK, excitations=("y", "x")))
+
+
+def test_tidy_table_holds_the_recording(recording, tmp_path):
+    table = pd.read_csv(simulate.write_recording(tmp_path, recording))
+    shape = recording.velocity_m_s.shape
+    value = (table["re_m_s"] + 1j * table["im_m_s"]).to_numpy().reshape(shape)
+    assert value == pytest.approx(recording.velocity_m_s, rel=1e-6, abs=1e-12)
+    assert table["sd_m_s"].to_numpy().reshape(shape) == pytest.approx(recording.sd_m_s, rel=1e-4)
+    assert table["run"].unique().tolist() == ["y", "x"]
+    points = pd.read_csv(tmp_path / "points.csv")
+    assert len(points) == 19
+    assert np.linalg.norm(table[["dir_x", "dir_y", "dir_z"]], axis=1) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("stated", ["coherence", "n_avg", "none"])
+def test_tidy_table_states_noise_in_other_ways(recording, tmp_path, stated):
+    table = pd.read_csv(simulate.write_recording(tmp_path, replace(recording, stated=stated)))
+    assert "sd_m_s" not in table
+    assert ("coherence" in table) == (stated == "coherence")
+    assert ("n_avg" in table) == (stated != "none")
+
+
+def _axes(recording):
+    """Velocities (P, 3, L) along x, y, z of the first run, from the beams."""
+    count = len(recording.point) // 3
+    beams = recording.direction.reshape(count, 3, 3)
+    return np.linalg.solve(beams, recording.velocity_m_s[0].reshape(count, 3, -1))
+
+
+def test_matlab_wide_and_text_hold_the_velocities(recording, tmp_path):
+    from scipy.io import loadmat
+
+    expected = _axes(recording)
+    size = np.abs(expected).max()
+    matlab = loadmat(simulate.write_recording(tmp_path, recording, "mat"))
+    for axis, name in enumerate(("amp_x", "amp_y", "amp_z")):
+        assert np.abs(matlab[name] - expected[:, axis]).max() < 1e-6 * size
+    assert matlab["xyz"] * 1e3 == pytest.approx(recording.position_mm[::3], abs=1e-4)
+    wide = pd.read_csv(simulate.write_recording(tmp_path, recording, "wide"))
+    column = wide["P2 Vz Mag [mm/s]"] * 1e-3 * np.exp(1j * np.radians(wide["P2 Vz Phase [deg]"]))
+    assert column.to_numpy() == pytest.approx(expected[1, 2], rel=1e-3, abs=1e-9)
+    blocks = (
+        simulate.write_recording(tmp_path, recording, "fastscan").read_text().split("Source File Name")[1:]
+    )
+    rows = np.array([line.split("\t") for line in blocks[4].rstrip().splitlines()[-19:]], dtype=float)
+    assert rows[:, 4] + 1j * rows[:, 7] == pytest.approx(expected[:, 0, 4], rel=1e-3, abs=1e-9)
+    folder = simulate.write_recording(tmp_path, recording, "psv")
+    lines = (folder / "point03_Y.txt").read_text().splitlines()[7:]
+    values = np.array([line.split("\t") for line in lines], dtype=float)
+    assert values[:, 1] + 1j * values[:, 2] == pytest.approx(expected[2, 1], rel=1e-6)
+
+
+@pytest.mark.parametrize("fmt", ["uff", "uff_text"])
+def test_universal_files_are_read_by_pyuff(recording, tmp_path, fmt):
+    import pyuff
+
+    sets = pyuff.UFF(str(simulate.write_recording(tmp_path, recording, fmt))).read_sets()
+    expected = _axes(recording)
+    spectra = [one for one in sets if one["type"] == 58]
+    assert len(spectra) == expected.shape[0] * 3
+    for one in spectra:
+        seen = expected[int(one["rsp_node"]) - 1, int(one["rsp_dir"]) - 1]
+        assert np.abs(one["data"] - seen).max() < 2e-6 * np.abs(expected).max()
+    nodes = next(one for one in sets if one["type"] == 15)
+    assert np.array(nodes["x"]) == pytest.approx(recording.position_mm[::3, 0], abs=1e-4)
+
+
+def test_hdf5_holds_every_beam(recording, tmp_path):
+    import h5py
+
+    with h5py.File(simulate.write_recording(tmp_path, recording, "h5")) as file:
+        assert np.array_equal(file["re"][...] + 1j * file["im"][...], recording.velocity_m_s)
+        assert np.array_equal(file["direction"][...], recording.direction)
+        assert [word.decode() for word in file["body"][...]] == list(recording.body)
+
+
+def test_series_files_hold_the_samples(recording, tmp_path):
+    from scipy.io import wavfile
+
+    from simulate.files.series import write_wav
+
+    with np.load(simulate.write_recording(tmp_path, recording, "series")) as file:
+        series = simulate.multisine(recording, noise=0.0)
+        assert np.array_equal(file["drive"], series.drive_v)
+        assert np.array_equal(file[series.names[5]], series.velocity_m_s[5])
+    table = pd.read_csv(tmp_path / "channels.csv")
+    assert set(table["channel"]) == {"drive", *series.names}
+    rate, samples = wavfile.read(write_wav(tmp_path, series))
+    assert rate == series.rate_hz
+    table = pd.read_csv(tmp_path / "channels.csv", dtype=str)
+    scale = float(table["sensitivity"][6].split()[0])
+    read = samples[:, 6] / 32767.0 * scale
+    assert read == pytest.approx(series.velocity_m_s[5], abs=2e-5 * scale)
