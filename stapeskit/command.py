@@ -148,7 +148,7 @@ def show(outcome: Outcome) -> None:
         sys.stdout.write("\n".join(lines) + "\n")
 
 
-def no_progress(_stage: str, _share: float | None = None) -> None:
+def no_progress(stage: str, share: float | None = None) -> None:  # noqa: ARG001
     """Show nothing."""
 
 
