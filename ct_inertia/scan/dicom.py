@@ -1,4 +1,5 @@
-"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK, every slice rescaled by its own.
+"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK, every slice rescaled by
+its own.
 
 The standard: https://dicom.nema.org/medical/dicom/current/output/html/part03.html
 """
@@ -31,7 +32,8 @@ def open_file(path: Path, options: ReadOptions) -> Opened:
     Raises
     ------
     StapeskitError
-        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or colours.
+        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or
+        colours.
     """
     if not path.is_dir():
         return _frames(path, _head(path))
@@ -79,27 +81,15 @@ def _series(folder: Path, heads: dict[Path, Any], options: ReadOptions) -> Opene
     first = heads[files[0]]
     for file in files:
         _check_alike(file, heads[file], files[0], first)
-    place = np.array([_numbers(head, "ImagePositionPatient", 3) for head in heads.values()])
-    axes = _numbers(first, "ImageOrientationPatient", 6)
     opened = Opened((len(files), int(first.Rows), int(first.Columns)), np.dtype(np.uint8), files=(folder,))
-    spacing_yx = _numbers(first, "PixelSpacing", 2)
-    if np.all(np.isfinite(place)) and np.all(np.isfinite(axes)):
-        direction = _directions(axes)
-        heights = place @ direction[:, 2]
-        if np.ptp(heights) > 0.0:
-            order = np.argsort(heights, kind="stable")
-            files = [files[k] for k in order]
-            step = _even_step(heights[order], folder)
-            _check_square(place[order] @ direction[:, :2], spacing_yx[::-1], folder)
-            opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], step])
-            opened.origin_mm, opened.direction, opened.anatomical = place[order[0]], direction, True
-    if opened.spacing_mm is None:
+    order = _placed(opened, list(heads.values()), folder)
+    if order is None:
         opened.known = "the slices have no positions"
-        files.sort(key=lambda file: int(heads[file].get("InstanceNumber") or 0))
+        order = np.argsort([int(head.get("InstanceNumber") or 0) for head in heads.values()], kind="stable")
         if options.spacing_mm is not None:
-            text = f"The slices in {folder.name} have no positions: they were taken in the order of their numbers."
+            text = f"The slices in {folder.name} have no positions: the order of their numbers was taken."
             opened.notices.append(Notice("slice_positions_missing", text))
-    return _with_pixels(opened, [(file, 0) for file in files], [heads[file] for file in files])
+    return _with_pixels(opened, [(files[k], 0) for k in order], [heads[files[k]] for k in order])
 
 
 def _frames(path: Path, head: Any) -> Opened:
@@ -109,26 +99,33 @@ def _frames(path: Path, head: Any) -> Opened:
         step = "Give the folder of the whole series"
         raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", path.name, step)
     frames = [_frame_head(head, k) for k in range(count)]
-    places = np.array([_numbers(frame, "ImagePositionPatient", 3) for frame in frames])
-    axes = _numbers(frames[0], "ImageOrientationPatient", 6)
-    spacing_yx = _numbers(frames[0], "PixelSpacing", 2)
     opened = Opened((count, int(head.Rows), int(head.Columns)), np.dtype(np.uint8), files=(path,))
-    order = np.arange(count)
-    if np.all(np.isfinite(places)) and np.all(np.isfinite(axes)):
-        direction = _directions(axes)
-        heights = places @ direction[:, 2]
-        order = np.argsort(heights, kind="stable")
-        step = _even_step(heights[order], path)
-        _check_square(places[order] @ direction[:, :2], spacing_yx[::-1], path)
-        opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], step])
-        opened.origin_mm, opened.direction, opened.anatomical = places[order[0]], direction, True
-    else:
-        _place_plain_frames(opened, head, spacing_yx)
+    order = _placed(opened, frames, path)
+    if order is None:
+        _place_plain_frames(opened, head)
+        order = np.arange(count)
     return _with_pixels(opened, [(path, int(k)) for k in order], [frames[k] for k in order])
 
 
+def _placed(opened: Opened, heads: Sequence[Any], path: Path) -> NDArray[np.intp] | None:
+    """Set the place of slices with positions, and return their order; None where they have none."""
+    places = np.array([_numbers(head, "ImagePositionPatient", 3) for head in heads])
+    axes = _numbers(heads[0], "ImageOrientationPatient", 6)
+    direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
+    heights = places @ direction[:, 2]
+    if not np.all(np.isfinite(heights)) or not np.ptp(heights) > 0.0:
+        return None
+    order = np.argsort(heights, kind="stable")
+    y, x = _numbers(heads[0], "PixelSpacing", 2)
+    opened.spacing_mm = np.array([x, y, _even_step(heights[order], path)])
+    opened.origin_mm, opened.direction, opened.anatomical = places[order[0]], direction, True
+    _check_square(places[order] @ direction[:, :2], opened.spacing_mm[:2], path)
+    return order
+
+
 class _FrameHead:
-    """The fields of one frame: its own functional groups, the shared ones, then the file's (PS3.3, C.7.6.16)."""
+    """The fields of one frame: its own functional groups, the shared ones, then the file's (PS3.3, "
+    "C.7.6.16)."""
 
     def __init__(self, head: Any, groups: Sequence[Any]) -> None:
         self._head, self._groups = head, groups
@@ -149,33 +146,28 @@ def _frame_head(head: Any, number: int) -> _FrameHead:
     return _FrameHead(head, [*groups, *shared[:1]])
 
 
-def _place_plain_frames(opened: Opened, head: Any, spacing_yx: Array) -> None:
-    """Place frames without positions of their own: one position, and a distance of frames or none."""
-    step = float(head.get("SpacingBetweenSlices") or np.nan)
-    offsets = np.array(head.get("GridFrameOffsetVector") or [], dtype=float)
-    if len(offsets) == opened.shape[0]:
+def _place_plain_frames(opened: Opened, head: Any) -> None:
+    """Place frames without positions of their own by the position of the first and the distance of frames."""
+    y, x = _numbers(head, "PixelSpacing", 2)
+    step = float(_numbers(head, "SpacingBetweenSlices", 1)[0])
+    offsets = _numbers(head, "GridFrameOffsetVector", opened.shape[0])
+    if np.all(np.isfinite(offsets)):
         step = float(np.mean(np.diff(offsets)))
-    opened.spacing_mm = np.array([spacing_yx[1], spacing_yx[0], abs(step)])
-    opened.known = "the frames have no positions"
+    opened.spacing_mm, opened.known = np.array([x, y, abs(step)]), "the frames have no positions"
     axes, place = _numbers(head, "ImageOrientationPatient", 6), _numbers(head, "ImagePositionPatient", 3)
     if np.all(np.isfinite(axes)) and np.all(np.isfinite(place)):
-        opened.direction, opened.origin_mm = _directions(axes), place
+        normal = np.cross(axes[:3], axes[3:]) * (-1.0 if step < 0.0 else 1.0)
+        opened.direction, opened.origin_mm = np.column_stack([axes[:3], axes[3:], normal]), place
         opened.anatomical = bool(np.isfinite(step))
-        if step < 0.0:
-            opened.direction = opened.direction * [1.0, 1.0, -1.0]
 
 
 def _numbers(head: Any, name: str, count: int) -> Array:
     """Return a field of so many numbers; NaN where the header does not have them."""
     try:
-        values = np.array(head.get(name), dtype=float)
+        values = np.atleast_1d(np.array(head.get(name), dtype=float))
     except (TypeError, ValueError):
         return np.full(count, np.nan)
     return values if values.shape == (count,) else np.full(count, np.nan)
-
-
-def _directions(axes: Array) -> Array:
-    return np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
 
 
 def _check_alike(file: Path, head: Any, other: Path, first: Any) -> None:
@@ -284,7 +276,7 @@ def _stored_type(head: Any) -> np.dtype[Any]:
 def _stored(file: Path, frame: int, dtype: np.dtype[Any], held: dict[Path, NDArray[Any]]) -> NDArray[Any]:
     """Return the stored pixels of one frame: by pydicom as they lie, packed ones by SimpleITK."""
     import pydicom
-    from pydicom.pixels import pixel_array
+    from pydicom.pixels.utils import pixel_array
 
     if file not in held:
         try:
@@ -311,8 +303,8 @@ def _unpacked(file: Path, head: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
 
     Notes
     -----
-    SimpleITK applies the rescaling of the file, or that of the first frame; it is undone here, so that every frame is
-    rescaled by its own.
+    SimpleITK applies the rescaling of the file, or that of the first frame; it is undone here, so that every
+    frame is rescaled by its own.
     """
     import SimpleITK as sitk
 

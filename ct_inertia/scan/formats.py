@@ -1,7 +1,8 @@
-"""The formats of scans, one entry each; a new format is a module with a function ``open_file`` and an entry here.
+"""The formats of scans, one entry each; a new format is a module with a function ``open_file`` and an entry
+here.
 
-The help of ``ct2mass``, messages and the table of docs/formats.md follow from it, and the contract tests ask for a
-writer of every entry.
+The help of ``ct2mass``, messages and the table of docs/formats.md follow from it, and the contract tests ask
+for a writer of every entry.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class Format:
     suffixes : tuple of str
         Of files, lower case.
     libraries : tuple of str
-        Modules that read it; the reading then runs in a child process. Empty: own code of a few header fields.
+        Modules that read it; the reading then runs in a child process. Empty: own code of a few header
+        fields.
     matches : callable or None
         Recognises a file or folder by its content, where no suffix decides.
     carries_place : bool
@@ -81,8 +83,8 @@ DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")
 RAW = Format(
     "raw voxels",
     "raw",
-    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`), or as a "
-    "header in their folder says",
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of "
+    "`[scan]`), or as a header in their folder says",
     (".raw", ".vol", ".bin", ".dat", ".img"),
 )
 
@@ -90,15 +92,16 @@ FORMATS = (
     Format(
         "TIFF",
         "tiff",
-        "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any packing that "
-        "tifffile knows; one that says 0 is white is inverted, with a notice (`white_is_zero`)",
+        "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any "
+        "packing that tifffile knows; one that says 0 is white is inverted, with a notice (`white_is_zero`)",
         (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
         ("tifffile",),
     ),
     Format(
         "NRRD",
         "itk",
-        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2, text, hex",
+        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, "
+        "bzip2, text, hex",
         (".nrrd", ".nhdr"),
         ("SimpleITK",),
         carries_place=True,
@@ -107,7 +110,7 @@ FORMATS = (
     Format(
         "MHA, MHD",
         "itk",
-        "origin, direction and units, attached or detached; packed or text",
+        "origin, direction and units, attached or detached; raw or packed",
         (".mha", ".mhd"),
         ("SimpleITK",),
         carries_place=True,

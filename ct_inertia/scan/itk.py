@@ -1,7 +1,7 @@
 """NRRD and MetaImage by SimpleITK, NIfTI by nibabel: their geometry; raw voxels are read where they lie.
 
-SimpleITK does not say where voxels begin, what the unit of length is and whether the axes are a patient's: these
-few fields are looked up in the text of the header.
+SimpleITK does not say where voxels begin, what the unit of length is and whether the axes are a patient's:
+these few fields are looked up in the text of the header.
 """
 
 from __future__ import annotations
@@ -52,8 +52,6 @@ _NRRD_PACKINGS = {
     "raw": "raw",
     **dict.fromkeys(("gzip", "gz"), "deflate"),
     **dict.fromkeys(("bzip2", "bz2"), "bzip2"),
-    **dict.fromkeys(("ascii", "text", "txt"), "text"),
-    "hex": "hex",
 }
 _PATIENT = re.compile(r"(ras|las|lps|\w+-(anterior|posterior)-\w+|\w+-\w+-(superior|inferior))(-time)?")
 _LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0])
@@ -61,7 +59,8 @@ _LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class _Voxels:
-    """Where the voxels of a header lie: files with the byte (-1: counted from the end), packing, bytes to skip."""
+    """Where the voxels of a header lie: files with the byte (-1: counted from the end), packing, bytes to "
+    "skip."""
 
     pieces: list[tuple[Path, int]]
     packing: str
@@ -235,7 +234,8 @@ def _metaimage_voxels(path: Path, text: str, end: int) -> _Voxels:
 
     packing = "deflate" if true("CompressedData") else "raw"
     if _field(text, "BinaryData").lower() == "false":
-        packing = "text"
+        step = "Export it as binary data"
+        raise StapeskitError.of("the voxels", "binary", "numbers as text", path.name, step)
     order = ">" if true("ElementByteOrderMSB") or true("BinaryDataByteOrderMSB") else "<"
     named, skip = _field(text, "ElementDataFile"), _whole(text, "HeaderSize", path)
     if named.upper() in ("LOCAL", ""):
@@ -279,7 +279,8 @@ def _with_voxels(opened: Opened, voxels: _Voxels, path: Path) -> Opened:
 
 
 def _check_surplus(opened: Opened, voxels: _Voxels) -> None:
-    """Refuse a separate data file that is longer than its voxels: a header of its own may come before them."""
+    """Refuse a separate data file that is longer than its voxels: a header of its own may come before "
+    "them."""
     if voxels.attached or any(start == -1 for _, start in voxels.pieces):
         return
     share = int(np.prod(opened.shape, dtype=np.int64)) * opened.dtype.itemsize
@@ -294,8 +295,8 @@ def _surplus(needed: int, stored: int, name: str) -> StapeskitError:
         f"as long as its header says ({needed} bytes)",
         f"{stored} bytes",
         name,
-        "If it begins with a header of its own, let the voxels be counted from its end: byte skip: -1 in NRRD, "
-        "HeaderSize = -1 in MetaImage",
+        "If it begins with a header of its own, let the voxels be counted from its end: byte skip: -1 in "
+        "NRRD, HeaderSize = -1 in MetaImage",
     )
 
 
@@ -356,8 +357,8 @@ def _flattened(
     opened_shape, stored = tuple(opened.shape), opened.dtype
     listed = ", ".join(f"{number} {name}" for number, (_, _, name) in enumerate(segments, start=1))
     text = (
-        f"The segmentation has {layers} layers; its segments were numbered {listed}. Where two overlap the later one "
-        f"counts."
+        f"The segmentation has {layers} layers; its segments were numbered {listed}. Where two overlap the "
+        f"later one counts."
     )
     opened.notices.append(Notice("segments_numbered", text))
     opened.names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
@@ -410,7 +411,8 @@ def open_nifti(path: Path, _: ReadOptions) -> Opened:
 
 
 def _place_nifti(opened: Opened, header: Any, name: str) -> None:
-    """Set spacing, origin and direction by the rules of nifti1.h: sform, else qform, else voxel sizes alone."""
+    """Set spacing, origin and direction by the rules of nifti1.h: sform, else qform, else voxel sizes "
+    "alone."""
     sform, qform = (
         (header.get_sform(True)[0], header.get_qform(True)[0]) if "sform_code" in header else (None, None)
     )
@@ -450,8 +452,8 @@ def _difference(
         return []
     first, second = (", ".join(f"{value:.5g}" for value in unit * one) for one in (steps, stated))
     text = (
-        f"{name} states the place of its voxels twice: by the sform ({first} mm a voxel), which was used, and by the "
-        f"{called} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the other show other "
-        f"coordinates and sizes. Save it anew from the program that shows it rightly."
+        f"{name} states the place of its voxels twice: by the sform ({first} mm a voxel), which was used, "
+        f"and by the {called} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the "
+        f"other show other coordinates and sizes. Save it anew from the program that shows it rightly."
     )
     return [Notice("header_places_differ", text)]

@@ -1,4 +1,5 @@
-"""Label volumes: which number is which body, and a segmentation that lies on the scan in 3D Slicer and ITK-SNAP."""
+"""Label volumes: which number is which body, and a segmentation that lies on the scan in 3D Slicer and "
+"ITK-SNAP."""
 
 from __future__ import annotations
 
@@ -53,8 +54,8 @@ def body_numbers(
     Raises
     ------
     StapeskitError
-        Several segments have such a name, or one is a part of the stapes; neither names nor numbers say which body
-        is the stapes; both bodies have the same number.
+        Several segments have such a name, or one is a part of the stapes; neither names nor numbers say which
+        body is the stapes; both bodies have the same number.
     """
     if stapes is None:
         stapes = _number_by_name(names, _STAPES_NAME, where)
@@ -137,8 +138,8 @@ def write_segmentation(
 
     Notes
     -----
-    The keys: https://slicer.readthedocs.io/en/latest/developer_guide/modules/segmentations.html. All segments share
-    one layer. Labels are long runs of one value: zlib looks for runs only, which is fastest.
+    The keys: https://slicer.readthedocs.io/en/latest/developer_guide/modules/segmentations.html. All segments
+    share one layer. Labels are long runs of one value: zlib looks for runs only, which is fastest.
     """
     keys = {
         "Segmentation_ContainedRepresentationNames": "Binary labelmap|",

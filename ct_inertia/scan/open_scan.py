@@ -1,4 +1,5 @@
-"""Open a scan or a label volume of any format: one header parse, in a child process where a library does it."""
+"""Open a scan or a label volume of any format: one header parse, in a child process where a library does "
+"it."""
 
 from __future__ import annotations
 
@@ -56,8 +57,8 @@ def open_scan(
     Raises
     ------
     StapeskitError
-        The file is missing, of an unknown kind, damaged or truncated, has no spacing, or is no three-dimensional
-        picture of grey values.
+        The file is missing, of an unknown kind, damaged or truncated, has no spacing, or is no
+        three-dimensional picture of grey values.
     """
     scan = _opened(Path(path), ReadOptions(spacing_mm, mirror, nan_as_air, raw))
     check_differs(scan)

@@ -1,8 +1,8 @@
 """Where the voxels of a scan lie: units, spacing and handedness, by the same rules for every format.
 
-The rules: the user's spacing wins over that of the file; a spacing that is not known along every axis is asked
-for, not guessed; a left-handed grid is read with one index axis reversed, so that every voxel keeps its place;
-``--mirror`` then reverses the voxels inside the box of the scan, whose place stays.
+The rules: the user's spacing wins over that of the file; a spacing that is not known along every axis is
+asked for, not guessed; a left-handed grid is read with one index axis reversed, so that every voxel keeps its
+place; ``--mirror`` then reverses the voxels inside the box of the scan, whose place stays.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
     x, _, z = spacing
     if z == 1.0 and np.isfinite(x) and x > 0.0 and not 1.0 / _UNSET_RATIO <= x <= _UNSET_RATIO:
         text = (
-            f"the file says {x * unit_mm:.6g} mm in a slice and slices exactly 1 unit ({unit_mm:g} mm) apart, "
-            f"which programs write where nobody entered a distance"
+            f"the file says {x * unit_mm:.6g} mm in a slice and slices exactly 1 unit ({unit_mm:g} mm) "
+            f"apart, which programs write where nobody entered a distance"
         )
         return np.array([spacing[0], spacing[1], np.nan]) * unit_mm, text
     return spacing * unit_mm, ""
@@ -127,7 +127,8 @@ def choose_spacing(
     if not np.any(np.abs(spacing[known_axes] / stated[known_axes] - 1.0) > _NOTED_CHANGE):
         return spacing, []
     along = "" if np.all(known_axes) else " along " + " and ".join(np.array(list(_AXES))[known_axes])
-    text = f"{name} has voxels of {_times(stated[known_axes])} mm{along}; the given {_times(spacing)} mm were used."
+    held, given = _times(stated[known_axes]), _times(spacing)
+    text = f"{name} has voxels of {held} mm{along}; the given {given} mm were used."
     return spacing, [Notice("spacing_overridden", text)]
 
 
@@ -171,16 +172,16 @@ def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, c
         direction = direction.copy()
         direction[:, axis] = -direction[:, axis]
         text = (
-            f"The axes of {name} are left-handed: its {_AXES[axis]} axis was read in reverse, and every voxel kept "
-            f"its place."
+            f"The axes of {name} are left-handed: its {_AXES[axis]} axis was read in reverse, and every "
+            f"voxel kept its place."
         )
         notices.append(Notice("axis_reversed", text))
     if options.mirror is not None:
         fetch = _reversed(fetch, shape, _AXES.index(options.mirror))
     elif not opened.anatomical:
         text = (
-            f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the ear is a "
-            f"mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it."
+            f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the "
+            f"ear is a mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it."
         )
         notices.append(Notice("handedness_unconfirmed", text))
     return Scan(
@@ -207,13 +208,10 @@ def rescaled(opened: Opened, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
     slope, intercept = np.asarray(opened.slope, dtype=float), np.asarray(opened.intercept, dtype=float)
     if np.all(slope == 1.0) and np.all(intercept == 0.0):
         return fetch, dtype
-    slopes, intercepts = (np.broadcast_to(one, opened.shape[0]) for one in (slope, intercept))
+    slopes, intercepts = (np.broadcast_to(one, opened.shape[0])[:, None, None] for one in (slope, intercept))
 
-    def scaled(box: Box) -> NDArray[Any]:
-        values = fetch(box).astype(np.float64 if dtype.itemsize > 2 else np.float32)
-        values *= slopes[box[0]].reshape(-1, 1, 1).astype(values.dtype)
-        values += intercepts[box[0]].reshape(-1, 1, 1).astype(values.dtype)
-        return values.astype(np.float32, copy=False)
+    def scaled(box: Box) -> NDArray[np.float32]:
+        return np.asarray(fetch(box) * slopes[box[0]] + intercepts[box[0]], dtype=np.float32)
 
     return scaled, np.dtype(np.float32)
 
@@ -234,9 +232,9 @@ def _inverted(fetch: Fetch, dtype: np.dtype[Any]) -> Fetch:
 
 def _white_is_zero(name: str) -> Notice:
     text = (
-        f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is bright. Grey "
-        f"values count from the other end of their range (255 less the stored one, 65535 less it; floats change "
-        f"sign). If bone was bright as stored, correct the tag where the scan was exported."
+        f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
+        f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 less "
+        f"it; floats change sign). If bone was bright as stored, correct the tag where the scan was exported."
     )
     return Notice("white_is_zero", text)
 
@@ -280,7 +278,8 @@ def size_in_words(scan: Scan) -> str:
 
 
 def spacing_advice(scan: Scan) -> str:
-    """Return the next step for a scan without a stapes: another unit, where that makes it the size of an ear."""
+    """Return the next step for a scan without a stapes: another unit, where that makes it the size of an "
+    "ear."""
     extent = float((scan.size * scan.spacing_mm).max())
     low, high = _EAR_MM
     if not low <= extent <= high:
@@ -290,7 +289,8 @@ def spacing_advice(scan: Scan) -> str:
                 return f"If the numbers in the file are {unit}, give --spacing {values}"
     x, y, z = scan.spacing_mm
     if max(x, y, z) > _UNSET_RATIO * min(x, y, z):
-        return f"Check the distance of slices ({z:.6g} mm beside {x:.6g} mm in a slice) and give --spacing DX,DY,DZ"
+        apart = f"{z:.6g} mm beside {x:.6g} mm in a slice"
+        return f"Check the distance of slices ({apart}) and give --spacing DX,DY,DZ"
     return "Check the voxel size, and give the right one with --spacing"
 
 

@@ -1,4 +1,5 @@
-"""Block means of a scan, read a few planes at a time: the whole volume is never held as floating point numbers."""
+"""Block means of a scan, read a few planes at a time: the whole volume is never held as floating point "
+"numbers."""
 
 from __future__ import annotations
 
@@ -13,8 +14,9 @@ from ct_inertia.scan.scan import Box, Scan
 def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tuple[NDArray[np.float32], Scan]:
     """Average a box of the scan over blocks of voxels.
 
-    Sums over the means times the volume of a block are the sums over the voxels: the grey integral and its
-    first moments do not change. What is left over at the end of the box is not read.
+    Sums over the means times the volume of a block are the sums over the voxels: the grey integral does not
+    change, and its first moments only by what grey values vary within blocks. What is left over at the end of
+    the box is not read.
 
     Parameters
     ----------

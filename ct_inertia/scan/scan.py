@@ -116,7 +116,7 @@ class Scan:
         spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=float), 3)
         native = array.dtype.newbyteorder("=")
         return cls(
-            shape=array.shape,  # type: ignore[arg-type]
+            shape=array.shape,
             dtype=native,
             spacing_mm=spacing,
             fetch=lambda box: array[box].astype(native, order="C", copy=True),
@@ -219,7 +219,7 @@ class Scan:
         low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size)
         high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size)
         if np.any(high - low < 2):
-            ends = self.scan_points([[0, 0, 0], self.size - 1])
+            ends = self.scan_points(np.array([[0, 0, 0], self.size - 1]))
             raise StapeskitError.of(
                 "--box",
                 f"a box that overlaps the scan ({_numbers(ends[0])} to {_numbers(ends[1])} mm)",
@@ -265,7 +265,7 @@ class Scan:
         # The sum of squares is finite only where every voxel is: one pass without a mask in the usual case.
         with np.errstate(over="ignore", invalid="ignore"):
             low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
-        if -LARGEST_GREY <= low and high <= LARGEST_GREY:
+        if low >= -LARGEST_GREY and high <= LARGEST_GREY:
             return values
         bad = ~np.isfinite(values)
         largest = float(np.max(np.abs(values), where=~bad, initial=0.0))

@@ -45,8 +45,8 @@ def open_isq(path: Path, _: ReadOptions) -> Opened:
 
     Notes
     -----
-    An ISQ stores the extent of the whole volume in whole micrometres: the voxel size is rounded to that over the
-    number of voxels.
+    An ISQ stores the extent of the whole volume in whole micrometres: the voxel size is rounded to that over
+    the number of voxels.
     """
     head = _start(path)
     if not head.startswith(b"CTDATA-HEADER_V1"):
@@ -175,8 +175,8 @@ def _density_notice(name: str, scaling: float, slope: float, intercept: float, u
     )
     text = (
         f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
-        f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the file of "
-        f"--calibration."
+        f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
+        f"file of --calibration."
     )
     return [Notice("density_in_header", text)]
 
@@ -191,9 +191,10 @@ def open_vgi(path: Path, _: ReadOptions) -> Opened:
 
     Notes
     -----
-    A section ``[file1]`` says how the voxels are stored, which need not be how ``[representation]`` shows them.
-    Several files hold the slices one after another. The place and rotation of the volume in the scene of VGStudio
-    are not scan coordinates: origin 0, identity.
+    Sections ``[file1]``, ... say how the voxels are stored, which need not be how ``[representation]`` shows
+    them.
+    Several files hold the slices one after another. The place and rotation of the volume in the scene of
+    VGStudio are not scan coordinates: origin 0, identity.
     """
     sections = _vgi_sections(path)
     names = sorted((name for name in sections if re.fullmatch(r"file\d*", name)), key=_file_number)
@@ -229,8 +230,8 @@ def open_vgi(path: Path, _: ReadOptions) -> Opened:
     mirrored = shown.get("mirror", "0").split()
     if any(word not in ("0", "0.0") for word in mirrored):
         text = (
-            f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were read as they "
-            f"are stored. Use --mirror if the ear is a mirror image."
+            f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were "
+            f"read as they are stored. Use --mirror if the ear is a mirror image."
         )
         opened.notices.append(Notice("mirrored_display", text))
     return opened
@@ -289,8 +290,8 @@ def open_amira(path: Path, _: ReadOptions) -> Opened:
 
     Notes
     -----
-    The bounding box joins the centres of the outer voxels. ``Units`` gives its unit; without it the spacing must be
-    given.
+    The bounding box joins the centres of the outer voxels. ``Units`` gives its unit; without it the spacing
+    must be given.
     """
     head = _start(path)
     first = head.split(b"\n", 1)[0].decode("latin-1")

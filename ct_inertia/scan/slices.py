@@ -44,8 +44,8 @@ def open_file(folder: Path, options: ReadOptions) -> Opened:
     Raises
     ------
     StapeskitError
-        No slices, several series, a slice of another size or type, a damaged slice, or a reconstruction log that
-        describes other slices.
+        No slices, several series, a slice of another size or type, a damaged slice, or a reconstruction log
+        that describes other slices.
     """
     files, notices = slice_files(folder)
     looks = [_look(file) for file in files]
@@ -118,8 +118,8 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     notices = []
     if len(images) > len(chosen):
         text = (
-            f"{len(images) - len(chosen)} other image files in {folder.name} are not part of the series and were "
-            f"left out."
+            f"{len(images) - len(chosen)} other image files in {folder.name} are not part of the series and "
+            f"were left out."
         )
         notices.append(Notice("files_ignored", text))
     return [path for _, path in chosen], notices + _gaps(numbers, folder.name)
@@ -130,8 +130,8 @@ def _numbers(stems: Sequence[str]) -> list[tuple[int | None, str]]:
 
     Notes
     -----
-    Of the names that differ in numbers only, it is the last number that differs: ``ear_0042_8bit`` counts by its
-    first one. A name without a number has none.
+    Of the names that differ in numbers only, it is the last number that differs: ``ear_0042_8bit`` counts by
+    its first one. A name without a number has none.
     """
     parts = [re.split(r"(\d+)", stem) for stem in stems]
     alike = defaultdict(list)
@@ -154,21 +154,22 @@ def _gaps(numbers: list[int], name: str) -> list[Notice]:
     missing = sorted(set(range(numbers[0], numbers[-1] + 1, step)) - set(numbers))
     if missing:
         text = (
-            f"{len(missing)} slices are missing in {name} (number {list_some(map(str, missing), 5)}): the slices "
-            f"around each gap are taken as neighbours, which shortens the body there."
+            f"{len(missing)} slices are missing in {name} (number {list_some(map(str, missing), 5)}): the "
+            f"slices around each gap are taken as neighbours, which shortens the body there."
         )
         return [Notice("slices_missing", text)]
     if step == 1:
         return []
     text = (
-        f"The slices in {name} are numbered in steps of {step}: where the others were left out, the distance of "
-        f"slices is {step} times that of the scan."
+        f"The slices in {name} are numbered in steps of {step}: where the others were left out, the "
+        f"distance of slices is {step} times that of the scan."
     )
     return [Notice("slices_in_steps", text)]
 
 
 def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | None, str]:
-    """Return the voxel spacing (3,), mm, in the reconstruction log among these, and what they say without one.
+    """Return the voxel spacing (3,), mm, in the reconstruction log among these, and what they say without
+    one.
 
     Parameters
     ----------
@@ -183,8 +184,8 @@ def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | Non
 
     Notes
     -----
-    The section ``[Reconstruction]`` counts: the pixel size of the acquisition is that of the projections, and nothing
-    says that the slices were reconstructed at it.
+    The section ``[Reconstruction]`` counts: the pixel size of the acquisition is that of the projections, and
+    nothing says that the slices were reconstructed at it.
     """
     sizes: dict[tuple[float, float], str] = {}
     faults = []
@@ -196,8 +197,8 @@ def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | Non
             projected = _log_length(before, r"(?:Scaled )?Image Pixel Size")
             if projected is not None:
                 acquired = (
-                    f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the pixel size of "
-                    f"the projections; nothing says at which size the slices were reconstructed"
+                    f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the "
+                    f"pixel size of the projections; nothing says at which size the slices were reconstructed"
                 )
             continue
         stated = [_log_number(after, key) for key in ("Sections Count", r"Result Image Height \(pixels\)")]
@@ -246,8 +247,8 @@ def _other_slices(
         f"those that their reconstruction log describes ({told})",
         held,
         log.name,
-        "They were cropped, scaled or come from another scan: give their voxel size with --spacing, or copy the whole "
-        "folder again",
+        "They were cropped, scaled or come from another scan: give their voxel size with --spacing, or copy "
+        "the whole folder again",
     )
 
 

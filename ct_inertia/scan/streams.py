@@ -1,6 +1,6 @@
-"""Unpack streams of voxels: gzip and zlib, bzip2, text and hexadecimal digits.
+"""Unpack streams of voxels: gzip, zlib and bzip2.
 
-SimpleITK and nibabel read a stream that ends too early without an error, and wrap text numbers beyond the type.
+SimpleITK reads a stream that ends too early without an error.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def unpacked(packing: str, file: Path, start: int, skip: int, out: NDArray[Any])
     Parameters
     ----------
     packing : str
-        ``deflate`` (gzip or zlib), ``bzip2``, ``text`` or ``hex``.
+        ``deflate`` (gzip or zlib) or ``bzip2``.
     file : Path
     start : int
         Byte at which the packed stream begins.
@@ -44,10 +44,8 @@ def unpacked(packing: str, file: Path, start: int, skip: int, out: NDArray[Any])
     Raises
     ------
     StapeskitError
-        The stream is damaged, or a number in it is none of the array's type.
+        The stream is damaged.
     """
-    if packing in ("text", "hex"):
-        return _from_words(packing, file, start, out)
     view = out.view(np.uint8).data
     if skip == -1:
         whole = b"".join(_inflated(packing, file, start))[-len(view) :]
@@ -93,30 +91,6 @@ def _inflated(packing: str, file: Path, start: int) -> Iterator[bytes]:
                     yield piece
         except (zlib.error, OSError, ValueError) as fault:
             raise _damaged(file, "a damaged packed stream") from fault
-
-
-def _from_words(packing: str, file: Path, start: int, out: NDArray[Any]) -> tuple[int, int]:
-    with file.open("rb") as stream:
-        stream.seek(start)
-        content = stream.read()
-    try:
-        if packing == "hex":
-            data = bytes.fromhex(b"".join(content.split()).decode("ascii"))
-            values = np.frombuffer(data[: len(data) // out.itemsize * out.itemsize], dtype=out.dtype)
-        else:
-            numbers = np.array(content.split(), dtype=np.float64)
-            if out.dtype.kind in "ui":
-                limits = np.iinfo(out.dtype)
-                if np.any(np.rint(numbers) != numbers) or np.any(
-                    (numbers < limits.min) | (numbers > limits.max)
-                ):
-                    raise ValueError("numbers beyond the type")
-            values = numbers.astype(out.dtype)
-    except (ValueError, UnicodeDecodeError) as fault:
-        raise _damaged(file, f"words that are no numbers of type {out.dtype.newbyteorder('=')}") from fault
-    count = min(len(values), len(out))
-    out[:count] = values[:count]
-    return count * out.itemsize, max(0, len(values) - count) * out.itemsize
 
 
 def _damaged(file: Path, got: str) -> StapeskitError:

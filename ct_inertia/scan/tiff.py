@@ -1,4 +1,5 @@
-"""TIFF stacks by tifffile: plain, ImageJ, OME (also in several files) and BigTIFF, with spacing and origin."""
+"""TIFF stacks by tifffile: plain, ImageJ, OME (also in several files) and BigTIFF, with spacing and "
+"origin."""
 
 from __future__ import annotations
 
@@ -173,7 +174,8 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
 
 
 def _imagej_counts(tif: tifffile.TiffFile, path: Path) -> tuple[int, int]:
-    """Return how many slices an ImageJ description counts, and how many the file holds; (0, 0) without one."""
+    """Return how many slices an ImageJ description counts, and how many the file holds; (0, 0) without "
+    "one."""
     meta = (tif.imagej_metadata or {}) if tif.is_imagej else {}
     stated, pages = int(meta.get("images") or 0), len(tif.pages)
     if stated < 2 or pages > 1:
@@ -205,7 +207,7 @@ def _raw_planes(
     if page.compression.name != "NONE" or page.bitspersample < 8 or page.is_tiled or series.dtype.kind == "b":
         return None
     if series.dataoffset is not None:
-        files = (Path(page.parent.filehandle.path),)
+        files: tuple[Path, ...] = (Path(page.parent.filehandle.path),)
         number, offset = np.zeros(shape[0], np.int64), series.dataoffset + plane * np.arange(shape[0])
     else:
         if len(series.pages) != shape[0]:
@@ -278,7 +280,8 @@ def _imagej_place(meta: dict[str, Any], pixels: Array | None) -> tuple[Array | N
     )
     spacing = spacing * units / unit
     if not known and not np.all(np.isfinite(spacing)):
-        known = f"the ImageJ header has a unit but no complete spacing ({spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice)"
+        plane = f"{spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice"
+        known = f"the ImageJ header has a unit but no complete spacing ({plane})"
     zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
     return spacing, np.nan_to_num(-zero * spacing, posinf=0.0, neginf=0.0), known
 
@@ -290,8 +293,8 @@ def _ome_place(
 
     Notes
     -----
-    Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame without
-    a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes.
+    Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame
+    without a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes.
     """
     from xml.etree import ElementTree
 
@@ -353,8 +356,8 @@ def _notices(tif: tifffile.TiffFile, path: Path) -> list[Notice]:
     meta = tif.imagej_metadata if tif.is_imagej else None
     if meta and float(meta.get("spacing") or 1.0) < 0.0:
         text = (
-            f"{path.name} has a negative slice distance; its size was used and the order of slices kept. Reverse "
-            f"them with --mirror z if the ear is a mirror image."
+            f"{path.name} has a negative slice distance; its size was used and the order of slices kept. "
+            f"Reverse them with --mirror z if the ear is a mirror image."
         )
         notices.append(Notice("negative_slice_distance", text))
     return notices

@@ -33,8 +33,8 @@ def open_file(folder: Path, _: ReadOptions) -> Opened:
 
     Notes
     -----
-    The scale and translation of the level, then those of the whole image, give spacing and origin; the translation is
-    that of the first voxel's centre. Chunks that are not stored hold the fill value.
+    The scale and translation of the level, then those of the whole image, give spacing and origin; the
+    translation is that of the first voxel's centre. Chunks that are not stored hold the fill value.
     """
     import zarr
 
@@ -159,7 +159,8 @@ def _voxels(array: Any, axes: Sequence[str], folder: Path) -> Opened:
 
 
 def _pieces(asked: range, chunk: int) -> list[tuple[slice, slice]]:
-    """Split indices by chunks: what to read of the array, and where it belongs among the indices asked for."""
+    """Split indices by chunks: what to read of the array, and where it belongs among the indices asked "
+    "for."""
     pieces, first = [], 0
     while first < len(asked):
         end = first
@@ -176,8 +177,9 @@ def _missing_chunks(array: Any, folder: Path) -> list[Notice]:
         raise wrong_header(folder, "OME-Zarr image", "metadata without a single chunk")
     if stored >= total:
         return []
+    fill = float(array.fill_value or 0)
     text = (
-        f"{total - stored} of {total} chunks of {folder.name} are not stored and count as {array.fill_value or 0:g}: "
-        f"writers leave out empty chunks, but so does an incomplete copy."
+        f"{total - stored} of {total} chunks of {folder.name} are not stored and count as {fill:g}: writers "
+        f"leave out empty chunks, but so does an incomplete copy."
     )
     return [Notice("chunks_not_stored", text)]

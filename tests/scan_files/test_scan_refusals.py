@@ -1,0 +1,352 @@
+"""Files that claim, hold or point at other things than a scan: one fault each, with place and next step."""
+
+import gzip
+import json
+import os
+import struct
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+import tifffile
+from PIL import Image
+
+from ct_inertia.scan.open_scan import open_labels, open_scan
+from ct_inertia.scan.opened import RawLayout
+from stapeskit.faults import StapeskitError
+from tests.scan_files import scan_writers as w
+from tests.scan_files.scan_writers import SPACING, picture
+
+HUGE = "50000 60000 70000"
+
+
+def refused(path, spacing=0.02, **options):
+    with pytest.raises(StapeskitError) as caught:
+        open_scan(path, spacing, **options).read()
+    fault = caught.value.faults[0]
+    assert fault.where or path.name in fault.got or fault.thing.startswith(("slice ", "--"))
+    return fault
+
+
+def changed(path, old, new):
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new))
+    return path
+
+
+CLAIMS = {
+    "a.mha": lambda path: w.meta(path, picture("i2"), DimSize=HUGE),
+    "a.nrrd": lambda path: w.nrrd(path, picture("i2"), sizes=HUGE),
+    "zip.nrrd": lambda path: w.nrrd(path, picture("i2"), sizes=HUGE, encoding="gzip"),
+    "a.am": lambda path: changed(
+        w.amira(path, picture("i2")), b"Lattice 5 6 7", b"Lattice 50000 60000 70000"
+    ),
+    "a.vgi": lambda path: changed(w.vgi(path, picture("i2")), b"5 6 7", HUGE.encode()),
+    "a.nii": lambda path: changed(w.nifti(path, picture("i2")), struct.pack("<3h", 5, 6, 7), b"\xff\x7f" * 3),
+    "a.isq": lambda path: changed(
+        w.isq(path, picture("i2")), struct.pack("<3i", 5, 6, 7), b"\xff\xff\0\0" * 3
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_claims_of_terabytes_are_refused_before_anything_is_allocated(tmp_path, name):
+    fault = refused(CLAIMS[name](tmp_path / name))
+    assert fault.thing in ("the scan", f"the {'NRRD'} scan")
+    assert "bytes" in fault.got or "memory" in fault.got or "MB" in fault.got
+
+
+def test_a_packed_nifti_that_claims_more_than_memory(tmp_path):
+    content = CLAIMS["a.nii"](tmp_path / "a.nii").read_bytes()
+    (tmp_path / "z.nii.gz").write_bytes(gzip.compress(content))
+    assert "memory" in refused(tmp_path / "z.nii.gz").got
+
+
+@pytest.mark.parametrize("shape", [[0, 6, 5], [-7, 6, 5], [1 << 40, 6, 5], [7.5, 6, 5], [7, 6], "abc", None])
+def test_zarr_shapes_that_are_none(tmp_path, shape):
+    folder = w.ome_zarr(tmp_path / "a", picture())
+    meta = json.loads((folder / "0" / ".zarray").read_text())
+    (folder / "0" / ".zarray").write_text(json.dumps(meta | {"shape": shape}))
+    refused(folder)
+
+
+def test_zarr_metadata_that_are_none(tmp_path):
+    folder = w.ome_zarr(tmp_path / "a", picture())
+    meta = json.loads((folder / "0" / ".zarray").read_text())
+    for key in ("shape", "chunks", "dtype"):
+        (folder / "0" / ".zarray").write_text(json.dumps({k: v for k, v in meta.items() if k != key}))
+        refused(folder)
+    (folder / "0" / ".zarray").write_text(json.dumps(meta | {"chunks": [1 << 12] * 3}))
+    assert "chunks of" in refused(folder).got
+    (folder / "0" / ".zarray").write_text(json.dumps(meta))
+    chunk = next(p for p in (folder / "0").rglob("*") if p.is_file() and not p.name.startswith("."))
+    chunk.write_bytes(b"damaged")
+    refused(folder)
+    for content in ("{", "{}", '{"multiscales": [{}]}', '{"a":' * 100_000):
+        (folder / ".zattrs").write_text(content)
+        refused(folder)
+    two = w.ome_zarr(tmp_path / "two", picture(), leading=("c",))
+    meta = json.loads((two / "0" / ".zarray").read_text())
+    (two / "0" / ".zarray").write_text(json.dumps(meta | {"shape": [2, *meta["shape"][1:]]}))
+    assert refused(two).expected == "a stack of one grey value per voxel"
+
+
+HEADERS = [
+    (w.nrrd, {"data_file": "s%03d.raw 0 x 1"}),
+    (w.nrrd, {"data_file": "s%03d%03d.raw 0 6 1"}),
+    (w.nrrd, {"data_file": "s%07d.raw 0 9999999 1"}),
+    (w.nrrd, {"data_file": "LIST"}),
+    (w.nrrd, {"data_file": "none.raw"}),
+    (w.nrrd, {"data_file": "../a.raw"}),
+    (w.nrrd, {"data_file": "/etc/hostname"}),
+    (w.nrrd, {"data_file": "b" * 300}),
+    (w.nrrd, {"byte_skip": "some"}),
+    (w.nrrd, {"spacings": "1 2"}),
+    (w.nrrd, {"encoding": "ascii"}),
+    (w.nrrd, {"type": "block"}),
+    (w.nrrd, {"sizes": "5 6 x"}),
+    (w.meta, {"data": "s%03d.raw 0"}),
+    (w.meta, {"data": "s%03d.raw 0 6 0"}),
+    (w.meta, {"data": "x/../../a.raw"}),
+    (w.meta, {"data": "a.tif"}),
+    (w.meta, {"ElementType": "MET_OTHER"}),
+    (w.meta, {"DimSize": None}),
+    (w.meta, {"BinaryData": "False"}),
+]
+
+
+@pytest.mark.parametrize(("write", "fields"), HEADERS)
+def test_headers_that_make_no_sense(tmp_path, write, fields):
+    (tmp_path / "a.raw").write_bytes(picture().tobytes())
+    (tmp_path / "in").mkdir()
+    path = tmp_path / "in" / ("a.nhdr" if write is w.nrrd else "a.mhd")
+    assert refused(write(path, picture(), **fields)).where == path.name
+
+
+def test_a_data_file_with_a_header_of_its_own_is_not_read_from_its_start(tmp_path):
+    """A NIfTI file as the voxels of another header: its first 352 bytes are none."""
+    (tmp_path / "a.nii").write_bytes(bytes(352) + picture().tobytes())
+    (tmp_path / "a.nii.gz").write_bytes(gzip.compress(bytes(352) + picture().tobytes()))
+    for name, fields in (("a.nii", {}), ("a.nii.gz", {"encoding": "gzip"})):
+        path = w.nrrd(tmp_path / "a.nhdr", picture(), **{"data file": name}, **fields)
+        fault = refused(path)
+        assert str(picture().nbytes) in fault.expected
+        assert str(picture().nbytes + 352) in fault.got
+        assert "-1" in fault.next_step
+
+
+def test_an_imagej_description_that_counts_other_slices(tmp_path):
+    text = "ImageJ=1.54f\nimages=9\nslices=9\nunit=mm\nspacing=0.03\n"
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        for k, plane in enumerate(picture()):
+            writer.write(plane, metadata=None, contiguous=False, description=text if k == 0 else None)
+    fault = refused(tmp_path / "a.tif")
+    assert "(9)" in fault.expected
+    assert fault.got == "7 slices"
+
+
+LOGS = {
+    "width": ({"width": 50}, "5 columns"),
+    "count": ({"count": 70}, "7 slices"),
+    "height": ({"height": 60, "width": 50}, "6 rows, 5 columns"),
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_reconstruction_log_of_other_slices_is_refused_with_both_numbers(tmp_path, name):
+    other, held = LOGS[name]
+    folder = w.slices(tmp_path / "rec", picture("u1"), ending="bmp")
+    (folder / "rec.log").write_text(w.skyscan_log(picture("u1"), **other))
+    fault = refused(folder, None)
+    assert fault.got == held
+    assert all(str(value) in fault.expected for value in other.values())
+    assert open_scan(folder, SPACING).spacing_mm == pytest.approx(SPACING)
+
+
+def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
+    folder = w.slices(tmp_path / "rec", picture("u1"), ending="bmp")
+    right = w.skyscan_log(picture("u1"))
+    acquired = right.partition("[Reconstruction]")[0]
+    (folder / "a.log").write_text(acquired)
+    (folder / "rec_spr.bmp").write_bytes(b"a preview")
+    assert "9.9 um" in refused(folder, None).got
+    (folder / "rec.log").write_text(right, newline="\r\n")
+    scan = open_scan(folder)
+    assert scan.spacing_mm == pytest.approx([0.02] * 3)
+    assert {notice.code for notice in scan.notices} == {"handedness_unconfirmed"}
+    (folder / "rec.log").write_text(right.replace("Step=1", "Step=2"))
+    assert open_scan(folder).spacing_mm == pytest.approx([0.02, 0.02, 0.04])
+    (folder / "rec2.log").write_text(w.skyscan_log(picture("u1"), size=44.0))
+    got = refused(folder, None).got
+    assert all(word in got for word in ("rec.log", "rec2.log", "20 um", "44 um"))
+    (folder / "rec2.log").write_text(w.skyscan_log(picture("u1"), size=44.0, width=99))
+    assert open_scan(folder).spacing_mm[0] == pytest.approx(0.02)
+
+
+def test_folders_of_slices(tmp_path):
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty")
+    folder = w.slices(tmp_path / "f", picture())
+    for wrong, got in ((np.zeros((4, 4), "u2"), "4 x 4 uint16"), (picture("u1")[0], "5 x 6 uint8")):
+        tifffile.imwrite(folder / "rec_9.tif", wrong, photometric="minisblack")
+        fault = refused(folder)
+        assert (fault.thing, fault.got) == ("slice rec_9.tif", got)
+    (folder / "rec_9.tif").write_bytes(b"nothing")
+    assert refused(folder).where == "rec_9.tif"
+    tifffile.imwrite(folder / "rec_09.tif", picture()[0], photometric="minisblack")
+    assert refused(folder).thing == "the slice numbers"
+    (folder / "rec_09.tif").unlink()
+    (folder / "rec_9.tif").unlink()
+    scan = open_scan(folder, SPACING)
+    assert np.array_equal(scan.read(), np.delete(picture(), 1, axis=0))
+    assert "slices_missing" in {notice.code for notice in scan.notices}
+    for number in (11, 13):
+        (folder / f"rec_{number}.tif").unlink()
+    tifffile.imwrite(folder / "preview_001.tif", np.zeros((3, 3), np.uint8))
+    codes = {notice.code for notice in open_scan(folder, SPACING).notices}
+    assert {"slices_in_steps", "files_ignored"} <= codes
+    for k, image in enumerate(picture()):
+        tifffile.imwrite(folder / f"other_{k}.tif", image)
+        for channel in (1, 2):
+            tifffile.imwrite(tmp_path / f"ear_c{channel}_{k}_8bit.tif", image)
+    assert "other_#.tif (7 slices)" in refused(folder).got
+    assert "ear_c1_#_8bit.tif" in refused(tmp_path).got
+
+
+@pytest.mark.parametrize("pattern", ["ear_{:03d}_8bit", "ear_z{}_c001", "2024-03-01 ear 2 {}", "{:02d}"])
+def test_the_number_that_differs_counts_the_slices(tmp_path, pattern):
+    for k, image in enumerate(picture()):
+        tifffile.imwrite(tmp_path / f"{pattern.format(k + 7)}.tif", image)
+    assert np.array_equal(open_scan(tmp_path, SPACING).read(), picture())
+
+
+def test_pictures_in_colours_and_with_equal_colours(tmp_path):
+    rng = np.random.default_rng(0)
+    for name, band in (("three", None), ("rgb", rng), ("opacity", None)):
+        (tmp_path / name).mkdir()
+        for k, image in enumerate(picture("u1")):
+            if name == "opacity":
+                bands = [Image.fromarray(image), Image.new("L", image.shape[::-1], 255)]
+                Image.merge("LA", bands).save(tmp_path / name / f"{k}.png")
+                continue
+            colours = np.repeat(image[..., None], 3, 2)
+            colours = colours if band is None else rng.integers(0, 255, colours.shape).astype("u1")
+            Image.fromarray(colours).save(tmp_path / name / f"{k}.png")
+    for name in ("three", "opacity"):
+        assert np.array_equal(open_scan(tmp_path / name, SPACING).read(), picture("u1"))
+    assert refused(tmp_path / "rgb").expected == "grey values"
+    table = np.tile(np.random.default_rng(1).permutation(256).astype("u2") * 257, (3, 1))
+    w.plain(tmp_path / "p.tif", picture("u1"))
+    tifffile.imwrite(tmp_path / "p.tif", picture("u1"), photometric="palette", colormap=table)
+    assert refused(tmp_path / "p.tif").expected == "grey values"
+
+
+NO_SCANS = {
+    "flat": (picture()[0], {}, "three-dimensional"),
+    "rgb": (np.zeros((4, 6, 5, 3), "u1"), {"photometric": "rgb"}, "a stack of one grey value per voxel"),
+    "complex": (picture().astype("c8"), {}, "real grey values"),
+    "constant": (
+        np.full((5, 6, 7), 7, "u1"),
+        {"photometric": "minisblack"},
+        "a picture with differing grey values",
+    ),
+    "channels": (
+        np.zeros((3, 2, 6, 5), "u1"),
+        {"imagej": True, "metadata": {"axes": "ZCYX"}},
+        "a stack of one grey value per voxel",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NO_SCANS)
+def test_pictures_that_are_no_scan(tmp_path, name):
+    array, options, expected = NO_SCANS[name]
+    tifffile.imwrite(tmp_path / "a.tif", array, **options)
+    assert refused(tmp_path / "a.tif").expected == expected
+
+
+@pytest.mark.parametrize("ending", ["nrrd", "mha", "nii"])
+def test_flat_vector_and_complex_images_of_open_formats(tmp_path, ending):
+    images = {
+        "flat": sitk.GetImageFromArray(picture("i2")[0]),
+        "vector": sitk.GetImageFromArray(np.zeros((4, 5, 6, 3), "u1"), isVector=True),
+        "complex": sitk.GetImageFromArray(np.ones((4, 5, 6), "c8")),
+    }
+    for name, image in images.items():
+        if (name, ending) != ("complex", "mha"):
+            sitk.WriteImage(image, str(tmp_path / f"{name}.{ending}"))
+            assert refused(tmp_path / f"{name}.{ending}").thing in ("the volume", "the grey values")
+
+
+def test_dicom_folders(tmp_path):
+    folder = w.dicom(tmp_path / "d", picture("i2"))
+    (folder / "1_5.dcm").unlink()
+    assert refused(folder).thing == "the distance of DICOM slices"
+    two = w.dicom(w.dicom(tmp_path / "two", picture("i2")), picture("i2"), series="2")
+    assert "ear 1 (7 files), ear 2 (7 files)" in refused(two).got
+    assert refused(two / "1_9.dcm").expected == "one of several frames"
+    (two / "1_9.dcm").write_bytes((two / "1_9.dcm").read_bytes()[:-40])
+    for file in two.glob("2_*"):
+        file.unlink()
+    refused(two)
+
+
+def test_files_that_are_no_scans(tmp_path):
+    assert refused(tmp_path / "none.tif").expected == "an existing file or folder"
+    (tmp_path / "empty.tif").write_bytes(b"")
+    assert refused(tmp_path / "empty.tif").got == "an empty file"
+    os.mkfifo(tmp_path / "pipe.tif")
+    assert refused(tmp_path / "pipe.tif").got == "a pipe or a device"
+    (tmp_path / "a.docx").write_bytes(b"no scan at all")
+    assert "OME-Zarr" in refused(tmp_path / "a.docx").expected
+    for ending in ("tif", "nrrd", "nhdr", "mha", "nii", "nii.gz", "hdr", "isq", "aim", "vgi", "am", "dcm"):
+        (tmp_path / f"junk.{ending}").write_bytes(b"NRRD0004\nhello world\n" * 20)
+        refused(tmp_path / f"junk.{ending}")
+
+
+def test_raw_layouts(tmp_path):
+    path = w.raw(tmp_path / "a.raw", picture(), header=12)
+    assert "--header-bytes 12" in refused(path, raw=RawLayout((5, 6, 7), "uint16")).next_step
+    assert refused(path, raw=RawLayout((50000, 60000, 70000), "uint16")).thing == "the raw file"
+    (tmp_path / "a.raw.gz").write_bytes(gzip.compress(picture().tobytes()))
+    assert "gzip" in refused(tmp_path / "a.raw.gz", raw=RawLayout((5, 6, 7), "uint16")).next_step
+    for layout, option in (
+        (((5, 6), "uint16"), "--shape"),
+        (((5, 6, 1), "uint16"), "--shape"),
+        (((5, 6, 7), "uint12"), "--dtype"),
+        (((5, 6, 7), "uint16", "middle"), "--byte-order"),
+        (((5, 6, 7), "uint16", "big", -1), "--header-bytes"),
+    ):
+        assert refused(path, raw=RawLayout(*layout)).thing == option
+
+
+@pytest.mark.parametrize("write", [w.plain, w.nrrd, w.ome_zarr, w.slices])
+def test_voxels_that_are_not_finite(tmp_path, write):
+    array = picture("f4")
+    array[5, 3, 3], array[5, 3, 4] = np.nan, np.inf
+    path = write(tmp_path / {w.plain: "a.tif", w.nrrd: "a.nrrd"}.get(write, "a"), array)
+    scan = open_scan(path, 0.02)  # opening does not read all of it
+    assert np.array_equal(scan.read((slice(0, 3), slice(None), slice(None))), array[:3])
+    assert refused(path).got.startswith("2 voxels")
+    air = open_scan(path, 0.02, nan_as_air=True).read()
+    assert np.array_equal(air[np.isfinite(array)], array[np.isfinite(array)])
+    assert set(air[~np.isfinite(array)]) == {np.median(array[np.isfinite(array)])}
+
+
+def test_a_file_that_shrinks_while_it_is_open(tmp_path):
+    path = w.nrrd(tmp_path / "a.nrrd", picture(shape=(40, 30, 20)))
+    scan = open_scan(path)
+    path.write_bytes(path.read_bytes()[:10_000])
+    with pytest.raises(StapeskitError):
+        scan.read()
+
+
+def test_labels_must_be_whole_numbers(tmp_path):
+    array = (picture("f4") > 20).astype("f4")
+    labels, _ = open_labels(w.nrrd(tmp_path / "a.nrrd", array))
+    assert labels.dtype.kind == "i"
+    assert np.array_equal(labels, array)
+    with pytest.raises(StapeskitError) as caught:
+        open_labels(w.nrrd(tmp_path / "b.nrrd", array * 0.5))
+    assert caught.value.faults[0].expected == "whole numbers"
