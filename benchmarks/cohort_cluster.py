@@ -2,7 +2,7 @@
 
     python benchmarks/cohort_cluster.py [--ears 64] [--brief 64]
 
-Runs brief studies without work, for the overhead per ear, and simulated ears (sample_volumes.make_cohort),
+Runs brief studies without work, for the overhead per ear, and simulated ears (sample_volumes.old_cohort),
 here and on 1 and 2 dask workers, and compares all result files but for dates; then the stages of one ear as
 tasks of their own, from folder to folder.
 """
@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from legacy.pipeline.runners import Where, dask_cluster, local
 from legacy.pipeline.runners.study_process import Task
 from legacy.pipeline.stages import STAGES, run_stage
-from sample_volumes.make_cohort import Population, make_cohort
+from sample_volumes.old_cohort import Population, make_cohort
 from tests.pipeline.runners.test_dask_cluster import processes
 
 _CHANGING = ("provenance", "seconds", "hash", "modified", "date")

@@ -30,7 +30,7 @@ def one_study(seed: int) -> dict[str, Any]:
     from legacy.kinematics.fit_options import fit_options
     from legacy.kinematics.measure_motion import motion_inputs, motion_of, read_inputs
     from legacy.pipeline.study import read_study
-    from sample_volumes.make_sample import make_study
+    from sample_volumes.old_study import make_study
     from sample_volumes.phantom import Ear
     from sample_volumes.vibrometer import Vibrometry
 

@@ -51,7 +51,7 @@ _USUAL = ("handedness_unconfirmed", "plate_axis_sign", "density_sd_not_given", "
 
 def made(folder: Path, voxel_um: float, more: tuple[str, ...], seed: int = SEED) -> dict[str, Any]:
     """Write a scan into a folder and return the truth behind it."""
-    from sample_volumes.make_sample import main as make_sample
+    from sample_volumes.old_study import main as make_sample
 
     words = ["--out", str(folder), "--only", "scan", "--gap-um", "100", "--seed", str(seed)]
     with contextlib.redirect_stdout(io.StringIO()):

@@ -174,7 +174,7 @@ def one_ear(seed: int, variants: int = 9) -> list[dict[str, Any]]:
     from legacy.ct_inertia.results import mass_of
     from legacy.pipeline.study import read_study
     from legacy.stapeskit.faults import StapeskitError
-    from sample_volumes.make_sample import make_study
+    from sample_volumes.old_study import make_study
 
     rng = np.random.default_rng([seed, 41])
     scan_name = "good" if rng.uniform() < 0.6 else str(rng.choice(list(SCANS)[1:]))
@@ -245,7 +245,7 @@ def _study(
     from legacy.pipeline.verdict import verdict
     from legacy.stapeskit.faults import StapeskitError
     from legacy.stapeskit.warnings import unique
-    from sample_volumes.make_sample import write_recording
+    from sample_volumes.old_study import write_recording
 
     rng = np.random.default_rng([seed, list(RECORDINGS).index(what), 43])
     how = Vibrometry(seed=seed + (100_000 if what == "right again" else 0))

@@ -12,140 +12,41 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from legacy.ct_inertia.surface.surface import Surface, read_surface, write_surface
-from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from sample_volumes import bodies
-from sample_volumes.mesh_ear import DENSITY, write_mesh_ear
-from sample_volumes.vibrometer import Vibrometry
+from simulate import Ear, Experiment, Population, Scan, cohort, simulate_study
 
-Array = NDArray[np.float64]
-REFERENCE_KG = 3.2e-6
-# Exponents of y, alpha, gamma over the mass: a force goes with the length of the ligament, m^(1/3), in the
-# planted law with m^1; a moment with two more powers of length.
-STIFFNESS_EXPONENTS = (1.0, 5.0 / 3.0, 5.0 / 3.0)
-DAMPING_EXPONENTS = (1.0, 5.0 / 3.0, 5.0 / 3.0)
+RESPONSES = (("K11", 0), ("K22", 1), ("K33", 2), ("D11", 0), ("D22", 1), ("D33", 2))
 
 
-@dataclass(frozen=True)
-class Population:
-    """How ears differ; every spread is a standard deviation of a natural logarithm.
-
-    Attributes
-    ----------
-    ears, pairs : int
-        Number of ears, and of persons with both of them.
-    size, stretch : float
-        Of the whole stapes and of each of its axes.
-    scatter : float
-        Of K and D about their laws, common to the degrees of freedom of a matrix.
-    entry_scatter : float
-        Of each degree of freedom on its own.
-    likeness : float
-        Correlation of the two ears of a person, in size and in scatter.
-    seed : int
-    """
-
-    ears: int = 12
-    pairs: int = 3
-    size: float = 0.07
-    stretch: float = 0.025
-    scatter: float = 0.12
-    entry_scatter: float = 0.05
-    likeness: float = 0.6
-    seed: int = 4
-
-
-def make_cohort(folder: Path, population: Population | None = None) -> dict[str, Any]:
+def make_cohort(folder: Path, population: Population, scan: Scan) -> dict[str, Any]:
     """Write the ears into ``folder/ears`` and the truth into ``folder/truth.json``; return the truth."""
-    population = population or Population()
-    rng = np.random.default_rng(population.seed)
-    people = np.r_[np.repeat(np.arange(population.pairs), 2), np.arange(population.pairs, population.ears)]
-    people = people[: population.ears]
-    ages = rng.integers(35, 85, people.max() + 1)
-
-    def alike(sd: float, columns: int) -> Array:
-        """Return draws (ears, columns) that ears of a person have partly in common."""
-        common = rng.standard_normal((people.max() + 1, columns))[people]
-        alone = rng.standard_normal((population.ears, columns))
-        share = population.likeness
-        return sd * (np.sqrt(share) * common + np.sqrt(1.0 - share) * alone)
-
-    sizes = np.exp(alike(population.size, 1) + alike(population.stretch, 3))
-    scatter = alike(population.scatter, 2)
-    entries = alike(population.entry_scatter, 6)
     ears = []
-    for k in range(population.ears):
-        second = k > 0 and people[k] == people[k - 1]
-        side = "right" if second or (people[k] >= population.pairs and k % 3 == 0) else "left"
-        name = f"ear{k + 1:02d}"
-        stapes = _stapes(folder / "ears" / name, sizes[k], mirrored=side == "right")
-        size = float(np.log(DENSITY * stapes.moments().volume_mm3 * 1e-9 / REFERENCE_KG))
-        matrices = {
-            key: _scale(matrix, exponents, size, scatter[k, j], entries[k, 3 * j : 3 * j + 3], side)
-            for j, (key, matrix, exponents) in enumerate(
-                (
-                    ("stiffness", PAPER_STIFFNESS, STIFFNESS_EXPONENTS),
-                    ("damping", PAPER_DAMPING_CORRECTED, DAMPING_EXPONENTS),
-                )
-            )
-        }
-        about = {
-            "name": f"ear {k + 1}",
-            "notes": "SIMULATED on a real stapes that was stretched. Incus removed, cochlea open.",
-            "side": side,
-            "subject": f"P{people[k] + 1:02d}",
-            "age": float(ages[people[k]]),
-        }
-        how = Vibrometry(lines=60, stapes_points=8, bone_points=7, position_sd_mm=0.005, seed=100 + k)
-        _, mass = write_mesh_ear(
-            folder / "ears" / name, stapes, about, how=how, density="1382.4+-14", side=side, **matrices
+    for number, member in enumerate(cohort(population)):
+        experiment = Experiment(
+            lines=60,
+            stapes_points=8,
+            bone_points=7,
+            position_sd_mm=0.005,
+            fiducial_sd_mm=0.005,
+            seed=100 + number,
         )
-        ears.append(
-            {
-                "folder": name,
-                "mass_kg": mass,
-                **{f"{key}_si": value.tolist() for key, value in matrices.items()},
-            }
-        )
-    sd = float(np.hypot(population.scatter, population.entry_scatter))
-    truth = {
-        "exponents_of_mass": {
-            **{f"K{j + 1}{j + 1}": b for j, b in enumerate(STIFFNESS_EXPONENTS)},
-            **{f"D{j + 1}{j + 1}": b for j, b in enumerate(DAMPING_EXPONENTS)},
-        },
-        "intrinsic_sd_log": sd,
+        place = folder / "ears" / member.name
+        own = replace(scan, seed=100 + number)
+        truth = simulate_study(member.ear, own, experiment, place, name=member.name, about=member.about())
+        matrices = {"stiffness_si": truth.stiffness_si.tolist(), "damping_si": truth.damping_si.tolist()}
+        ears.append({"folder": member.name, "mass_kg": truth.mass.mass_kg, **matrices})
+    known = {
+        "exponents_of_mass": {name: population.exponents[place] for name, place in RESPONSES},
+        "intrinsic_sd_log": population.intrinsic_sd,
         "ears": ears,
     }
-    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-    return truth
-
-
-def _stapes(folder: Path, stretch: Array, mirrored: bool) -> Surface:
-    """Return the stretched stapes, mm, in the footplate frame computed from the stretched shape."""
-    mesh = read_surface(bodies.OPENEAR_STAPES)
-    model = bodies.stapes_in_footplate()
-    vertices, faces = model.vertices_mm * stretch, mesh.faces
-    if mirrored:
-        vertices, faces = vertices * [1.0, 1.0, -1.0], faces[:, ::-1]
-    folder.mkdir(parents=True, exist_ok=True)
-    path = write_surface(folder / "true_stapes.ply", Surface(vertices, np.ascontiguousarray(faces)))
-    return bodies.stapes_in_footplate(path or folder / "true_stapes.ply")
-
-
-def _scale(
-    matrix: Array, exponents: tuple[float, ...], size: float, scatter: float, entries: Array, side: str
-) -> Array:
-    """Return a matrix whose diagonal follows the law; couplings follow their two degrees of freedom."""
-    factor = np.exp(0.5 * (np.array(exponents) * size + scatter + entries))
-    turned = factor * ([1.0, -1.0, 1.0] if side == "right" else [1.0, 1.0, 1.0])
-    return np.asarray(matrix * np.outer(turned, turned))
+    (folder / "truth.json").write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    return known
 
 
 def compare(folder: Path) -> list[dict[str, Any]]:
@@ -159,8 +60,7 @@ def compare(folder: Path) -> list[dict[str, Any]]:
             continue
         ends = law["exponent_interval_95"]
         low, high = (-np.inf if ends[0] is None else ends[0]), (np.inf if ends[1] is None else ends[1])
-        exponent = planted[law["response"]]
-        scatter = law["intrinsic_sd_log_interval_95"]
+        exponent, scatter = planted[law["response"]], law["intrinsic_sd_log_interval_95"]
         rows.append(
             {
                 "law": f"{law['response']} ~ mass",
@@ -185,16 +85,21 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--compare", action="store_true")
     parser.add_argument("--ears", type=int, default=12)
+    parser.add_argument("--voxel-um", type=float, help="scans of this voxel size in place of exact surfaces")
     options = parser.parse_args(arguments)
-    if not options.compare:
-        make_cohort(options.folder, Population(ears=options.ears, pairs=options.ears // 4))
-        print(f"{options.folder}: {options.ears} simulated ears with a planted law")
-        return
-    import pandas as pd
+    if options.compare:
+        import pandas as pd
 
-    table = pd.DataFrame(compare(options.folder))
-    table.to_csv(options.folder / "truth_and_result.csv", index=False)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+        table = pd.DataFrame(compare(options.folder))
+        table.to_csv(options.folder / "truth_and_result.csv", index=False)
+        print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+        return
+    scanned = options.voxel_um is not None
+    population = Population(ears=options.ears, pairs=options.ears // 4, ear=Ear(plate=scanned))
+    make_cohort(
+        options.folder, population, Scan(voxel_um=options.voxel_um) if scanned else Scan(format="ply")
+    )
+    print(f"{options.folder}: {options.ears} simulated ears with a planted law")
 
 
 if __name__ == "__main__":

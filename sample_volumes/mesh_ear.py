@@ -14,7 +14,7 @@ from legacy.ct_inertia.surface.surface import Surface, write_surface
 from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
 from legacy.stapeskit.option_values import toml
-from sample_volumes.make_sample import write_recording
+from sample_volumes.old_study import write_recording
 from sample_volumes.vibrometer import Vibrometry, record
 
 Array = NDArray[np.float64]

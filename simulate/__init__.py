@@ -35,7 +35,8 @@ It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.jso
   whose plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
 * ``multisine``, ``stepped_sine``: time series of a recording. ``cohort``: many ears with a planted law.
 * ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
-  ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study).
+  ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study; ``ply`` is the exact
+  surface of the stapes in place of a volume). ``write_labels(path, placed)``: the true segmentation.
 * Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``solid_of_field``, ``stapes_solid(Stapes(...))``,
   ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition;
   ``coverage_of(solid, shape, voxel_mm)``: exact partial volumes of one body.
@@ -52,7 +53,7 @@ from simulate.faults import KINDS, MeasurementFault, TrueState, apply_fault
 from simulate.files.recordings import WRITERS as RECORDING_WRITERS
 from simulate.files.recordings import write_recording
 from simulate.files.volumes import WRITERS as SCAN_WRITERS
-from simulate.files.volumes import write_scan
+from simulate.files.volumes import label_volume, write_labels, write_scan
 from simulate.footplate import footplate_frame
 from simulate.ligament import (
     LAWS,
@@ -122,6 +123,7 @@ __all__ = [
     "footplate_outline",
     "graded_mass",
     "joined",
+    "label_volume",
     "measure",
     "measure_motion",
     "motion_of",
@@ -142,6 +144,7 @@ __all__ = [
     "stapes_solid",
     "stepped_sine",
     "uniform_mass",
+    "write_labels",
     "write_recording",
     "write_scan",
 ]

@@ -75,7 +75,7 @@ class Scan:
     samples : int or None
         Sub-columns along each side of a voxel; None: 3 um apart, from 2 to 16.
     format : str
-        One of simulate.files.volumes.WRITERS.
+        One of simulate.files.volumes.WRITERS; empty: no scan is written.
     seed, noise_seed : int, int or None
         Of the pose, and of noise, rings and stated density (that of the pose when None).
     """

@@ -171,7 +171,7 @@ def simulate_study(
     ----------
     ear : Ear
     scan : Scan or None
-        None: the scan is left away (the truth is that of a usual one).
+        None: nothing is scanned, as with an empty ``format``; the truth is that of a usual scan.
     experiment : Experiment or None
         None: the measurement is left away.
     folder : Path
@@ -183,16 +183,17 @@ def simulate_study(
     Returns
     -------
     Truth
-        Also in truth.json.
+        Also in truth.json. With a density gradient the scan's calibration.toml lies beside.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    scan = scan or Scan(format="")
     truth = simulate_truth(ear, scan)
     tables: dict[str, dict[str, Any]] = {"study": _about(ear, name, about), "scan": {}}
-    if scan is not None:
+    if scan.format:
         tables["scan"] = {"file": write_scan(folder, truth.placed, scan).name}
         if scan.format in WITHOUT_SPACING:
             tables["scan"] |= {"spacing_mm": [round(float(size), 9) for size in truth.placed.voxel_mm]}
-    tables["scan"] |= _scan_keys(truth, scan or Scan())
+    tables["scan"] |= _scan_keys(truth, scan)
     recording = None
     if experiment is not None:
         recording = simulate_recording(truth, experiment)
@@ -206,6 +207,10 @@ def simulate_study(
         if experiment.mirror:
             tables["ldv"] |= {"mirror": experiment.mirror}
     tables["fit"] = {"dof": ",".join(truth.dof), "estimator": "ml", **(fit or {})}
+    if ear.density_gradient:
+        air, _, bone = scan.stored_levels()
+        line = f"points = [[{air:g}, 0], [{bone:g}, {ear.density_kg_m3:g}]]\n"
+        (folder / "calibration.toml").write_text(line, encoding="utf-8")
     study = folder / "study.toml"
     study.write_text(study_text(tables), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(truth.to_json(), indent=1) + "\n", encoding="utf-8")

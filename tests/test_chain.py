@@ -25,7 +25,7 @@ from legacy.stapeskit.records.mass_record import (
     MassRecord,
     frame_derivative,
 )
-from sample_volumes.make_sample import make_study
+from sample_volumes.old_study import make_study
 from sample_volumes.phantom import Ear
 from sample_volumes.vibrometer import Vibrometry
 

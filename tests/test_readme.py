@@ -19,7 +19,7 @@ import pytest
 from legacy.fitting.plan.plan_options import PLAN_EXAMPLE
 from legacy.pipeline.sample_study import FILES, copy_sample
 from legacy.pipeline.stapeskit_command import COMMANDS
-from sample_volumes.make_sample import make_study
+from sample_volumes.old_study import make_study
 from sample_volumes.phantom import Ear
 from sample_volumes.vibrometer import Vibrometry
 

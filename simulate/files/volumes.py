@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simulate.coverage import coverage_of
 from simulate.ear import Placed
 from simulate.scanner import Scan, render, render_into
 
@@ -225,6 +227,44 @@ def _zarr(folder: Path, placed: Placed, scan: Scan) -> Path:
     return path
 
 
+def _surface(folder: Path, placed: Placed, _: Scan) -> Path:
+    """Write the exact stapes alone as a closed mesh in scan coordinates, mm (PLY, double precision)."""
+    solid = placed.solids[0][0]
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment scan coordinates, mm, normals outward\n"
+        f"element vertex {len(solid.vertices_mm)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(solid.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(solid.faces), dtype=[("n", "u1"), ("corner", "<i4", (3,))])
+    rows["n"], rows["corner"] = 3, solid.faces
+    path = folder / "stapes.ply"
+    path.write_bytes(header.encode() + solid.vertices_mm.astype("<f8").tobytes() + rows.tobytes())
+    return path
+
+
+def label_volume(placed: Placed, samples: int = 4) -> NDArray[np.uint8]:
+    """Return the true labels (z, y, x): 1 stapes, 2 plate, 3 other bone, each where it fills half a voxel."""
+    labels = np.zeros(placed.shape[::-1], dtype=np.uint8)
+    parts = {2: [s for s, material in placed.solids if material == "plastic"]}
+    parts[3] = [s for s, material in placed.solids[1:] if material == "bone"]
+    parts[1] = [placed.solids[0][0]]
+    for value, solids in parts.items():
+        filled = sum(coverage_of(solid, placed.shape, placed.voxel_mm, samples) for solid in solids)
+        labels[np.asarray(filled) >= 0.5] = value
+    return labels
+
+
+def write_labels(path: Path, placed: Placed) -> Path:
+    """Write the true labels by SimpleITK; NRRD, NIfTI or MetaImage by the suffix."""
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(label_volume(placed))
+    image.SetSpacing(placed.voxel_mm.tolist())
+    sitk.WriteImage(image, str(path), useCompression=True)
+    return path
+
+
 WRITERS: dict[str, Writer] = {
     "tif": _tif,
     "ome.tif": _ome,
@@ -239,7 +279,8 @@ WRITERS: dict[str, Writer] = {
     "isq": _isq,
     "vgi": _raw,
     "zarr": _zarr,
+    "ply": _surface,
 }
-"""Writers by format: they write into a folder and return the file or folder to open."""
+"""Writers by format: they write into a folder and return what to open; ``ply`` is a surface."""
 WITHOUT_SPACING = ("slices",)
 """Formats that do not say the voxel size: the study does."""

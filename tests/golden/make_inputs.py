@@ -47,7 +47,7 @@ def _pack(folder: Path) -> None:
 def _scans(folder: Path) -> None:
     """Clean pictures of ears: with and without plate, in situ, with an incus, mirrored, at the border."""
     from sample_volumes import bodies
-    from sample_volumes.make_sample import make_study
+    from sample_volumes.old_study import make_study
     from sample_volumes.phantom import Ear, render, scene, truth
     from sample_volumes.vibrometer import Vibrometry
 

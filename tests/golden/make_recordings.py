@@ -25,7 +25,7 @@ def recording_of(lines: int = 30, seed: int = 3, **how: object) -> tuple[object,
 def faults(folder: Path) -> None:
     """One recording without and with a fault of each kind; positions in the footplate frame by fiducials."""
     from sample_volumes.faults import KINDS, Fault, faulty
-    from sample_volumes.make_sample import write_recording
+    from sample_volumes.old_study import write_recording
 
     recording, how = recording_of()
     sizes = {"gain": 0.08, "direction": 5.0, "position": 0.4, "noise": 5.0, "drift": 0.1}
@@ -74,7 +74,7 @@ def exports(folder: Path) -> None:
 
     from legacy.kinematics.readers.hdf5 import write_hdf5
     from legacy.kinematics.tidy.ldv_csv import read_ldv
-    from sample_volumes.make_sample import write_recording
+    from sample_volumes.old_study import write_recording
     from tests.kinematics import written_uff as uff
     from tests.kinematics.readers.test_matlab import usd
     from tests.kinematics.rewritten import write_three_ways

@@ -22,7 +22,7 @@ from legacy.stapeskit.records.mass_record import read_mass_record
 from legacy.stapeskit.records.motion_files import read_motion, standard_deviation
 from legacy.stapeskit.spatial import matrix_from_parameters
 from sample_volumes.faults import Fault, faulty
-from sample_volumes.make_sample import write_recording
+from sample_volumes.old_study import write_recording
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
 from tests.kinematics.records import PARAMETERS, SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.simulated import HEADER, csv_rows, scene

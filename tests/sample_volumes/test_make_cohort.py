@@ -7,7 +7,7 @@ import pytest
 
 from legacy.fitting.examples.paper import PAPER_STIFFNESS
 from legacy.pipeline.study import read_study
-from sample_volumes.make_cohort import REFERENCE_KG, Population, compare, make_cohort
+from sample_volumes.old_cohort import REFERENCE_KG, Population, compare, make_cohort
 
 
 def test_two_ears_of_one_person_follow_the_law(tmp_path):

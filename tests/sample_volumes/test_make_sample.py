@@ -13,7 +13,7 @@ import tifffile
 from legacy.ct_inertia.read_scan import read_volume
 from legacy.kinematics.tidy.ldv_csv import read_ldv
 from legacy.pipeline.study import read_study
-from sample_volumes.make_sample import main, reseeded, study_text
+from sample_volumes.old_study import main, reseeded, study_text
 from sample_volumes.phantom import Ear, scene
 from sample_volumes.vibrometer import Vibrometry
 

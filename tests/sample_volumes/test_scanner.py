@@ -15,7 +15,7 @@ from legacy.ct_inertia.surface.surface import Surface
 from legacy.stapeskit.spatial import check_inertia
 from sample_volumes import bodies
 from sample_volumes.density import graded_mass
-from sample_volumes.make_sample import main
+from sample_volumes.old_study import main
 from sample_volumes.phantom import Ear, Renderer, render, scene, truth
 from sample_volumes.scanner import add_noise, cup
 

@@ -11,7 +11,7 @@ import pytest
 
 from legacy.fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from legacy.stapeskit.frames import RigidTransform
-from sample_volumes.make_sample import make_study
+from sample_volumes.old_study import make_study
 from sample_volumes.phantom import Ear, scene, truth
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
 

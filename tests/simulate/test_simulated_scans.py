@@ -251,7 +251,7 @@ def _read(path: Path):
     return sitk.GetArrayFromImage(image), image.GetSpacing()
 
 
-@pytest.mark.parametrize("fmt", simulate.SCAN_WRITERS)
+@pytest.mark.parametrize("fmt", [name for name in simulate.SCAN_WRITERS if name != "ply"])
 def test_every_format_is_read_back_by_a_library(fmt, tmp_path, ear):
     scan = replace(SMALL, samples=1, format=fmt)
     placed = scan.placed(ear)
@@ -261,3 +261,21 @@ def test_every_format_is_read_back_by_a_library(fmt, tmp_path, ear):
     assert (spacing is None) == (fmt in WITHOUT_SPACING)
     if spacing is not None:
         assert spacing == pytest.approx(placed.voxel_mm, rel=2e-4 if fmt == "isq" else 1e-6)
+
+
+def test_surface_and_labels_are_those_of_the_placed_bodies(tmp_path, ear):
+    import SimpleITK as sitk
+    import trimesh
+
+    scan = replace(SMALL, format="ply")
+    placed = scan.placed(ear)
+    mesh = trimesh.load(simulate.write_scan(tmp_path, placed, scan), process=False)
+    exact = placed.solids[0][0].moments()
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(exact.volume_mm3, rel=1e-9)
+    assert mesh.center_mass == pytest.approx(exact.centroid_mm, abs=1e-9)
+    image = sitk.ReadImage(str(simulate.write_labels(tmp_path / "labels.nrrd", placed)))
+    labels = sitk.GetArrayFromImage(image)
+    voxel = np.prod(image.GetSpacing())
+    assert set(np.unique(labels)) == {0, 1, 2, 3}
+    assert np.sum(labels == 1) * voxel == pytest.approx(exact.volume_mm3, rel=0.02)
