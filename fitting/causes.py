@@ -137,7 +137,7 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "inertia", "moments of inertia of another size", "%", 25.0, on_mass(partial(_share, slice(4, 10)))
         ),
-        Unknown("mirrored", "the mass matrix of the other side", "", 1.0, on_mass(_mirrored)),
+        Unknown("mirrored", "the mass matrix of the other side", "", 1.0, on_mass(_mirrored), only=1.0),
         Unknown("drift", "a ligament that stiffens over the measurement", "%", 10.0, on_ligament(_time), weights=_time),
         Unknown("level", "a stiffness that depends on the amplitude", "%", 10.0, on_ligament(_level), weights=_level),
     )

@@ -18,6 +18,7 @@ from fitting.options import KDOptions
 from fitting.result import KDFit
 from fitting.suspicions import suspicions
 from stapeskit.arrays import Array
+from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
 from stapeskit.options import with_options
 from stapeskit.provenance import document_hash, frames_hash, record
@@ -27,6 +28,7 @@ from stapeskit.records.motion import RigidMotion, read_motion
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
+    from stapeskit.command import Progress
     from stapeskit.records.mass import MassMatrix
 
 
@@ -98,7 +100,7 @@ def dof2kd(
     moved = read_motion(file) if file is not None else motion
     moved = moved if isinstance(moved, RigidMotion) else moved.motion  # type: ignore[union-attr]
     inputs = {"motion": file, "mass": source.source}
-    provenance = record(inputs, chosen.parameters(), ["stapeskit.dof2kd"])
+    provenance = record(inputs, chosen.given(), ["stapeskit.dof2kd"])
     return fit_of(
         moved, source, chosen, provenance, "the motion" if file is None else file.name, force, confirmed
     )
@@ -211,6 +213,7 @@ def fit_of(
     motion_name: str = "the motion",
     force: bool = False,
     confirmed: Sequence[str] = (),
+    report: Progress = no_progress,
 ) -> KDFit:
     """Fit, and keep with the fit what its record and its page need: the one way of command, study and notebook.
 
@@ -233,7 +236,7 @@ def fit_of(
     if options.monte_carlo:
         from fitting.montecarlo import scatter
 
-        fit = replace(fit, scatter=scatter(fit, options.monte_carlo))
+        fit = replace(fit, scatter=scatter(fit, options.monte_carlo, report=report))
     return fit
 
 

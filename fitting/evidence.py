@@ -129,6 +129,8 @@ def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
 def log_odds(value: float, sd: float, unknown: Unknown) -> float:
     """Return the log odds of an unknown with a likelihood (value, sd) against none: normal prior, its chance."""
     wide, chance = sd**2 + unknown.sd**2, np.log(unknown.chance)
+    if unknown.only is not None:
+        return float(0.5 * (value**2 - (value - unknown.only) ** 2) / sd**2 + chance)
     odds = 0.5 * value**2 * (1.0 / sd**2 - 1.0 / wide) + 0.5 * np.log(sd**2 / wide) + chance
     if unknown.positive:  # the half of the prior that is there, and the half of the posterior
         odds += np.log(2.0) + log_ndtr(value * unknown.sd / (sd * np.sqrt(wide)))
@@ -158,12 +160,14 @@ def refit(found: Fit, score: Score, share: float = 0.0, explained: bool = False)
     explained : bool
         Whether another unknown explains the data: sizes far from first order are not tried then.
     """
-    unknown = score.unknown
-    model = found.likelihood.model
+    unknown, model = score.unknown, found.likelihood.model
+    if unknown.only is not None:
+        unknown = unknown.fixed(unknown.only)
     model = replace(model, unknowns=(*model.unknowns, unknown))
     place, size = found.at["extra"].stop, 1 + len(unknown.companions)
     best = None
-    for value in (max(score.value, 0.0) if unknown.positive else score.value, *unknown.starts):
+    first = max(score.value, 0.0) if unknown.positive else score.value
+    for value in (first if score.unknown.only is None else 0.0, *unknown.starts):
         theta = np.insert(found.theta, place, [value, *np.zeros(size - 1)])
         if best is not None:
             if explained or best.explained:
@@ -186,6 +190,8 @@ def refit(found: Fit, score: Score, share: float = 0.0, explained: bool = False)
     odds += np.log(unknown.chance) + share
     if unknown.positive:
         odds += np.log(2.0) + float(log_ndtr(value / sd))
+    if score.unknown.only is not None:
+        value, sd = score.unknown.only, 0.0
     return Alternative(unknown.name, unknown.title, unknown.unit, value, sd, float(odds), best, unknown)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,6 @@ from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import InPlane, applies, in_plane, plane_model
 from fitting.solve import Fit, bic, compare_laws, fit, weak_spread
 from fitting.textbook import Textbook, estimate
-from fitting.unknowns import Unknown
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
@@ -110,7 +109,10 @@ def model_of(data: Data, options: KDOptions) -> Model:
         A load is asked for but motion or mass lack the other degrees of freedom.
     """
     law = "viscous" if options.damping == COMPARE else options.damping
-    unknowns = (*(_fixed(name, value) for name, value in options.fixed.items()), *chosen(options.freed))
+    unknowns = (
+        *(UNKNOWNS[name].fixed(value) for name, value in options.fixed.items()),
+        *chosen(options.freed),
+    )
     if options.inplane == LOADED and not data.loads_known:
         wanted = "given with motion outside --dof and a mass matrix of all six degrees of freedom"
         step = "Run points2dof with all degrees of freedom and give mass.json, or use --inplane ignore"
@@ -120,16 +122,6 @@ def model_of(data: Data, options: KDOptions) -> Model:
     if options.inplane == LOADED or options.estimator != "ml" or not applies(data):
         return Model(law, LOAD, unknowns=unknowns)
     return plane_model(data, law, unknowns=unknowns)
-
-
-def _fixed(name: str, value: float) -> Unknown:
-    """Return an unknown that is held at a value: its prior is narrow around zero, and the value is added."""
-    row = UNKNOWNS[name]
-
-    def change(off: float, parts: Any, data: Data) -> None:
-        row.change(value + off, parts, data)
-
-    return replace(row, change=change, sd=1e-9 * row.sd, companions=(), positive=False)
 
 
 def solve_data(data: Data, inertia: Inertia, options: KDOptions) -> Solution:

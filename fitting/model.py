@@ -202,7 +202,7 @@ def _iterated(mass: Array, stiffness: Array, damping: Array, law: Law) -> tuple[
 
 
 def moved_eigenvalues(
-    found: Modes, mass: Array, stiffness: Array, damping: Array, law: Law = VISCOUS, steps: int = 4
+    found: Modes, mass: Array, stiffness: Array, damping: Array, law: Law = VISCOUS, steps: int = 6
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return eigenvalues (draws, modes) and shapes (draws, modes, n) of models near one that is solved.
 
@@ -211,40 +211,36 @@ def moved_eigenvalues(
     found : Modes
         Of the model in the middle.
     mass, stiffness, damping : ndarray, (draws, n, n)
+    steps : int
+        Of the iteration where the law is not viscous.
 
     Notes
     -----
-    Inverse iteration with Newton's step of the eigenvalue (Ruhe 1973, doi:10.1137/0710059), which holds for every
-    law and for all draws at once.
+    Each eigenvalue is followed from the middle: lambda^2 M + s(lambda) D + K is linear in M, D and K, so that it is
+    solved with s frozen at the eigenvalue of the step before, all draws at once.
     """
-    values, shapes = [], []
-    for mode in found.pairs:
-        now = np.full(len(mass), mode.eigenvalue)
-        shape = np.tile(mode.shape, (len(mass), 1))
-        size = np.sqrt(np.diagonal(mass, axis1=1, axis2=2))
-        small = 1e-14 * np.eye(mass.shape[-1])
-        for _ in range(steps):
-            near, step = _pencil(mass, stiffness, damping, law, now), 1e-6 * np.abs(now)
-            slope = (_pencil(mass, stiffness, damping, law, now + step) - near) / step[:, None, None]
-            lowered = near / (size[:, :, None] * size[:, None, :])
-            pushed = (slope @ shape[..., None])[..., 0] / size
-            lifted = np.linalg.solve(lowered + np.abs(lowered).max() * small, pushed[..., None])
-            new = lifted[..., 0] / size
-            left = np.einsum("di,di->d", shape, (slope @ shape[..., None])[..., 0])
-            right = np.einsum("di,di->d", shape, (slope @ new[..., None])[..., 0])
-            now = now - left / right
-            shape = new / np.linalg.norm(new, axis=1)[:, None]
-        values.append(now)
-        shapes.append(shape)
     n = mass.shape[-1]
-    empty = (np.zeros((len(mass), 0), complex), np.zeros((len(mass), 0, n), complex))
-    return (np.stack(values, 1), np.stack(shapes, 1)) if values else empty
-
-
-def _pencil(mass: Array, stiffness: Array, damping: Array, law: Law, values: ComplexArray) -> ComplexArray:
-    """Return lambda^2 M + s(lambda) D + K, (draws, n, n)."""
-    factor = law.factor(-1j * values)[:, None, None]
-    return np.asarray((values**2)[:, None, None] * mass + factor * damping + stiffness)
+    values = np.zeros((len(mass), len(found.pairs)), dtype=complex)
+    shapes = np.zeros((len(mass), len(found.pairs), n), dtype=complex)
+    if law.name == "viscous":
+        roots, vectors = np.linalg.eig(state_matrix(mass, stiffness, damping))
+        for place, mode in enumerate(found.pairs):
+            nearest = np.argmin(np.abs(roots - mode.eigenvalue), axis=1)
+            values[:, place] = roots[np.arange(len(mass)), nearest]
+            shapes[:, place] = vectors[np.arange(len(mass)), :n, nearest]
+        return values, shapes
+    for place, mode in enumerate(found.pairs):
+        now = np.full(len(mass), mode.eigenvalue)
+        for _ in range(steps):
+            factor = law.factor(-1j * now)[:, None, None]
+            squares, vectors = np.linalg.eig(np.linalg.solve(mass, stiffness + factor * damping))
+            roots = np.sqrt(-squares + 0j)
+            roots = np.where(roots.imag < 0.0, -roots, roots)
+            nearest = np.argmin(np.abs(roots - now[:, None]), axis=1)
+            now = roots[np.arange(len(mass)), nearest]
+            shapes[:, place] = vectors[np.arange(len(mass)), :, nearest]
+        values[:, place] = now
+    return values, shapes
 
 
 def _normalised(shape: ComplexArray, eigenvalue: complex, mass: Array) -> ComplexArray:

@@ -401,16 +401,24 @@ class KDFit(Result):
 
         return response_figure(self)
 
+    def write_into(
+        self, folder: Path, *, name: str = "kd.json", export: Sequence[str] = (), report: bool = True
+    ) -> tuple[str, ...]:
+        """Write kd.json, kd.mat, kd.csv, exports and, unless left out, kd.html into an empty folder."""
+        from fitting.exports import write_into
+
+        return write_into(self, folder, name, export, report)
+
     def write(
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html, kd.mat, kd.csv and exports by name (`fitting.exports.EXPORTS`)."""
-        from fitting.exports import file_names, write_into
+        from fitting.exports import file_names
         from stapeskit.outputs import Outputs
 
         outputs = Outputs("dof2kd", Path(folder), file_names(name, export), self.files, force)
         with outputs.staged() as stage:
-            names = write_into(self, stage, name, export)
+            names = self.write_into(stage, name=name, export=export)
         return tuple(Path(folder) / one for one in names)
 
 

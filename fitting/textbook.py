@@ -66,7 +66,7 @@ def estimate(
     lower: Mapping[str, float] | None = None,
     upper: Mapping[str, float] | None = None,
 ) -> Textbook:
-    """Estimate K and D by least squares of the equations, balanced by the scales of mass and frequency.
+    """Estimate K and D by least squares of the equations: rows in SI (pinv), or balanced by mass (constrained).
 
     Parameters
     ----------
@@ -79,10 +79,15 @@ def estimate(
     """
     likelihood = Likelihood(data, model)
     entries, theta = likelihood.at["entries"], likelihood.mean.copy()
-    columns = likelihood.slopes(theta, data.y[:, :, None])[entries][..., 0].reshape(entries.stop, -1).T
+    weights = np.ones(likelihood.n)
+    if not constrained:  # rows in SI, as the paper has them
+        weights = likelihood.row_units @ data.root_mass
+        weights = weights / weights.max()
+    columns = weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[entries]
+    columns = columns[..., 0].reshape(entries.stop, -1).T
     rest = theta.copy()
     rest[entries] = 0.0
-    constant = -likelihood.act(rest, data.y[:, :, None]).ravel()
+    constant = -(weights[:, None] * likelihood.act(rest, data.y[:, :, None])).ravel()
     equations = Equations(*(np.concatenate([part.real, part.imag]) for part in (columns, constant)))
     size = np.linalg.norm(equations.matrix, axis=0)
     size = np.where(size > 0.0, size, 1.0)
@@ -91,10 +96,10 @@ def estimate(
     if constrained:
         free, active, notes = _constrained(equations, free, likelihood, constraint, lower or {}, upper or {})
     theta[entries] = free
-    return Textbook(*_spread(likelihood, theta, equations), active, notes)
+    return Textbook(*_spread(likelihood, theta, equations, weights), active, notes)
 
 
-def _spread(likelihood: Likelihood, theta: Array, equations: Equations) -> tuple[Fit, Array]:
+def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights: Array) -> tuple[Fit, Array]:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs. The bias
@@ -104,20 +109,21 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations) -> tuple
     inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
     half = inverse.shape[1] // 2
     whole = (inverse[:, :half] - 1j * inverse[:, half:]).reshape(len(inverse), data.count, -1)
-    operator = likelihood.act(theta, np.eye(data.y.shape[1], dtype=complex)[None])
+    every = np.eye(data.y.shape[1], dtype=complex)[None]
+    operator = weights[:, None] * likelihood.act(theta, every)
     noise = operator @ data.covariance @ operator.conj().swapaxes(1, 2)
     own = 0.5 * np.einsum("pli,lij,qlj->pq", whole, noise, whole.conj()).real
     white, *_ = likelihood.look(theta)
     chi2 = 2.0 * float(np.sum(np.abs(white) ** 2))
     n_dof = degrees(likelihood)
     own = own * max(1.0, chi2 / max(n_dof, 1))
-    across = likelihood.slopes(theta, np.eye(data.y.shape[1], dtype=complex)[None].repeat(data.count, 0))[
-        entries
-    ]
+    across = weights[:, None] * likelihood.slopes(theta, every.repeat(data.count, 0))[entries]
     pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, across.conj()).real
     information = equations.matrix.T @ equations.matrix
     bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
-    shared = likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]][..., 0]
+    shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
+        ..., 0
+    ]
     moved = shared.reshape(len(data.sources), data.count * likelihood.n).T
     gain = -inverse @ np.concatenate([moved.real, moved.imag])
     covariance = np.eye(likelihood.count)

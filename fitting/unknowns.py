@@ -7,7 +7,7 @@ for causes, ``--unknowns``, kd.json and the page follow from the row.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,6 +80,8 @@ class Unknown:
         Unknowns that come with it, e.g. its place.
     weights : callable or None
         Data -> what it multiplies K and D by a unit, (lines,), where it makes K and D change over the lines.
+    only : float or None
+        The one value that it has where it is there.
     """
 
     name: str
@@ -95,6 +97,15 @@ class Unknown:
     starts: tuple[float, ...] = ()
     companions: tuple[Unknown, ...] = ()
     weights: Callable[[Data], Array] | None = None
+    only: float | None = None
+
+    def fixed(self, value: float) -> Unknown:
+        """Return it held at a value: what is left to estimate is narrow around zero."""
+
+        def change(off: float, parts: Parts, data: Data) -> None:
+            self.change(value + off, parts, data)
+
+        return replace(self, change=change, sd=1e-6 * self.sd, companions=(), positive=False, only=None)
 
 
 def on_structure(factor: Callable[[float, Array], ComplexArray]) -> Change:

@@ -1,0 +1,126 @@
+"""The command dof2kd."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stapeskit.command import Outcome, progress_line, run
+
+if TYPE_CHECKING:
+    from fitting.options import KDFiles, KDOptions
+
+_TEXT = "Stiffness and damping of the annular ligament from motion (points2dof) and mass (ct2mass)."
+_EXAMPLES = """examples:
+  dof2kd dof.csv --mass mass.json
+  dof2kd dof.csv --mass mass.json --damping compare --band 400,5000 --export fe,prior
+  dof2kd --plan plan.toml
+
+plan.toml, every key may be left out:
+  directions = ["y"]        # driven by the shaker, one run each
+  band_hz = [400, 5000]
+  lines = 200
+  noise_m_s = 2e-6          # sd of Re and Im of a reading
+  mass = "mass.json"
+"""
+
+
+def main() -> None:
+    """Run the command."""
+    run("dof2kd", work)
+
+
+def work(words: Sequence[str]) -> Outcome:
+    """Fit or plan, write the files, and return what is printed."""
+    from fitting.options import KDFiles, KDOptions
+    from stapeskit.faults import StapeskitError
+    from stapeskit.options import parse
+
+    options, files = parse("dof2kd", _TEXT, (KDOptions, KDFiles), words, _EXAMPLES)
+    if files.plan is not None:
+        if options != KDOptions():
+            step = "Put dof and band_hz into the plan and leave the others out"
+            raise StapeskitError.of("--plan", "given without options of a fit", "some", "", step)
+        return _plan(files)
+    return _fit(options, files)
+
+
+def _fit(options: KDOptions, files: KDFiles) -> Outcome:
+    from fitting.dof2kd import find_mass, fit_of, mass_source
+    from fitting.exports import file_names, write_into
+    from stapeskit.outputs import Outputs
+    from stapeskit.provenance import record
+    from stapeskit.records.motion import read_motion
+
+    motion_file = files.motion
+    assert motion_file is not None  # noqa: S101
+    mass_file = files.mass or find_mass(motion_file)
+    out = files.out or Path("kd.json")
+    beside = motion_file.with_suffix(".h5")
+    inputs = [motion_file, mass_file, *([beside] if beside.is_file() else [])]
+    outputs = Outputs("dof2kd", out.parent, file_names(out.name, files.export), inputs, files.force)
+    outputs.check()
+    with progress_line(not files.quiet) as progress:
+        progress("reading motion and mass")
+        source, motion = mass_source(mass_file, options), read_motion(motion_file)
+        provenance = record({"motion": motion_file, "mass": mass_file}, options.given())
+        progress("fitting stiffness and damping")
+        fit = fit_of(motion, source, options, provenance, motion_file.name, files.force, report=progress)
+        progress("drawing the page")
+        with outputs.staged() as folder:
+            write_into(fit, folder, out.name, files.export)
+        drawn = [] if files.figures is None else save_figures(fit, files.figures)
+    rows = list(fit.summary())
+    if files.mass is None:
+        rows.append(("mass", f"{mass_file} (found beside the motion)"))
+    written = (*outputs.paths(), *drawn)
+    content = fit.content() if files.as_json else {}
+    return Outcome(fit.title, rows, fit.notices, written, content, files.as_json, files.quiet)
+
+
+def save_figures(fit: object, folder: Path) -> list[Path]:
+    """Write every figure of a fit as PDF and SVG."""
+    from fitting.report.figures import all_figures
+    from stapeskit.outputs import Outputs
+    from stapeskit.report.figures import style
+
+    figures = all_figures(fit)  # type: ignore[arg-type]
+    names = [f"{name}.{kind}" for name in figures for kind in ("pdf", "svg")]
+    outputs = Outputs("dof2kd figures", folder, names, ())
+    with outputs.staged() as stage, style():
+        for name, drawing in figures.items():
+            for kind in ("pdf", "svg"):
+                drawing.savefig(stage / f"{name}.{kind}")
+    return [folder / name for name in names]
+
+
+def _plan(files: KDFiles) -> Outcome:
+    from fitting.plan import expect, plan_json, plan_rows, read_plan
+    from fitting.report.page import plan_page
+    from stapeskit.outputs import Outputs
+    from stapeskit.provenance import record
+
+    path = files.plan
+    assert path is not None  # noqa: S101
+    out = files.out or Path("plan.json")
+    plan, source = read_plan(path)
+    inputs = [path, *([source.file] if source.file is not None else [])]
+    page_name = out.with_suffix(".html").name
+    outputs = Outputs("dof2kd", out.parent, (out.name, page_name), inputs, files.force)
+    outputs.check()
+    with progress_line(not files.quiet) as progress:
+        progress("simulating and fitting the planned measurement")
+        ways = expect(plan, source)
+        provenance = record({"plan": path, "mass": source.file}, {})
+        content = plan_json(plan, ways, provenance)
+        with outputs.staged() as folder:
+            (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            plan_page(plan, ways, provenance).write(folder / page_name)
+    rows = plan_rows(ways)
+    return Outcome("What the plan reaches", rows, (), outputs.paths(), content, files.as_json, files.quiet)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,242 @@
+"""The files of a fit: kd.json, kd.html, kd.mat, kd.csv always; on request for finite elements and as a prior.
+
+An export is one entry of `EXPORTS`: names of its files behind the stem, and a function of the fit.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting import entries
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from fitting.result import KDFit
+
+
+def entry_table(fit: KDFit) -> DataFrame:
+    """Return one row an entry of K and D: value, sd, limits and unit in columns of their own, SI."""
+    import pandas as pd
+
+    units = entries.units(fit.dof)
+    rows, columns = entries.upper(len(fit.dof))
+    places = list(zip(rows, columns, strict=True)) * 2
+    noise = np.sqrt(np.maximum(np.diag(fit.noise_covariance), 0.0))
+    stated = [units[row][column] for row, column in places]
+    half = len(places) // 2
+    stated[half:] = [fit.law.damping_unit(unit) for unit in stated[half:]]
+    return pd.DataFrame(
+        {
+            "entry": fit.parameters,
+            "row": [fit.dof[row] for row, _ in places],
+            "column": [fit.dof[column] for _, column in places],
+            "value": fit.values,
+            "sd": np.sqrt(np.diag(fit.covariance)),
+            "noise_only_sd": noise,
+            "lower_95": fit.intervals[:, 0],
+            "upper_95": fit.intervals[:, 1],
+            "unit": stated,
+        }
+    )
+
+
+def matlab(fit: KDFit) -> bytes:
+    """Return K, D and M with standard deviations and joint covariance as a MATLAB file (level 5)."""
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    stiffness_sd, damping_sd = fit.standard_deviation
+    content = {
+        "K": fit.stiffness,
+        "K_sd": stiffness_sd,
+        "D": fit.damping,
+        "D_sd": damping_sd,
+        "M": fit.mass,
+        "dof": np.array(fit.dof, dtype=object),
+        "damping_law": fit.law.name,
+        "damping_exponent": fit.law.time_power,
+        "parameters": np.array(fit.parameters, dtype=object),
+        "values": fit.values[:, None],
+        "covariance": fit.covariance,
+        "readme": "SI; about the footplate centre in footplate axes; Z(w) = K + s(w) D, e^(+iwt)",
+    }
+    savemat(stream, content, oned_as="column")
+    return stream.getvalue()
+
+
+def _six(fit: KDFit) -> Iterator[tuple[str, Array]]:
+    """Yield K, D and M in six degrees of freedom x, y, z, rotations about them; zero where they have none."""
+    from stapeskit.spatial import DOF_NAMES
+
+    places = [DOF_NAMES.index(name) for name in fit.dof]
+    mass = fit.solution.inertia.matrix if fit.solution.inertia.complete else None
+    for letter, part in (("K", fit.stiffness), ("D", fit.damping), ("M", fit.mass)):
+        whole = np.zeros((6, 6))
+        whole[np.ix_(places, places)] = part
+        yield letter, mass if letter == "M" and mass is not None else whole
+
+
+def _check_viscous(fit: KDFit) -> str:
+    """Return how D is to be used: C of a viscous dashpot, or a structural damping matrix."""
+    if fit.law.name == "viscous":
+        return "C"
+    if fit.law.name == "hysteretic":
+        return "structural"
+    step = "Fit with --damping viscous or hysteretic, or use the export prior"
+    raise StapeskitError.of(
+        "--export fe", "asked for with viscous or hysteretic damping", fit.law.name, "", step
+    )
+
+
+_HEAD = (
+    "K, D, M of the suspension and the body, SI (m, kg, s, N, rad); footplate axes: y lateral, x anterior.",
+    "Node 1: the body at the footplate centre; node 2: its surroundings (base) at the same place.",
+    "K and D act on the difference of both nodes; M on node 1. Degrees of freedom: UX UY UZ ROTX ROTY ROTZ.",
+)
+
+
+def ansys(fit: KDFit) -> str:
+    """Return MATRIX27 elements with real constants (Ansys Element Reference, MATRIX27, KEYOPT(2) = 0)."""
+    kind = _check_viscous(fit)
+    lines = [*(f"! {line}" for line in _HEAD), "/PREP7", "N,1,0,0,0", "N,2,0,0,0"]
+    options = {"K": 4, "D": 5, "M": 2}
+    for number, (letter, part) in enumerate(_six(fit), 1):
+        if letter == "D" and kind == "structural":
+            lines.append("! D is structural: imaginary part of the stiffness (hysteretic); enter it as such")
+        full = np.zeros((12, 12))
+        full[:6, :6] = part
+        if letter != "M":
+            full[:6, 6:], full[6:, :6], full[6:, 6:] = -part, -part, part
+        lines += [f"ET,{number},MATRIX27", f"KEYOPT,{number},3,{options[letter]}"]
+        values = full[np.triu_indices(12)]  # row by row of the upper triangle, 78 constants
+        for first in range(0, len(values), 6):
+            words = ",".join(f"{value:.9e}" for value in values[first : first + 6])
+            lines.append(f"R,{number},{words}" if first == 0 else f"RMORE,{words}")
+        lines += [f"TYPE,{number}", f"REAL,{number}", "E,1,2"]
+    return "\n".join(lines) + "\n"
+
+
+def abaqus(fit: KDFit) -> str:
+    """Return *USER ELEMENT, LINEAR definitions with stiffness, damping and mass matrices (Abaqus Keywords Guide)."""
+    kind = _check_viscous(fit)
+    names = {"K": "STIFFNESS", "D": "VISCOUS DAMPING" if kind == "C" else "STRUCTURAL DAMPING", "M": "MASS"}
+    lines = [*(f"** {line}" for line in _HEAD), "*NODE", "1, 0., 0., 0.", "2, 0., 0., 0."]
+    lines += ["*USER ELEMENT, LINEAR, NODES=2, TYPE=U1", "1, 2, 3, 4, 5, 6"]
+    for letter, part in _six(fit):
+        full = np.zeros((12, 12))
+        full[:6, :6] = part
+        if letter != "M":
+            full[:6, 6:], full[6:, :6], full[6:, 6:] = -part, -part, part
+        lines.append(f"*MATRIX, TYPE={names[letter]}")
+        for row in range(12):  # lower triangle by rows, four numbers a line
+            words = [f"{value:.9e}" for value in full[row, : row + 1]]
+            lines += [", ".join(words[first : first + 4]) for first in range(0, len(words), 4)]
+    lines += ["*ELEMENT, TYPE=U1, ELSET=SUSPENSION", "1, 1, 2", "*UEL PROPERTY, ELSET=SUSPENSION"]
+    return "\n".join(lines) + "\n"
+
+
+def comsol(fit: KDFit) -> str:
+    """Return a parameter file of COMSOL: name, value with unit, comment."""
+    units = entries.units(fit.dof)
+    rows, columns = entries.upper(len(fit.dof))
+    lines = []
+    for letter, part in (("K", fit.stiffness), ("D", fit.damping), ("M", fit.mass)):
+        for row, column in zip(rows, columns, strict=True):
+            unit = units[row][column]
+            unit = fit.law.damping_unit(unit) if letter == "D" else unit
+            if letter == "M":
+                turns = sum(fit.dof[place] not in ("x", "y", "z") for place in (row, column))
+                unit = ("kg", "kg m", "kg m^2")[turns]
+            written = unit.replace(" ", "*")
+            between = f"{fit.dof[row]}, {fit.dof[column]}"
+            lines.append(f'{letter}{row + 1}{column + 1} {part[row, column]:.12e}[{written}] "{between}"')
+    return "\n".join(lines) + "\n"
+
+
+def prior_json(fit: KDFit) -> str:
+    """Return K and D as a joint normal distribution, for who updates a finite element model."""
+    from fitting.report.kd_json import ring_of
+
+    ring = ring_of(fit)
+    table = entry_table(fit)
+    content: dict[str, Any] = {
+        "schema": "stapeskit.prior/1",
+        "about": "footplate_centre",
+        "axes": "footplate",
+        "dof": list(fit.dof),
+        "distribution": "normal",
+        "damping_law": fit.law.formula,
+        "parameters": list(fit.parameters),
+        "units": list(table["unit"]),
+        "mean_si": fit.values.tolist(),
+        "covariance_si": fit.covariance.tolist(),
+        "ring": None
+        if ring is None
+        else {
+            "shear_modulus_times_thickness_over_width_pa": ring.shear_pa.value,
+            "sd_pa": ring.shear_pa.sd,
+            "loss_factor": ring.loss_factor.value,
+            "loss_factor_sd": ring.loss_factor.sd,
+        },
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def prior_csv(fit: KDFit) -> str:
+    """Return mean, unit and joint covariance, a row a parameter."""
+    table = entry_table(fit)[["entry", "value", "unit"]].rename(columns={"value": "mean"})
+    for place, name in enumerate(fit.parameters):
+        table[f"cov_{name}"] = fit.covariance[:, place]
+    return str(table.to_csv(index=False))
+
+
+EXPORTS: dict[str, dict[str, Callable[[KDFit], str]]] = {
+    "fe": {"_ansys.inp": ansys, "_abaqus.inp": abaqus, "_comsol.txt": comsol},
+    "prior": {"_prior.json": prior_json, "_prior.csv": prior_csv},
+}
+"""Files of each export behind the stem of kd.json, and what makes them."""
+
+
+def file_names(name: str, export: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the names of all files of a fit.
+
+    Raises
+    ------
+    StapeskitError
+        There is no such export, or the name does not end with .json.
+    """
+    wrong = [one for one in export if one not in EXPORTS]
+    if wrong:
+        raise StapeskitError.of("--export", f"names out of {', '.join(EXPORTS)}", ", ".join(wrong))
+    if Path(name).suffix.lower() != ".json":
+        raise StapeskitError.of("--out", "a file name that ends with .json", name)
+    stem = Path(name).stem
+    more = (f"{stem}{ending}" for one in export for ending in EXPORTS[one])
+    return (name, *(f"{stem}{ending}" for ending in (".html", ".mat", ".csv")), *more)
+
+
+def write_into(
+    fit: KDFit, folder: Path, name: str, export: Sequence[str] = (), report: bool = True
+) -> tuple[str, ...]:
+    """Write the files of a fit into an empty folder; return their names."""
+    names, stem = file_names(name, export), Path(name).stem
+    texts = {f"{stem}{ending}": make(fit) for one in export for ending, make in EXPORTS[one].items()}
+    texts[name] = json.dumps(fit.content(), indent=1) + "\n"
+    texts[f"{stem}.csv"] = str(entry_table(fit).to_csv(index=False))
+    if report:
+        from fitting.report.page import kd_page
+
+        kd_page(fit).write(folder / f"{stem}.html")
+    (folder / f"{stem}.mat").write_bytes(matlab(fit))
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return tuple(one for one in names if report or not one.endswith(".html"))

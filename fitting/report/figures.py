@@ -1,0 +1,288 @@
+"""Figures of a fit: responses (paper, Figs. 4 and 5), mode shapes, principal axes (Fig. 6), residuals, budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting import entries
+from fitting.axes import principal_axes
+from fitting.likelihood import PLANE
+from fitting.model import dynamic_stiffness
+from fitting.report.kd_json import shown_sources
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, lighten
+from stapeskit.report.figures import amplitude_axis, decimate_lines, dof_unit, frequency_axis, panels, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from fitting.result import KDFit
+
+_CLEAR = 3.0  # standard deviations from which a response is clear of its noise
+_MOST_SOURCES = 8  # of the budget that are drawn; the rest is in kd.json
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Measured and simulated motion of the structure, a run; m and rad.
+
+    Attributes
+    ----------
+    freq_hz : ndarray, (lines,)
+    measured, simulated, base : ndarray, (lines, n), complex
+    measured_sd, simulated_sd : ndarray, (lines, n)
+        Of the real (= imaginary) part, and of the simulated amplitude by the uncertainty of K and D.
+    """
+
+    freq_hz: Array
+    measured: ComplexArray
+    simulated: ComplexArray
+    base: ComplexArray
+    measured_sd: Array
+    simulated_sd: Array
+
+
+def responses(fit: KDFit, run: int = 0) -> Responses:
+    """Simulate the structure from the measured base motion and the load of other measured motion (paper, Eq. 8)."""
+    found = fit.found
+    data, likelihood, theta = found.data, found.likelihood, found.theta
+    chosen = data.run == run
+    rows, m = data.rows, len(data.measured)
+    unit = data.root_mass / data.amplitude
+    parts = likelihood.parts(theta)
+    turn = data.turns(theta[found.at["shared"]])
+    turn = np.broadcast_to(turn, (data.count, *turn.shape[1:]))[chosen]
+    structure = parts.structure[chosen, None] * (turn[:, 0] @ data.y[chosen, :m, None])[..., 0]
+    base = parts.base[chosen, None] * (turn[:, 1] @ data.y[chosen, m:, None])[..., 0]
+    omega = data.omega[chosen]
+    _, loading = likelihood.shapes(theta)
+    load = loading @ likelihood._seen_mass(parts.mass)
+    own = load[:, rows]
+    other = load.copy()
+    other[:, rows] = 0.0
+    stiffness, damping = entries.split(theta[found.at["entries"]], likelihood.n)
+    dynamic = parts.factor[chosen, None, None] * (stiffness + parts.loss[chosen, None, None] * damping)
+    dynamic = dynamic - (omega**2)[:, None, None] * parts.added
+    system = dynamic - (omega**2)[:, None, None] * own
+    force = (dynamic @ base[:, rows, None])[..., 0] + (omega**2)[:, None] * (structure @ other.T)
+    simulated = np.linalg.solve(system, force[..., None])[..., 0]
+    basis = entries.basis(likelihood.n)
+    pull = np.einsum("kij,lj->lik", basis, base[:, rows] - simulated)
+    pull = np.concatenate([pull, parts.loss[chosen, None, None] * pull], axis=2)
+    slopes = np.linalg.solve(system, pull)
+    along = (slopes * (simulated / np.maximum(np.abs(simulated), 1e-300)).conj()[..., None]).real
+    count = found.at["entries"].stop
+    variance = np.einsum("lip,pq,liq->li", along, found.covariance[:count, :count], along)
+    noise = np.einsum("lii->li", data.covariance[chosen]).real[:, rows] / 2.0
+    scale = 1.0 / unit[rows]
+    return Responses(
+        data.freq_hz[chosen],
+        structure[:, rows] * scale,
+        simulated * scale,
+        base[:, rows] * scale,
+        np.sqrt(np.maximum(noise, 0.0)) * scale,
+        np.sqrt(np.maximum(variance, 0.0)) * scale,
+    )
+
+
+@style()
+def response_figure(fit: KDFit, run: int = 0) -> Figure:
+    """Draw amplitude and phase of every degree of freedom of one run, measured and simulated."""
+    shown = responses(fit, run)
+    order = np.argsort(shown.freq_hz)
+    n = len(fit.dof)
+    drawing, axes = panels(2, n, width=max(10.4, 3.3 * n), height=2.3, share_x=True)
+    for place, name in enumerate(fit.dof):
+        _amplitudes(axes[0, place], shown, order, place, dof_unit(name))
+        axes[0, place].set_title(f"{name} of the {fit.options.structure}")
+        _phases(axes[1, place], shown, order, place)
+        frequency_axis(axes[1, place], shown.freq_hz[order])
+    axes[0, 0].legend()
+    axes[1, 0].set_ylabel("phase (°)")
+    return drawing
+
+
+def _amplitudes(axes: Axes, shown: Responses, order: Array, place: int, unit: tuple[float, str]) -> None:
+    scale, symbol = unit
+    freq = shown.freq_hz[order] / 1e3
+    measured, simulated, base = (
+        np.abs(part[order, place]) * scale for part in (shown.measured, shown.simulated, shown.base)
+    )
+    kept = decimate_lines(measured)
+    spread = 1.96 * shown.simulated_sd[order, place] * scale
+    axes.plot(freq, base, color=lighten(BODY_COLOURS["base"]), lw=1.2, label="base, at the same point")
+    axes.plot(freq[kept], measured[kept], ".", ms=3, color=MEASURED, alpha=0.7, label="measured")
+    axes.fill_between(
+        freq, np.maximum(simulated - spread, 1e-12), simulated + spread, color=FITTED, alpha=0.25, lw=0
+    )
+    axes.plot(freq, simulated, color=FITTED, lw=1.2, label="simulated (Eq. 8), 95 %")
+    axes.set_ylabel(f"amplitude ({symbol})")
+    amplitude_axis(
+        axes,
+        max(float(measured.min()), 1e-4 * float(measured.max())),
+        float(max(measured.max(), simulated.max())),
+    )
+
+
+def _phases(axes: Axes, shown: Responses, order: Array, place: int) -> None:
+    freq = shown.freq_hz[order] / 1e3
+    simulated, noise = shown.simulated[order, place], shown.measured_sd[order, place]
+    phase = np.angle(simulated)
+    clear = np.flatnonzero(np.abs(simulated) > _CLEAR * noise)
+    if len(clear) > 1:  # a line within its noise takes the turn of the clear line before it
+        known = np.unwrap(phase[clear])
+        before = known[np.maximum(np.searchsorted(clear, np.arange(len(phase)), side="right") - 1, 0)]
+        phase = phase + 2.0 * np.pi * np.round((before - phase) / (2.0 * np.pi))
+    measured = np.angle(shown.measured[order, place] * np.exp(-1j * phase)) + phase
+    kept = decimate_lines(np.abs(shown.measured[order, place]))
+    axes.plot(freq[kept], np.degrees(measured)[kept], ".", ms=3, color=MEASURED, alpha=0.7)
+    axes.plot(freq, np.degrees(phase), color=FITTED, lw=1.2)
+
+
+@style()
+def residual_figure(fit: KDFit) -> Figure:
+    """Draw the normalised residuals over frequency, and their distribution against the normal one."""
+    from scipy.special import ndtri
+
+    data = fit.found.data
+    white = fit.found.likelihood.look(fit.found.theta)[0] * np.sqrt(2.0 * fit.found.noise)
+    drawing, axes = panels(1, 2, height=2.8)
+    freq = np.repeat(data.freq_hz, white.shape[1]) / 1e3
+    for part, colour, label in ((white.real, MEASURED, "real"), (white.imag, FITTED, "imaginary")):
+        axes[0, 0].plot(freq, part.ravel(), ".", ms=2.5, color=colour, alpha=0.6, label=label)
+    for level in (-1.96, 1.96):
+        axes[0, 0].axhline(level, color=MEASURED, lw=0.7, ls=":")
+    frequency_axis(axes[0, 0], np.sort(data.freq_hz))
+    axes[0, 0].set_ylabel("residual over its noise")
+    axes[0, 0].legend(ncols=2)
+    values = np.sort(np.concatenate([white.real.ravel(), white.imag.ravel()]))
+    expected = ndtri((np.arange(len(values)) + 0.5) / len(values))
+    axes[0, 1].plot(expected, values, ".", ms=2.5, color=MEASURED)
+    axes[0, 1].plot(expected[[0, -1]], expected[[0, -1]], color=FITTED, lw=1.0)
+    axes[0, 1].set_xlabel("normal distribution")
+    return drawing
+
+
+@style()
+def axes_figure(fit: KDFit) -> Figure | None:
+    """Draw the footplate with the origin and principal axes of the stiffness (paper, Fig. 6), with 95 % of them."""
+    values = fit.derived.axes
+    if values is None:
+        return None
+    drawing, panel = panels(1, 1, width=6.2, height=4.2)
+    axes = panel[0, 0]
+    if fit.footplate_outline_mm is not None:
+        outline = fit.footplate_outline_mm[:, [0, -1]]
+        axes.fill(*outline.T, color=lighten(BODY_COLOURS["stapes"], 0.8), lw=0)
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
+    stiffness = entries.split(fit.draws.draws[:400], len(fit.dof))[0]
+    drawn = principal_axes(stiffness[stiffness[:, 0, 0] > 0.0])
+    axes.plot(
+        1e3 * drawn[:, 0], 1e3 * drawn[:, 1], ".", ms=1.5, color=FITTED, alpha=0.3, label="origin, draws"
+    )
+    origin, angle = 1e3 * values[:2], values[2]
+    for turn, name in ((angle, "near x"), (angle + 0.5 * np.pi, "near z")):
+        along = np.array([np.cos(turn), -np.sin(turn)])
+        ends = origin + np.outer([-0.8, 0.8], along)
+        axes.plot(*ends.T, color=FITTED, lw=1.4)
+        axes.annotate(name, ends[1], color=FITTED, fontsize=8)
+    axes.plot(0.0, 0.0, "+", color=MEASURED, ms=9, label="footplate centre")
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (mm), + anterior")
+    axes.set_ylabel("z (mm)")
+    axes.legend(loc="best")
+    return drawing
+
+
+@style()
+def budget_figure(fit: KDFit) -> Figure:
+    """Draw which sources the variance of each diagonal entry comes from."""
+    n = len(fit.dof)
+    half = n * (n + 1) // 2
+    places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
+    whole = np.maximum(np.diag(fit.covariance)[places], 1e-300)
+    shares = {name: np.maximum(np.diag(part)[places], 0.0) / whole for name, part in fit.budget.items()}
+    largest = sorted(shares, key=lambda name: -float(shares[name].max()))[:_MOST_SOURCES]
+    words = shown_sources(shares)
+    drawing, panel = panels(1, 1, height=3.6, margins=(3.2, 0.2, 0.3, 0.46))
+    axes = panel[0, 0]
+    width = 0.8 / len(places)
+    for number, place in enumerate(places):
+        at = np.arange(len(largest)) + width * (number - 0.5 * len(places))
+        colour = lighten(MEASURED if number < n else FITTED, 0.15 + 0.5 * (number % n) / max(n, 1))
+        axes.barh(
+            at,
+            [100.0 * shares[name][number] for name in largest],
+            width,
+            color=colour,
+            label=fit.parameters[place],
+        )
+    axes.set_yticks(np.arange(len(largest)), [words[name] for name in largest])
+    axes.invert_yaxis()
+    axes.set_xlabel("% of the variance that goes away where the source is known exactly")
+    axes.legend(ncols=2)
+    return drawing
+
+
+@style()
+def bands_figure(fit: KDFit) -> Figure | None:
+    """Draw the factors of K and D over the band."""
+    bands = fit.solution.bands
+    if bands is None:
+        return None
+    drawing, panel = panels(1, 1, width=7.0, height=2.8)
+    axes = panel[0, 0]
+    middle = bands.ends_hz.mean(axis=1) / 1e3
+    for place, (name, colour) in enumerate((("K", MEASURED), ("D", FITTED))):
+        axes.errorbar(
+            middle, bands.factors[place], 1.96 * bands.sd[place], fmt="o", color=colour, label=name, capsize=3
+        )
+    axes.axhline(1.0, color=MEASURED, lw=0.7, ls=":")
+    axes.set_xlabel("frequency (kHz)")
+    axes.set_ylabel("over that of the whole band, 95 %")
+    axes.legend()
+    return drawing
+
+
+@style()
+def impedance_figure(fit: KDFit) -> Figure:
+    """Draw real and imaginary part of the dynamic stiffness of each diagonal entry."""
+    freq = np.sort(np.unique(fit.found.data.freq_hz))
+    z = dynamic_stiffness(fit.stiffness, fit.damping, 2.0 * np.pi * freq, fit.law)
+    drawing, panel = panels(1, len(fit.dof), height=2.4, width=max(10.4, 3.3 * len(fit.dof)))
+    for place, name in enumerate(fit.dof):
+        axes = panel[0, place]
+        axes.plot(freq / 1e3, z[:, place, place].real, color=MEASURED, label="Re Z (stiffness)")
+        axes.plot(freq / 1e3, z[:, place, place].imag, color=FITTED, label="Im Z (loss)")
+        frequency_axis(axes, freq)
+        axes.set_title(f"{name}, {'N/m' if name in 'xyz' else 'N m/rad'}")
+    panel[0, 0].legend()
+    return drawing
+
+
+def all_figures(fit: KDFit) -> dict[str, Figure]:
+    """Return every figure of the page by its file name."""
+    makers: dict[str, Any] = {
+        **{
+            f"responses_run_{run + 1}": lambda run=run: response_figure(fit, run) for run in range(_runs(fit))
+        },
+        "principal_axes": lambda: axes_figure(fit),
+        "dynamic_stiffness": lambda: impedance_figure(fit),
+        "bands": lambda: bands_figure(fit),
+        "residuals": lambda: residual_figure(fit),
+        "budget": lambda: budget_figure(fit),
+    }
+    drawn = {name: make() for name, make in makers.items()}
+    return {name: one for name, one in drawn.items() if one is not None}
+
+
+def _runs(fit: KDFit) -> int:
+    """Return the number of runs that are drawn: up to four."""
+    return min(len(np.unique(fit.found.data.run)), 4)
+
+
+__all__ = ["PLANE", "all_figures", "responses"]

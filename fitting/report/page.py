@@ -1,0 +1,312 @@
+"""kd.html: the verdict, K and D, responses, modes, axes, causes, budget; sections that other reports take over."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fitting import entries
+from fitting.laws import causal_rise
+from fitting.model import NORMALISATION
+from fitting.plan import Plan, Way, plan_rows
+from fitting.report.figures import all_figures
+from fitting.report.kd_json import equation, found_from, ring_of, shown_sources
+from fitting.report.summary import determined, summary_rows
+from stapeskit.report import page
+from stapeskit.report.quantities import (
+    PERCENT,
+    ROTATION_STIFFNESS,
+    STIFFNESS,
+    Quantity,
+    ShownUnit,
+    matrix_units,
+    plus_minus,
+)
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
+    from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+    from fitting.result import KDFit
+    from stapeskit.report.page import Page, Section
+
+_ABOUT = "about the footplate centre in footplate axes"
+
+
+def kd_page(fit: KDFit) -> Page:
+    """Return the page of a fit."""
+    data = fit.found.data
+    lead = (
+        f"{', '.join(fit.dof)} {_ABOUT}; estimator {fit.options.estimator}, {fit.law.name} damping "
+        f"({fit.law.formula}), {data.count} lines."
+    )
+    made = page.Page("Stiffness and damping of the annular ligament", lead)
+    made.add(verdict_block(fit), page.table(("", ""), summary_rows(fit), words=True), *matrices(fit))
+    for name, blocks in sections(fit, all_figures(fit)).items():
+        made.section(name, *blocks)
+    made.section("Warnings", page.notices(fit.notices))
+    made.appendix_section("Inputs", page.inputs(fit.provenance))
+    return made
+
+
+def verdict_block(fit: KDFit) -> Markup:
+    """Return the verdict with its reasons."""
+    verdict = fit.verdict
+    reasons = [Notice(reason.code, reason.text) for reason in verdict.reasons]
+    return page.verdict(verdict.level, verdict.sentence, reasons)
+
+
+def matrices(fit: KDFit) -> list[Markup]:
+    """Return K and D with their intervals."""
+    n, law = len(fit.dof), fit.law
+    limits = [entries.split(side, n) for side in fit.intervals.T]
+    blocks = []
+    for place, (letter, values, sds) in enumerate(
+        zip("KD", (fit.stiffness, fit.damping), fit.standard_deviation, strict=True)
+    ):
+        blocks.append(
+            page.matrix(
+                fit.dof,
+                values,
+                sds,
+                matrix_units(letter, fit.dof, law.time_power),
+                f"{letter} {_ABOUT}; 95 % intervals from all sources.",
+                title="Stiffness K" if letter == "K" else f"Damping D ({law.formula})",
+                interval_95_si=np.stack([side[place] for side in limits], axis=-1),
+                file=letter,
+            )
+        )
+    return blocks
+
+
+def sections(fit: KDFit, figures: Mapping[str, Figure]) -> dict[str, list[Markup]]:
+    """Return the blocks of every section by its heading, in their order; empty ones are left out."""
+    made = {
+        "Measured and simulated responses": _responses(figures),
+        "Modes": _modes(fit),
+        "Principal axes": _axes(fit, figures),
+        "Plane of the ligament": _plane(fit),
+        "Is the model right?": _causes(fit, figures),
+        "Where the uncertainty comes from": _budget(fit, figures),
+        "What the data determine": _identifiability(fit),
+    }
+    return {name: blocks for name, blocks in made.items() if blocks}
+
+
+def _drawn(figures: Mapping[str, Figure], name: str, caption: str, alt: str) -> list[Markup]:
+    return [page.figure(figures[name], caption, alt, file=name)] if name in figures else []
+
+
+def _responses(figures: Mapping[str, Figure]) -> list[Markup]:
+    text = (
+        "The structure's motion at the footplate centre (dots) against the response of the fitted model (line) to the "
+        "measured base motion at the same point and to the load of other measured motion: paper Eq. 8, Figs. 4 and 5. "
+        "The band is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise of the base."
+    )
+    blocks = [page.text(text)]
+    for name in figures:
+        if name.startswith("responses"):
+            caption = f"Run {name.rpartition('_')[2]}." if "responses_run_2" in figures else ""
+            blocks += _drawn(figures, name, caption, "measured and simulated responses")
+    return blocks
+
+
+def _modes(fit: KDFit) -> list[Markup]:
+    if not fit.modes.pairs:
+        return [page.text("No mode oscillates: all eigenvalues are real.")]
+    derived, rows = fit.derived, []
+    for place, mode in enumerate(fit.modes.pairs):
+        shape = [
+            f"{size:.3g} ± {sd:.1g}"
+            for size, sd in zip(np.abs(mode.shape), derived.shape_sd[place], strict=True)
+        ]
+        values = (
+            (mode.frequency_hz, derived.frequency_sd_hz[place]),
+            (mode.undamped_frequency_hz, derived.undamped_sd_hz[place]),
+            (mode.damping_ratio, derived.ratio_sd[place]),
+        )
+        rows.append((f"mode {place + 1}", *(Quantity(float(v), float(s)) for v, s in values), *shape))
+    head = ("", "damped (Hz)", "undamped (Hz)", "damping ratio", *(f"|{name}|" for name in fit.dof))
+    blocks = [page.table(head, rows, f"Shapes: {NORMALISATION}.", file="modes")]
+    if fit.modes.overdamped_roots_1_s:
+        roots = ", ".join(f"{root:.4g}" for root in fit.modes.overdamped_roots_1_s)
+        blocks.append(page.text(f"Overdamped roots: {roots} 1/s."))
+    return blocks
+
+
+def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+    values, sd = fit.derived.axes, fit.derived.axes_sd
+    if values is None or sd is None:
+        return []
+    millimetre, degree = ShownUnit("mm", 1e3), ShownUnit("°", 180.0 / np.pi)
+    units = (millimetre, millimetre, degree, STIFFNESS, ROTATION_STIFFNESS, ROTATION_STIFFNESS)
+    names = (
+        "origin x",
+        "origin z",
+        "angle about +y",
+        "along y",
+        "about the axis near x",
+        "about the axis near z",
+    )
+    rows = [
+        (name, Quantity(float(value), float(spread), unit))
+        for name, value, spread, unit in zip(names, values, sd, units, strict=True)
+    ]
+    caption = "The point and the rotation about y that uncouple piston and rocking (paper, Fig. 6); this is not eig(K)."
+    blocks = [page.table(("", "principal axes of K"), rows, caption, file="principal_axes")]
+    blocks += _drawn(figures, "principal_axes", "Origin and axes on the footplate.", "principal axes")
+    ring = ring_of(fit)
+    if ring is not None:
+        about_x, about_z = ring.rocking_ratio
+        text = (
+            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} (near x) and "
+            f"{about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. Its shear "
+            f"modulus times thickness over width is {plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, its loss "
+            f"factor {plus_minus(ring.loss_factor.value, ring.loss_factor.sd)} in the middle of the band."
+        )
+        blocks.append(page.text(text))
+        band = float(fit.found.data.freq_hz.min()), float(fit.found.data.freq_hz.max())
+        rise = causal_rise(fit.law, ring.loss_factor.value, band)
+        if rise is not None:
+            text = (
+                f"{fit.law.name} damping with a constant K is not causal: with this loss factor K of a real ligament "
+                f"rises by {100.0 * rise:.0f} % over the band (Kramers and Kronig)."
+            )
+            blocks.append(page.text(text))
+    return blocks
+
+
+def _plane(fit: KDFit) -> list[Markup]:
+    plane = fit.plane
+    if plane is None or fit.height is None:
+        return []
+    height, sd = (1e3 * value for value in fit.height)
+    source = (
+        "from the in-plane motion" if plane.determined else "assumed: 2.2 ± 1.5 times the piston stiffness"
+    )
+    inside = entries.split(plane.entries, 3)[0]
+    inside_sd = entries.split(np.sqrt(np.diag(plane.covariance)), 3)[0]
+    text = (
+        f"The ligament's plane is {plus_minus(height, sd)} mm above the footplate centre. In this plane the stiffness "
+        f"along x is {plus_minus(inside[0, 0], inside_sd[0, 0])} N/m, along z "
+        f"{plus_minus(inside[1, 1], inside_sd[1, 1])} N/m ({source}). K and D about that plane are in kd.json."
+    )
+    return [page.text(text), page.text(f"Equations of motion: {equation(fit)}.")]
+
+
+def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+    found, search = fit.found, fit.solution.search
+    text = f"chi2 = {found.chi2:.1f} for {found.n_dof} degrees of freedom (p = {found.p_value:.2g}). "
+    best = search.best
+    if best is not None:
+        text += f"The best explanation beside the model is {best.title}."
+    elif search.scores:
+        text += (
+            "No further unknown is called for." if found.explained else "Nothing that was tried explains it."
+        )
+    blocks = [page.text(text)]
+    if search.alternatives:
+        rows = [
+            (other.title, f"{plus_minus(other.value, other.sd)} {other.unit}".strip() if other.sd else f"{other.value:g}",
+             f"e^{other.log_odds:.0f}", "yes" if other.found.explained else "no", Quantity(float(weight), None, PERCENT))
+            for other, weight in zip(search.alternatives, search.weights, strict=True)
+        ]  # fmt: skip
+        head = ("explanation", "size", "odds against none", "explains the data", "weight")
+        caption = "Intervals of K and D are averaged over these explanations with their weights."
+        blocks.append(page.table(head, rows, caption, file="explanations"))
+    if search.scores:
+        least = [
+            (
+                score.unknown.title,
+                Quantity(found_from(score.sd, score.unknown.sd, score.unknown.chance)),
+                score.unknown.unit,
+            )
+            for score in search.scores
+            if not score.unknown.family and score.unknown.only is None
+        ]
+        head = ("error that these data can reveal", "from", "")
+        blocks.append(
+            page.folded("From which size errors are found", page.table(head, least, file="found_from"))
+        )
+    blocks += _drawn(
+        figures,
+        "residuals",
+        "No pattern (left) and a straight line (right) mean that the model holds.",
+        "residuals",
+    )
+    bands = fit.solution.bands
+    if bands is not None:
+        text = f"One K and one D over the whole band: p = {bands.p_value:.2g}; {bands.words()}."
+        blocks.append(page.text(text))
+        blocks += _drawn(
+            figures, "bands", "Local K and D over those of the whole band.", "factors of K and D"
+        )
+    if fit.solution.laws:
+        rows = [
+            (name, one.law.formula, float(one.chi2), "yes" if one.explained else "no")
+            for name, one in fit.solution.laws.items()
+        ]
+        blocks.append(
+            page.table(("damping law", "dynamic stiffness", "chi2", "explains the data"), rows, words=True)
+        )
+    return blocks
+
+
+def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+    n = len(fit.dof)
+    half = n * (n + 1) // 2
+    places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
+    sizes = np.abs(fit.values[places])
+    words, rows = shown_sources(fit.budget), []
+    for source, part in fit.budget.items():
+        share = np.sqrt(np.maximum(np.diag(part)[places], 0.0)) / sizes
+        rows.append((words[source], *(f"{100.0 * value:.2g} %" for value in share)))
+    whole = np.sqrt(np.diag(fit.covariance)[places]) / sizes
+    rows.append(("all sources", *(f"{100.0 * value:.2g} %" for value in whole)))
+    caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
+    table = page.table(("source", *(fit.parameters[place] for place in places)), rows, caption, file="budget")
+    return [*_drawn(figures, "budget", "Largest sources.", "budget"), table]
+
+
+def _identifiability(fit: KDFit) -> list[Markup]:
+    relative = entries.sizes(fit.stiffness, fit.damping)
+    rows = [
+        (name, determined(value, sd, f"{100.0 * sd / size:.2g} %"), f"{100.0 * bound / size:.2g} %")
+        for name, value, sd, bound, size in zip(
+            fit.parameters, fit.values, np.sqrt(np.diag(fit.covariance)), fit.bound, relative, strict=True
+        )
+    ]
+    caption = (
+        "Relative to sqrt(Xii Xjj). Bound: smallest sd of any unbiased estimator of this model (Cramer-Rao)."
+    )
+    return [page.table(("entry", "standard deviation", "bound"), rows, caption, file="identifiability")]
+
+
+def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
+    """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
+    fit = ways[0].fit
+    lead = f"{plan.lines} lines of {plan.band_hz[0]:g} to {plan.band_hz[1]:g} Hz, driven along {', '.join(plan.directions)}."
+    made = page.Page("What a planned measurement can reach", lead)
+    made.add(page.table(("", ""), plan_rows(ways), words=True), *matrices(fit))
+    rows = [
+        (way.name, *(f"{100.0 * value:.2g} %" for value in way.relative), ", ".join(way.weak) or "none")
+        for way in ways
+    ]
+    head = ("", *fit.parameters, "over 10 %")
+    made.section(
+        "What a change would bring",
+        page.table(head, rows, "Expected sd relative to sqrt(Xii Xjj).", file="plan"),
+    )
+    made.section("What limits the entries", *_budget(fit, {}))
+    made.appendix_section("Inputs", page.inputs(dict(provenance)))
+    return made
+
+
+def report_sections(fit: KDFit, into: Page) -> list[Section]:
+    """Add the sections of a fit to the page of a study; return them."""
+    return [into.section(name, *blocks) for name, blocks in sections(fit, all_figures(fit)).items()]
