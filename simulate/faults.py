@@ -383,3 +383,14 @@ def _drying(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Seq
                 moved = np.interp(freq * stretch, freq, clean[run, channel])
                 state.added[run, channel] += moved - clean[run, channel]
     return state.of(fault.body), "drift"
+
+
+@_kind(
+    "holder", 0.02, "relative size at low frequencies of a resonance that the body reads but does not have"
+)
+def _holder(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
+    """Let the holder of a body resonate at 2600 Hz: all its channels read a little too much."""
+    channels = state.of(fault.body)
+    ratio = state.freq_hz / 2600.0
+    state.factor[channels] *= 1.0 + size / (1.0 - ratio**2 + 0.1j * ratio)
+    return channels, "gain"

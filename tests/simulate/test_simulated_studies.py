@@ -223,3 +223,22 @@ def test_series_files_hold_the_samples(recording, tmp_path):
     scale = float(table["sensitivity"][6].split()[0])
     read = samples[:, 6] / 32767.0 * scale
     assert read == pytest.approx(series.velocity_m_s[5], abs=2e-5 * scale)
+
+
+def test_the_example_of_the_package_runs(tmp_path, monkeypatch):
+    lines = simulate.__doc__.split("One study in one call:")[1].split("It writes scan.tif")[0]
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec("\n".join(line.removeprefix("    ") for line in lines.splitlines()), names)
+    truth = names["truth"]
+    assert {path.name for path in (tmp_path / "ear2").iterdir()} == {
+        "scan.tif",
+        "ldv.csv",
+        "points.csv",
+        "fiducials.csv",
+        "study.toml",
+        "truth.json",
+    }
+    (culprit,) = truth.recording.culprits
+    assert (truth.recording.point[culprit], truth.recording.laser[culprit]) == ("3", 1)
+    assert truth.motion_m["stapes"].shape == (1, 60, 6)
