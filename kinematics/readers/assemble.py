@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,24 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
-from kinematics.readers.facts import FileFacts, is_file, unknown_files
+from kinematics.readers.facts import FileFacts, unknown_files
 from kinematics.readers.formats import read_file
-from kinematics.readers.lines import common_grid, grid_faults
+from kinematics.readers.identify import (
+    Entry,
+    assumptions,
+    unused_options,
+    with_bodies,
+    with_facts,
+    with_runs,
+)
+from kinematics.readers.lines import check_filled, common_grid, grid_faults
 from kinematics.readers.noise import with_noise
 from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Channel, Recording
-from kinematics.readers.units import LENGTHS
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, unique
 
-DEFAULT_RUN = "1"
-
 _SAME_PLACE_M = 1e-6  # positions written with four digits
-_LEAST_FILLED = 0.01  # a run for each of 100 lines fills 1 in 100; what fills less has columns exchanged
-_ANY_PLACES = 4_000_000  # 64 MB of values, of which any share may be empty
-_MOST_BODIES = 1000  # more rigid bodies were in no study: the column of bodies holds points
 
 
 def read_measurement(
@@ -81,12 +83,21 @@ def read_measurement(
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """One row of one recording on its way into the measurement."""
+class _Grid:
+    """Lines, quantity and runs of a measurement, and the lines of each recording among them."""
 
-    recording: Recording
-    row: int
-    channel: Channel
+    freq_hz: Array
+    order: int
+    takes: Sequence[tuple[str, str]]
+    lines: Mapping[int, NDArray[np.intp]]
+
+    def take_of(self, entry: Entry) -> int:
+        """Return the place of the run and repeat of a row."""
+        return self.takes.index((entry.channel.run, entry.channel.repeat))
+
+    def lines_of(self, entry: Entry) -> NDArray[np.intp]:
+        """Return which lines the frequencies of a row are."""
+        return self.lines[id(entry.recording)]
 
 
 def assemble(
@@ -115,106 +126,53 @@ def assemble(
         of one kind are reported together.
     """
     facts = facts or FileFacts()
-    raise_all([*unknown_files(facts, [one.file for one in recordings]), *_unused(recordings, facts)])
-    notices = [notice for one in recordings for notice in (*one.notices, *_assumptions(one, facts))]
-    recordings = [with_noise(_with_facts(one, facts)) for one in recordings]
+    raise_all([*unknown_files(facts, [one.file for one in recordings]), *unused_options(recordings, facts)])
+    notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
+    recordings = [with_noise(with_facts(one, facts)) for one in recordings]
     raise_all(_value_faults(recordings))
-    entries = [_Entry(one, row, channel) for one in recordings for row, channel in enumerate(one.channels)]
-    entries, added = _with_bodies(entries, points, facts)
+    entries = [
+        Entry(one, row, channel, None if one.common_sd is None else one.common_sd[row])
+        for one in recordings
+        for row, channel in enumerate(one.channels)
+    ]
+    entries, added = with_bodies(entries, points, facts)
     notices += added
-    entries, added = _with_runs(entries, facts)
+    entries, added = with_runs(entries, facts)
     notices += added
     raise_all(_direction_faults(entries))
     notices += _reference_notices(entries)
-    grid, places, added = common_grid([one.freq_hz for one in recordings])
-    notices += added
-    line_of = dict(zip(map(id, recordings), places, strict=True))
+    freq_hz, lines, added = common_grid([one.freq_hz for one in recordings])
     takes = list(dict.fromkeys((entry.channel.run, entry.channel.repeat) for entry in entries))
-    _check_filled(entries, len(takes), len(grid))
     order = Counter(entry.channel.order for entry in entries).most_common(1)[0][0]
+    grid = _Grid(freq_hz, order, takes, dict(zip(map(id, recordings), lines, strict=True)))
+    channels = len({(e.channel.body, e.channel.point, e.channel.beam_key) for e in entries})
+    check_filled(len(takes) * channels, len(freq_hz), sum(one.value.size for one in recordings), "")
+    entries, common_sd = _common_noise(entries, grid)
     faults: list[Fault] = []
     bodies = []
     for name in dict.fromkeys(entry.channel.body for entry in entries):
         mine = [entry for entry in entries if entry.channel.body == name]
         with collect_faults(faults):
-            body, added = _body(name, mine, points, takes, line_of, grid, order)
+            body, missing = _body(name, mine, points, grid)
             bodies.append(body)
-            notices += added
+            added += missing
+    raise_all(faults)
     present = np.array([np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies])
-    raise_all([*faults, *(grid_faults(grid, present, [body.body for body in bodies]) if not faults else [])])
+    raise_all(grid_faults(freq_hz, present, [body.body for body in bodies]))
     repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
         frame,
         tuple(repeat.name if several else repeat.run for repeat in repeats),
-        grid,
+        freq_hz,
         tuple(bodies),
         QUANTITY_OF_ORDER[order],
-        notices=unique(notices),
+        notices=unique([*notices, *added]),
         repeats=repeats if several else (),
-        common_sd=_common_noise(entries, takes, line_of, len(grid)),
+        common_sd=common_sd,
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
-
-
-def _unused(recordings: Sequence[Recording], facts: FileFacts) -> list[Fault]:
-    """List options that no file needs, so that nothing is believed to be set that is not."""
-    rows = [(one, channel) for one in recordings for channel in one.channels]
-    needed = {
-        "beam": any(np.any(np.isnan(channel.direction)) for _, channel in rows),
-        "amplitude": any(not one.amplitude_stated and not channel.per for one, channel in rows),
-        "length_unit": any(not one.length_stated for one, _ in rows),
-        "n_avg": any(one.n_avg is None and one.sd is None for one, _ in rows),
-    }
-    step = "Leave it out, or correct the file"
-    return [
-        Fault(
-            f"--{name.replace('_', '-')}",
-            "left out where the files say it, or need none",
-            "a value",
-            "",
-            step,
-        )
-        for name, need in needed.items()
-        if getattr(facts, name) and not need
-    ]
-
-
-def _assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
-    """Report what is assumed because neither the file nor the user says it."""
-    notices = []
-    placed = recording.points_m[np.all(np.isfinite(recording.points_m), axis=1)]
-    if not recording.length_stated and len(placed) and not facts.length_unit:
-        extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(placed, axis=0))
-        text = (
-            f"{recording.file} does not say the unit of its positions: taken as metres they extend over "
-            f"{extent} mm. "
-            "State --length-unit m, mm or um."
-        )
-        notices.append(Notice("length_unit_assumed", text))
-    absolute = any(not channel.per for channel in recording.channels)
-    if not recording.amplitude_stated and absolute and not facts.amplitude:
-        text = f"{recording.file} does not say whether amplitudes are peak or rms: they were taken as peak."
-        notices.append(Notice("amplitude_assumed", text))
-    return notices
-
-
-def _with_facts(recording: Recording, facts: FileFacts) -> Recording:
-    """Return a recording with beam, averages, amplitude and length unit applied where the file is silent."""
-    length = LENGTHS[facts.length_unit] if facts.length_unit and not recording.length_stated else 1.0
-    channels, value, sd = list(recording.channels), recording.value, recording.sd
-    for row, channel in enumerate(channels):
-        if facts.direction is not None and np.any(np.isnan(channel.direction)):
-            channel = replace(channel, direction=facts.direction)
-        channels[row] = replace(channel, position_m=channel.position_m * length) if length != 1.0 else channel
-    if facts.amplitude == "rms" and not recording.amplitude_stated:
-        peak = np.where([bool(channel.per) for channel in channels], 1.0, np.sqrt(2.0))[:, None]
-        value, sd = value * peak, None if sd is None else sd * peak
-    n_avg = recording.n_avg
-    if facts.n_avg is not None and n_avg is None and sd is None:
-        n_avg = np.full(value.shape, facts.n_avg)
-    return replace(recording, channels=tuple(channels), value=value, sd=sd, n_avg=n_avg)
 
 
 def _value_faults(recordings: Sequence[Recording]) -> list[Fault]:
@@ -258,113 +216,7 @@ def _value_faults(recordings: Sequence[Recording]) -> list[Fault]:
     return faults
 
 
-def _with_bodies(
-    entries: Sequence[_Entry], points: Points | None, facts: FileFacts
-) -> tuple[list[_Entry], list[Notice]]:
-    """Give every row its body: by ``--body``, its file or the points file; one body needs none."""
-    used: set[str] = set()
-    assigned: list[_Entry] = []
-    faults: list[Fault] = []
-    without: dict[str, list[str]] = {}
-    respelled: dict[str, str] = {}
-    unlisted: dict[str, list[str]] = {}
-    for entry in entries:
-        file, channel = entry.recording.file, entry.channel
-        rules = [
-            name for name, items in facts.bodies if any(item.holds(file, channel.point) for item in items)
-        ]
-        used |= set(rules)
-        names = list(dict.fromkeys([*rules, *([channel.body] if channel.body else [])]))
-        if not names and points is not None:
-            names = points.bodies_of(channel.point)
-        if len(names) > 1:
-            step = "Name each point once, by file where numbers repeat: --body base=base.uff:1-9"
-            got = " and ".join(names)
-            faults.append(Fault(f"point {channel.point}", "of one body", got, channel.where, step))
-        elif not names:
-            without.setdefault(file, []).append(channel.point)
-            continue
-        body, point = names[0], channel.point
-        if points is not None:
-            try:
-                key = points.key_of(body, point)
-            except KeyError:
-                if np.any(np.isnan(channel.position_m)) or channel.body:
-                    unlisted.setdefault(body, []).append(point)
-                key = (body, point)
-            if key != (body, point):
-                respelled[f"{body} {point}"] = f"{key[0]} {key[1]}"
-            body, point = key
-        assigned.append(replace(entry, channel=replace(channel, body=body, point=point)))
-    for body, names in unlisted.items():
-        step = f"Add them to {points.file if points else ''}, or write both names alike"
-        thing = f"points {list_some(names, 8)} of body {body}"
-        faults.append(Fault(thing, "listed in the points file", "no rows of these names", "", step))
-    if without and not assigned and not faults and points is None and not facts.body:
-        only = [replace(entry, channel=replace(entry.channel, body="body")) for entry in entries]
-        return only, []
-    for file, names in without.items():
-        step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
-        faults.append(Fault(f"points {list_some(names, 12)}", "of a body", "none", file, step))
-    known = list_some((entry.channel.point for entry in entries), 20)
-    for name in dict.fromkeys(name for name, _ in facts.bodies):
-        if name not in used:
-            want = f"points that were measured ({known})"
-            faults.append(Fault(f"--body {name}", want, "others", "", "Correct the numbers"))
-    raise_all(faults)
-    bodies = {entry.channel.body for entry in assigned}
-    if len(bodies) > _MOST_BODIES:
-        step = "Check which column names the body and which the point"
-        raise StapeskitError.of("the bodies", f"at most {_MOST_BODIES}", len(bodies), "", step)
-    if not respelled:
-        return assigned, _unmeasured(assigned, points)
-    listed = list_some((f"{old} as {new}" for old, new in respelled.items()), 3)
-    text = f"names were read as {points.file if points else ''} spells them: {listed}."
-    return assigned, [Notice("names_respelled", text), *_unmeasured(assigned, points)]
-
-
-def _unmeasured(entries: Sequence[_Entry], points: Points | None) -> list[Notice]:
-    """Report bodies of the points file that were not measured."""
-    if points is None:
-        return []
-    absent = {body for body, _ in points.positions_m} - {entry.channel.body for entry in entries}
-    if not absent:
-        return []
-    text = f"{points.file} lists points of {', '.join(sorted(absent))}, of which no file has a value."
-    return [Notice("bodies_not_measured", text)]
-
-
-def _with_runs(entries: Sequence[_Entry], facts: FileFacts) -> tuple[list[_Entry], list[Notice]]:
-    """Give every row its run: by ``--run``, by its file's content, else by what the files share.
-
-    Files without names of runs that measure one point in one direction again are different excitations, each
-    named after its file; files of different points are parts of one.
-    """
-    labelled = []
-    for entry in entries:
-        stated = [name for name, file in facts.runs if is_file(file, entry.recording.file)]
-        run = " ".join([*stated[:1], *([entry.channel.run] if entry.channel.run else [])])
-        labelled.append(replace(entry, channel=replace(entry.channel, run=run)))
-    file_of: dict[tuple[object, ...], str] = {}
-    again = False
-    for entry in labelled:
-        channel = entry.channel
-        key = (channel.body, channel.point, channel.beam_key, channel.run, channel.repeat)
-        again |= file_of.setdefault(key, entry.recording.file) != entry.recording.file
-    if not again:
-        named = [replace(e, channel=replace(e.channel, run=e.channel.run or DEFAULT_RUN)) for e in labelled]
-        return named, []
-    named = []
-    for entry in labelled:
-        stem, run = Path(entry.recording.file).stem, entry.channel.run
-        run = run if facts.runs and run else f"{stem} {run}".strip()
-        named.append(replace(entry, channel=replace(entry.channel, run=run)))
-    listed = list_some((entry.channel.run for entry in named), 6)
-    text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
-    return named, [Notice("runs_by_file", text)]
-
-
-def _direction_faults(entries: Sequence[_Entry]) -> list[Fault]:
+def _direction_faults(entries: Sequence[Entry]) -> list[Fault]:
     without: dict[str, list[str]] = {}
     for entry in entries:
         if np.any(np.isnan(entry.channel.direction)):
@@ -382,7 +234,7 @@ def _direction_faults(entries: Sequence[_Entry]) -> list[Fault]:
     ]
 
 
-def _reference_notices(entries: Sequence[_Entry]) -> list[Notice]:
+def _reference_notices(entries: Sequence[Entry]) -> list[Notice]:
     """Refuse responses to different quantities in one run; report the quantity that the motion refers to."""
     by_run: dict[str, dict[str, str]] = {}
     for entry in entries:
@@ -409,54 +261,38 @@ def _reference_notices(entries: Sequence[_Entry]) -> list[Notice]:
     return [Notice("per_reference", text)]
 
 
-def _check_filled(entries: Sequence[_Entry], takes: int, lines: int) -> None:
-    """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty."""
-    channels = len({(e.channel.body, e.channel.point, e.channel.beam_key) for e in entries})
-    readings = sum(e.recording.value.shape[1] for e in entries)
-    if takes * channels * lines > max(_ANY_PLACES, readings / _LEAST_FILLED):
-        got = f"{readings} readings of {channels} channels in {lines} lines and {takes} runs"
-        step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
-        raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, "", step)
-
-
 def _body(
-    name: str,
-    entries: Sequence[_Entry],
-    points: Points | None,
-    takes: Sequence[tuple[str, str]],
-    line_of: dict[int, NDArray[np.intp]],
-    grid: Array,
-    order: int,
+    name: str, entries: Sequence[Entry], points: Points | None, grid: _Grid
 ) -> tuple[BodyChannels, list[Notice]]:
     """Fill the arrays of one body; report positions that differ and channels that are there twice."""
     keys = list(dict.fromkeys((entry.channel.point, entry.channel.beam_key) for entry in entries))
-    place_of, take_of = {key: n for n, key in enumerate(keys)}, {take: n for n, take in enumerate(takes)}
-    shape = (len(takes), len(keys), len(grid))
+    place_of = {key: n for n, key in enumerate(keys)}
+    shape = (len(grid.takes), len(keys), len(grid.freq_hz))
     value, sd = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
     known = {entry.recording.relative for entry in entries if entry.recording.sd is not None}
     relative = False not in known
-    filled: dict[tuple[int, int], list[_Entry]] = {}
+    filled: dict[tuple[int, int], Entry] = {}
     first: dict[int, Channel] = {}
     faults: list[Fault] = []
     for entry in entries:
         channel, one = entry.channel, entry.recording
-        row = place_of[channel.point, channel.beam_key]
-        take = take_of[channel.run, channel.repeat]
-        lines = line_of[id(one)]
+        row, take = place_of[channel.point, channel.beam_key], grid.take_of(entry)
         first.setdefault(row, channel)
         own = ~np.isnan(one.value[entry.row].real)
-        for other in filled.setdefault((take, row), []):
-            if np.any(own & ~np.isnan(value[take, row, lines].real)):
-                step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
-                got = f"two that share frequencies ({other.channel.where} and {channel.where})"
-                faults.append(Fault(f"the channel {channel.name}", "there once in a run", got, "", step))
-                break
-        filled[take, row].append(entry)
-        lines = lines[own]
-        factor = (2j * np.pi * one.freq_hz[own]) ** (order - channel.order) if order != channel.order else 1.0
+        lines = grid.lines_of(entry)[own]
+        other = filled.setdefault((take, row), entry)
+        if other is not entry and not np.all(np.isnan(value[take, row, lines].real)):
+            step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
+            got = f"two that share frequencies ({other.channel.where} and {channel.where})"
+            faults.append(Fault(f"the channel {channel.name}", "there once in a run", got, "", step))
+        factor = (2j * np.pi * one.freq_hz[own]) ** (grid.order - channel.order)
+        factor = factor if grid.order != channel.order else np.ones(len(lines))
         value[take, row, lines] = one.value[entry.row, own] * factor
         if one.sd is not None and one.relative == relative:
-            sd[take, row, lines] = one.sd[entry.row, own] * np.abs(factor)
+            spread = one.sd[entry.row, own]
+            if entry.common_sd is not None:
+                spread = np.hypot(spread, entry.common_sd[own] * np.abs(one.value[entry.row, own]))
+            sd[take, row, lines] = spread * np.abs(factor)
     positions = _positions(name, entries, points, faults)
     raise_all(faults)
     notices = []
@@ -465,23 +301,22 @@ def _body(
         text = f"{unused} values of body {name} have no standard deviation and were not used."
         notices.append(Notice("sd_missing", text))
     names = tuple(point for point, _ in keys)
-    at = np.array([positions.get(point, np.full(3, np.nan)) for point in names])
-    spread = [np.nan if points is None else points.sd_m.get((name, point), np.nan) for point in names]
+    spread_m = [np.nan if points is None else points.sd_m.get((name, point), np.nan) for point in names]
     body = BodyChannels(
         name,
         names,
-        None if not positions else at,
+        np.array([positions[point] for point in names]) if positions else None,
         np.array([first[row].direction for row in range(len(keys))]),
         value,
         sd if known else None,
         relative,
-        np.array(spread, dtype=float),
+        np.array(spread_m, dtype=float),
     )
     return body, notices
 
 
 def _positions(
-    body: str, entries: Sequence[_Entry], points: Points | None, faults: list[Fault]
+    body: str, entries: Sequence[Entry], points: Points | None, faults: list[Fault]
 ) -> dict[str, Array]:
     """Return the positions of the points of a body, m: of the points file, else of the files."""
     positions: dict[str, Array] = {}
@@ -512,18 +347,22 @@ def _millimetres(position: Array) -> str:
     return "(" + ", ".join(f"{1e3 * value:.6g}" for value in position) + ")"
 
 
-def _common_noise(
-    entries: Sequence[_Entry],
-    takes: Sequence[tuple[str, str]],
-    line_of: dict[int, NDArray[np.intp]],
-    lines: int,
-) -> Array | None:
-    """Return the noise of the reference (r, L) in runs whose channels were all recorded together."""
-    common = np.zeros((len(takes), lines))
-    for number, take in enumerate(takes):
-        mine = [entry for entry in entries if (entry.channel.run, entry.channel.repeat) == take]
-        rows = [None if e.recording.common_sd is None else e.recording.common_sd[e.row] for e in mine]
-        first = rows[0]
-        if first is not None and all(row is not None and np.array_equal(row, first) for row in rows):
-            common[number, line_of[id(mine[0].recording)]] = first
-    return common if np.any(common > 0.0) else None
+def _common_noise(entries: Sequence[Entry], grid: _Grid) -> tuple[list[Entry], Array | None]:
+    """Return the noise of the reference (r, L) in runs whose channels were all recorded together.
+
+    Their entries lose it; elsewhere it stays with the entries, as a part of the noise of each channel.
+    """
+    common, changed = np.zeros((len(grid.takes), len(grid.freq_hz))), list[Entry]()
+    for number in range(len(grid.takes)):
+        mine = [entry for entry in entries if grid.take_of(entry) == number]
+        first = mine[0].common_sd
+        together = first is not None and all(
+            entry.common_sd is not None and np.array_equal(entry.common_sd, first) for entry in mine
+        )
+        if together and first is not None:
+            common[number, grid.lines_of(mine[0])] = np.nan_to_num(first)
+            mine = [replace(entry, common_sd=None) for entry in mine]
+        changed += mine
+    rank = {id(entry.recording): place for place, entry in enumerate(entries)}
+    changed.sort(key=lambda entry: (rank[id(entry.recording)], entry.row))
+    return changed, common if np.any(common > 0.0) else None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault
+from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
 
 Index = NDArray[np.intp]
@@ -21,6 +21,9 @@ OF_SPACING = 0.01
 
 MOST = 1e-4
 """The same relative to the frequency: across a resonance with 10 % damping a response changes by 0.1 %."""
+
+_LEAST_FILLED = 0.01  # a run for each of 100 lines fills 1 in 100; what fills less has columns exchanged
+_ANY_PLACES = 4_000_000  # 64 MB of values, of which any share may be empty
 
 
 def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice]]:
@@ -62,6 +65,19 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
         )
         notices.append(Notice("frequencies_matched", text))
     return joined, [places[np.ascontiguousarray(grid).tobytes()] for grid in grids], notices
+
+
+def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
+    """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty.
+
+    Raises
+    ------
+    StapeskitError
+    """
+    if rows * lines > max(_ANY_PLACES, readings / _LEAST_FILLED):
+        got = f"{readings} readings of {rows} channels and runs in {lines} lines"
+        step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
+        raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, where, step)
 
 
 def _nearest(lines: Array, grid: Array) -> tuple[Index, Array, Array]:

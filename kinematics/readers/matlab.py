@@ -22,7 +22,15 @@ from numpy.typing import NDArray
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.hdf5 import STRINGS, read_tree
 from kinematics.readers.mapping import Mapping, Signal, mapping_beside, read_mapping
-from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
+from kinematics.readers.recording import (
+    Channel,
+    Recording,
+    Row,
+    from_polar,
+    recording_of,
+    scaled,
+    unknown_vector,
+)
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.units import HERTZ, LENGTHS, PHASES, MotionUnit, motion_unit, unit_fault
 from stapeskit.arrays import Array, ComplexArray
@@ -365,7 +373,7 @@ def _signal_rows(space: _Space, layout: Mapping, signal: Signal, freq: Array, po
                 Row(
                     channel,
                     freq,
-                    value[k, :, beam] * scale,
+                    scaled(value[k, :, beam], scale),
                     None if sd is None else sd[k, :, beam] * scale,
                     None if coherence is None else coherence[k, :, beam],
                     n_avg,
@@ -395,7 +403,7 @@ def _values(space: _Space, signal: Signal, count: int) -> ComplexArray:
     if signal.magnitude:
         turn = PHASES[(signal.phase_unit or "deg").lower()]
         parts = [space.numbers(name, real=True) for name in (signal.magnitude, signal.phase)]
-        value = parts[0] * np.exp(1j * turn * parts[1]) if parts[0].shape == parts[1].shape else np.empty(0)
+        value = from_polar(parts[0], parts[1], turn) if parts[0].shape == parts[1].shape else np.empty(0)
     elif signal.value_re:
         parts = [space.numbers(name, real=True) for name in (signal.value_re, signal.value_im)]
         value = np.empty(parts[0].shape, dtype=complex)

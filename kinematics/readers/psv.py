@@ -159,7 +159,7 @@ def _fastscan(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notic
 
 
 def _per_point(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notice], bool]:
-    """Return one row a signal of per-point blocks; runs are named after the source where points are repeated."""
+    """Return one row a signal of per-point blocks; runs have the names of sources where points repeat."""
     rows: list[tuple[Row, str]] = []
     faults: list[Fault] = []
     stated = True

@@ -11,9 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from kinematics.readers.recording import unknown_vector
+from kinematics.readers.recording import from_polar, scaled, unknown_vector
 from kinematics.readers.text import cells_of, is_row, read_rows, read_text, shown
 from kinematics.readers.units import PHASES, MotionUnit, is_none, motion_unit, unit_fault
 from stapeskit.arrays import Array, ComplexArray
@@ -94,7 +92,7 @@ def signals_of(block: Block) -> list[Signal]:
             if unit is None:
                 unknown.setdefault(label, []).append(block.columns[first])
             else:
-                signals.append(Signal(axis, unit, value * unit.scale))
+                signals.append(Signal(axis, unit, scaled(value, unit.scale)))
     step = "Export velocity or displacement on a linear scale"
     faults += [unit_fault(shown(label), columns, block.where, step) for label, columns in unknown.items()]
     if not pairs:
@@ -125,8 +123,8 @@ def _complex(block: Block, parts: Mapping[str, int]) -> tuple[int, ComplexArray]
             raise StapeskitError.of(
                 "the unit of the phase", "degrees or rad", got, block.where, "Export it again"
             )
-        turned = np.exp(1j * PHASES[label] * block.numbers[:, parts["phase"]])
-        return parts["amp"], np.asarray(block.numbers[:, parts["amp"]] * turned)
+        columns = block.numbers[:, parts["amp"]], block.numbers[:, parts["phase"]]
+        return parts["amp"], from_polar(*columns, PHASES[label])
     names = {"re": "a real part", "im": "an imaginary part", "amp": "a magnitude", "phase": "a phase"}
     got = " and ".join(names[part] for part in parts) + " alone"
     step = "Export Real & Imag., or Magnitude & Phase: motion cannot be computed without its phase"

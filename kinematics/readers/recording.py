@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinematics.measurement import QUANTITIES, direction_name
-from kinematics.readers.lines import common_grid
+from kinematics.readers.lines import check_filled, common_grid
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.warnings import Notice
@@ -32,6 +32,20 @@ _MATRICES = ("value", "sd", "coherence", "n_avg", "common_sd")
 def unknown_vector() -> Array:
     """Return three NaN: a position or direction that the file does not hold."""
     return np.full(3, np.nan)
+
+
+def scaled(value: ComplexArray, factor: float) -> ComplexArray:
+    """Return ``value * factor`` without a complex product, which would make NaN of infinite parts."""
+    result = np.empty(np.shape(value), dtype=complex)
+    with np.errstate(over="ignore", invalid="ignore"):
+        result.real, result.imag = np.real(value) * factor, np.imag(value) * factor
+    return result
+
+
+def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
+    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(magnitude * np.exp(1j * turn * phase))
 
 
 @dataclass(frozen=True)
@@ -275,6 +289,7 @@ def recording_of(file: str, rows: Sequence[Row], **facts: object) -> Recording:
         [Fault("the file", "with values of at least one point", "none", file, step)] if not rows else []
     )
     grid, places, notices = common_grid([row.freq_hz for row in rows])
+    check_filled(len(rows), len(grid), sum(len(row.freq_hz) for row in rows), file)
     shape = (len(rows), len(grid))
     matrices: dict[str, Array] = {}
     for name in _MATRICES:

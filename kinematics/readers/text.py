@@ -20,7 +20,6 @@ _NUMBER = re.compile(
     r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
 _WITH_COMMA = re.compile(r"[+-]?\d[\d.,]*")
-_SMALL_TEXT = 20_000  # letters; beyond, pandas is faster than splitting
 _LONGEST_NUMBER = 400  # letters; longer ones are no numbers of a measurement
 
 
@@ -68,7 +67,6 @@ def cells_of(line: str, separator: str) -> list[str]:
     """Split a line; a blank as separator stands for any number of them."""
     if separator == " ":
         return line.split()
-    line = line.rstrip(separator) if separator in "\t;" else line
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     try:
@@ -106,25 +104,17 @@ def read_rows(
     ndarray, (rows, columns)
         Of the sound rows.
     """
-    text = "\n".join(lines)
-    comma = separator != "," and "," in text and "." not in text
-    counts = (
-        {line.count(separator) for line in lines if line.strip()} if separator != " " else {len(names) - 1}
-    )
-    if (
-        len(counts) == 1
-        and '"' not in text
-        and "_" not in text
-        and (comma or separator == "," or "," not in text)
-    ):
-        numbers = _all_at_once(text.replace(",", ".") if comma else text, separator, len(names))
-        if numbers is not None:
-            return numbers
+    joined = "".join(lines)
+    comma = separator != "," and "," in joined and "." not in joined
+    numbers = _all_at_once(lines, separator, comma, len(names))
+    if numbers is not None:
+        return numbers
     sound = []
     for place, line in enumerate(lines, first):
         if not line.strip():
             continue
         cells = cells_of(line, separator)
+        cells = cells[:-1] if len(cells) == len(names) + 1 and not cells[-1] else cells
         values = [number_of(cell, comma) for cell in cells]
         where = Place(file, "line", (place,))
         if len(values) != len(names):
@@ -140,36 +130,16 @@ def read_rows(
     return np.array(sound, dtype=float).reshape(-1, len(names))
 
 
-def _all_at_once(text: str, separator: str, columns: int) -> Array | None:
-    """Read sound rows of one length by pandas, exactly rounded; None where a row is not sound."""
-    import pandas as pd
-
-    if not text.strip():
-        return np.empty((0, columns))
-    if len(text) < _SMALL_TEXT:
-        rows = [
-            line.split(None if separator == " " else separator) for line in text.split("\n") if line.strip()
-        ]
-        if {len(row) for row in rows} != {columns}:
-            return None
-        try:
-            return np.array(rows).astype(float)
-        except ValueError:  # a cell that is empty or no number
-            return None
-    try:
-        frame = pd.read_csv(
-            io.StringIO(text),
-            sep=r"\s+" if separator == " " else separator,
-            header=None,
-            dtype=float,
-            float_precision="round_trip",
-            index_col=False,
-            skipinitialspace=True,
-        )
-    except (ValueError, OverflowError):  # a cell that is no number, a row that is too long
+def _all_at_once(lines: Sequence[str], separator: str, comma: bool, columns: int) -> Array | None:
+    """Read rows by numpy, exactly rounded; None where one has another length or no plain number."""
+    text = "\n".join(lines)
+    if not text.strip() or '"' in text or "_" in text:
         return None
-    numbers = frame.to_numpy(dtype=float)
-    if separator in "\t;" and numbers.shape[1] == columns + 1 and np.all(np.isnan(numbers[:, -1])):
-        numbers = numbers[:, :-1]
-    short = separator == " " and np.any(np.isnan(numbers))
-    return None if numbers.shape[1] != columns or short else numbers
+    text = text.replace(",", ".") if comma else text
+    delimiter = None if separator == " " else separator
+    try:
+        with np.errstate(over="ignore"):
+            numbers = np.loadtxt(io.StringIO(text), delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return numbers if numbers.shape[1] == columns else None

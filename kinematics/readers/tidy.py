@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.lines import common_grid
+from kinematics.readers.lines import check_filled, common_grid
 from kinematics.readers.points import POSITION, other_table, position_faults
 from kinematics.readers.recording import Channel, Recording, unknown_vector
 from kinematics.readers.text import plain_name, shown
@@ -123,6 +123,10 @@ class _Rows:
     def recording(self) -> Recording:
         """Check all rows and gather those of one body, point, beam, run and repeat to one channel."""
         self.faults += self.table.faults
+        if not len(self.table):
+            raise_all(
+                self.faults or [Fault(self.table.file, "a table with rows", "none", "", "Export it again")]
+            )
         numbers = self.table.numbers
         usable = self._check_numbers()
         texts: dict[str, tuple[Index, tuple[str, ...]]] = {
@@ -147,6 +151,7 @@ class _Rows:
             raise_all(self.faults or [Fault(self.table.file, "a table with values", "empty rows", "", step)])
         sweep, first = _numbered([part[rows] for part in (*parts, beam)])
         freq = numbers["freq_hz"][rows]
+        check_filled(len(first), len(np.unique(freq)), len(rows), self.table.file)
         if not np.all((np.diff(sweep) > 0) | ((np.diff(sweep) == 0) & (np.diff(freq) > 0.0))):
             order = np.lexsort((freq, sweep))
             rows, sweep, freq = rows[order], sweep[order], freq[order]

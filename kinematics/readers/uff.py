@@ -24,11 +24,12 @@ from kinematics.readers.recording import (
     Recording,
     Row,
     recording_of,
+    scaled,
     unknown_vector,
 )
 from kinematics.readers.text import CUT, shown
 from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
-from stapeskit.arrays import Array, ComplexArray
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.warnings import Notice
 
@@ -251,10 +252,12 @@ def _geometry(
 def _read_nodes(
     one: Mapping[str, Any], where: Place, nodes: dict[int, tuple[Array, int, int, Place]], faults: list[Fault]
 ) -> None:
-    labels = np.atleast_1d(one["node_nums"]).astype(int)
-    xyz = np.column_stack([np.atleast_1d(one[axis]) for axis in "xyz"]).astype(float)
-    defined = np.atleast_1d(one.get("def_cs", np.zeros(len(labels)))).astype(int)
-    measured = np.atleast_1d(one.get("disp_cs", np.zeros(len(labels)))).astype(int)
+    columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
+    if len({len(column) for column in columns}) > 1:
+        faults.append(Fault("the nodes", "given by label and three coordinates", "others", where, CUT))
+        return
+    labels, defined, measured = (column.astype(int) for column in columns[:3])
+    xyz = np.column_stack(columns[3:]).astype(float)
     defined = np.zeros_like(defined) if one["type"] == 2411 else defined
     for label, place, system, displaced in zip(
         labels.tolist(), xyz, defined.tolist(), measured.tolist(), strict=True
@@ -496,10 +499,3 @@ def _row(
             raise StapeskitError.of("the coherence", want, "others", channel.where, step)
         coherence = np.clip(stated, 0.0, 1.0)
     return Row(channel, data["x"], scaled(data["data"], one.scale), coherence=coherence)
-
-
-def scaled(value: ComplexArray, factor: float) -> ComplexArray:
-    """Return ``value * factor`` without a complex product, which would make NaN of infinite parts."""
-    result = np.empty(np.shape(value), dtype=complex)
-    result.real, result.imag = np.real(value) * factor, np.imag(value) * factor
-    return result

@@ -15,7 +15,15 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of
 from kinematics.readers.mapping import Mapping, mapping_beside, read_mapping
-from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
+from kinematics.readers.recording import (
+    Channel,
+    Recording,
+    Row,
+    from_polar,
+    recording_of,
+    scaled,
+    unknown_vector,
+)
 from kinematics.readers.text import cells_of, is_row, number_of, plain_name, read_rows, read_text, shown
 from kinematics.readers.units import HERTZ, PHASES, MotionUnit, motion_unit, split_amplitude, unit_fault
 from stapeskit.arrays import Array, ComplexArray
@@ -103,6 +111,8 @@ def header_of(text: str) -> tuple[int, list[str], list[str], str] | None:
             units = [cell.strip("[]() ") for cell in names]
             at = above[-2]
             names = cells_of(lines[at], separator)
+        while names and not names[-1]:
+            names.pop()
         units += [""] * (len(names) - len(units))
         stated = [
             match[1].strip() if (match := _UNIT.search(n)) else u for n, u in zip(names, units, strict=False)
@@ -296,8 +306,8 @@ def _complex(sheet: Sheet, beam: Beam, numbers: Array) -> tuple[ComplexArray, in
         label = beam.phase_unit or sheet.units[parts["phase"]] or "deg"
         if label.lower() not in PHASES:
             raise StapeskitError.of("the unit of the phases", "deg or rad", shown(label), sheet.where)
-        turned = np.exp(1j * PHASES[label.lower()] * numbers[:, parts["phase"]])
-        return np.asarray(numbers[:, parts["amp"]] * turned), parts["amp"]
+        turn = PHASES[label.lower()]
+        return from_polar(numbers[:, parts["amp"]], numbers[:, parts["phase"]], turn), parts["amp"]
     lone = sheet.names[next(iter(parts.values()))]
     want = "with its phase, or a real part with its imaginary part"
     step = f"Export both, or state in {sheet.file}.toml which column is what (docs/vibrometer_files.md)"
@@ -338,4 +348,4 @@ def _row(
         plain_name(beam.point) or stem, beam.body, beam.run, order=unit.order, per=unit.per,
         direction=direction, where=sheet.where,
     )  # fmt: skip
-    return Row(channel, freq, value * scale, None if sd is None else sd * scale, coherence, beam.n_avg)
+    return Row(channel, freq, scaled(value, scale), None if sd is None else sd * scale, coherence, beam.n_avg)

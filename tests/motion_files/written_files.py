@@ -151,7 +151,10 @@ def wide_table(separator=",", phase="[deg]", frequency="[Hz]"):
     names, columns = [f"Frequency {frequency}".strip()], [FREQ_HZ / (1e3 if "k" in frequency else 1.0)]
     for point in range(3):
         for axis in range(3):
-            names += [f"P{point + 1} V{'xyz'[axis]} Mag [mm/s]", f"P{point + 1} V{'xyz'[axis]} Phase {phase}".strip()]
+            names += [
+                f"P{point + 1} V{'xyz'[axis]} Mag [mm/s]",
+                f"P{point + 1} V{'xyz'[axis]} Phase {phase}".strip(),
+            ]
             columns += [1e3 * np.abs(VELOCITY[point, axis]), turn * np.angle(VELOCITY[point, axis])]
     rows = [separator.join(f"{value:.15g}" for value in row) for row in np.column_stack(columns)]
     return "\n".join([separator.join(names), *rows]) + "\n"

@@ -1,0 +1,206 @@
+"""Several files as one measurement: bodies, runs, positions, lines, units, and what does not belong together."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinematics.readers.assemble import assemble, read_measurement
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.lines import common_grid
+from kinematics.readers.points import read_points
+from kinematics.readers.recording import Channel, Row, recording_of
+from kinematics.readers.units import motion_unit
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, tidy_table, universal_file
+
+EXPORTS = Path(__file__).parents[2] / "sample_volumes" / "exports"
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def row(point="1", freq=FREQ_HZ, value=1.0, **channel):
+    known = {"body": "stapes", "direction": Z, "position_m": np.zeros(3)} | channel
+    return Row(Channel(point, **known), np.asarray(freq), np.full(len(freq), value, dtype=complex))
+
+
+def one(*rows, name="a.uff", **facts):
+    return recording_of(name, rows, **facts)
+
+
+def things(error):
+    return [fault.thing for fault in error.value.faults]
+
+
+UNITS = {
+    "m/s": (1, 1.0, ""), "[ um/s / V ]": (1, 1e-6, "V"), "(m/s^2)/N": (2, 1.0, "N"), "g": (2, 9.80665, ""),
+    "mm": (0, 1e-3, ""), "m s-1": (1, 1.0, ""), "µm": (0, 1e-6, ""), "m/s/s": (2, 1.0, ""), "m/s/m/s": (1, 1.0, "m/s"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("label", UNITS)
+def test_units_of_motion(label):
+    unit = motion_unit(label)
+    assert (unit.order, unit.scale, unit.per) == UNITS[label]
+
+
+@pytest.mark.parametrize("label", ["dB", "V", "m/s/sqrt(Hz)", "rad/s", "", "(m/s)^2/Hz"])
+def test_what_is_no_unit_of_motion(label):
+    assert motion_unit(label) is None
+
+
+def test_grids_that_differ_by_rounding_are_one():
+    first = np.arange(100.0, 2000.0, 25.0)
+    grid, places, notices = common_grid([first, first * (1.0 + 3e-7), first[3:9] + 0.005])
+    assert np.array_equal(grid, first)
+    assert np.array_equal(places[1], np.arange(len(first)))
+    assert np.array_equal(places[2], np.arange(3, 9))
+    assert [notice.code for notice in notices] == ["frequencies_matched"]
+
+
+def test_grids_that_differ_are_joined_in_order():
+    grid, places, _ = common_grid([np.array([100.0, 300.0]), np.array([200.0, 300.0])])
+    assert np.array_equal(grid, [100.0, 200.0, 300.0])
+    assert [place.tolist() for place in places] == [[0, 2], [1, 2]]
+
+
+def test_the_same_measurement_from_every_export_of_the_sample():
+    """Values of the exports agree to the digits that each of them writes."""
+    names = FileFacts(body=("stapes=1-10", "base=11-19"))
+    points = EXPORTS / "points.csv"
+    measured = [
+        read_measurement([EXPORTS / name], facts=names) for name in ("scan.uff", "scan.mat", "fastscan.txt")
+    ]
+    measured.append(read_measurement([EXPORTS / "wide.csv"], points))
+    for other in measured[1:]:
+        assert np.allclose(other.freq_hz, measured[0].freq_hz, rtol=1e-6)
+        for body, same in zip(other.bodies, measured[0].bodies, strict=True):
+            beams = [list(zip(b.points, map(tuple, b.directions), strict=True)) for b in (body, same)]
+            order = [beams[0].index(beam) for beam in beams[1]]
+            assert np.allclose(
+                body.value[:, order], same.value, rtol=0, atol=2e-4 * np.max(np.abs(same.value))
+            )
+            assert np.allclose(body.positions_m[order], same.positions_m, atol=1e-7)
+
+
+def test_files_of_different_points_are_parts_and_of_the_same_points_runs(tmp_path):
+    parts = [one(row("1"), name="a.uff"), one(row("2"), name="b.uff")]
+    assert assemble(parts).runs == ("1",)
+    again = [one(row("1"), name="a.uff"), one(row("1", value=2.0), name="b.uff")]
+    measured = assemble(again)
+    assert measured.runs == ("a", "b")
+    assert np.allclose(measured.bodies[0].value[:, 0, 0], [1.0, 2.0])
+    assert assemble(again, facts=FileFacts(run=("push=a.uff", "tilt=b"))).runs == ("push", "tilt")
+
+
+def test_bodies_by_rules_files_and_points(tmp_path):
+    bare = [row(point, body="") for point in ("1", "2", "11")]
+    assert [body.body for body in assemble([one(*bare)]).bodies] == ["body"]
+    measured = assemble([one(*bare)], facts=FileFacts(body=("stapes=1-10", "base=11")))
+    assert [(body.body, body.points) for body in measured.bodies] == [
+        ("stapes", ("1", "2")),
+        ("base", ("11",)),
+    ]
+    by_file = [one(row("1", body=""), name="a.uff"), one(row("1", body=""), name="b.uff")]
+    measured = assemble(by_file, facts=FileFacts(body=("stapes=a.uff", "base=b.uff")))
+    assert [body.body for body in measured.bodies] == ["stapes", "base"]
+    (tmp_path / "points.csv").write_text(
+        "body,point,x_mm,y_mm,z_mm,sd_mm\nbase,1,1,2,3,0.1\n", encoding="utf-8"
+    )
+    listed = read_points(tmp_path / "points.csv")
+    body = assemble([one(row("1", body="", position_m=np.full(3, np.nan)))], listed).bodies[0]
+    assert body.body == "base"
+    assert np.allclose(body.positions_m, [[1e-3, 2e-3, 3e-3]])
+    assert np.allclose(body.position_sd_m, 1e-4)
+
+
+def test_quantities_are_converted_to_the_most_common_one():
+    """v = i w q."""
+    measured = assemble([one(row("1"), row("2"), row("3", value=0.5, order=0))])
+    assert measured.quantity == "velocity"
+    assert np.allclose(measured.bodies[0].value[0, 2], 0.5 * 2j * np.pi * FREQ_HZ)
+
+
+def test_facts_fill_what_files_do_not_say():
+    silent = one(row("1", direction=np.full(3, np.nan), position_m=np.ones(3)), length_stated=False)
+    facts = FileFacts(beam="0,3,4", amplitude="rms", length_unit="mm", n_avg=4.0)
+    body = assemble([silent], facts=facts).bodies[0]
+    assert np.allclose(body.directions, [[0.0, 0.6, 0.8]])
+    assert np.allclose(body.positions_m, 1e-3)
+    assert np.allclose(body.value, np.sqrt(2.0))
+    assert body.relative
+    codes = {notice.code for notice in assemble([silent], facts=FileFacts(beam="z")).notices}
+    assert codes == {"amplitude_assumed", "length_unit_assumed"}
+
+
+def test_positions_of_two_sources_must_agree(tmp_path):
+    (tmp_path / "points.csv").write_text("body,point,x_mm,y_mm,z_mm\nstapes,1,0,0.5,0\n", encoding="utf-8")
+    with pytest.raises(StapeskitError) as caught:
+        assemble([one(row("1"))], read_points(tmp_path / "points.csv"))
+    assert things(caught) == ["the position of point 1 of body stapes"]
+
+
+UNFIT = {
+    "one channel twice": ([one(row("1"), row("1"))], FileFacts(), "the channel stapes 1 (z)"),
+    "no direction": ([one(row(direction=np.full(3, np.nan)))], FileFacts(), "points 1 of body stapes"),
+    "two references": ([one(row("1", per="N"), row("2", per="V"))], FileFacts(), "the values of one run"),
+    "an option for nothing": ([one(row())], FileFacts(beam="z"), "--beam"),
+    "an unknown file": ([one(row())], FileFacts(run=("push=c.uff",)), "the file of --run push=c.uff"),
+    "a rule for nothing": ([one(row())], FileFacts(body=("base=7-9",)), "--body base"),
+    "other lines": (
+        [one(row("1", body="a"), row("2", [410, 660, 905, 1100], body="b"))], FileFacts(),
+        "the frequencies of bodies a and b",
+    ),
+    "infinite values": ([one(row(value=np.inf))], FileFacts(), "the values"),
+    "half of the positions": (
+        [one(row("1"), row("2", position_m=np.full(3, np.nan)))], FileFacts(), "points 2 of body stapes",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_what_does_not_belong_together_is_refused(name):
+    recordings, facts, thing = UNFIT[name]
+    with pytest.raises(StapeskitError) as caught:
+        assemble(recordings, facts=facts)
+    assert things(caught) == [thing]
+
+
+def test_a_point_that_the_points_file_lacks_is_refused(tmp_path):
+    (tmp_path / "points.csv").write_text("body,point,x_mm,y_mm,z_mm\nstapes,1,0,0,0\n", encoding="utf-8")
+    with pytest.raises(StapeskitError) as caught:
+        assemble([one(row("1"), row("2"), row("3"))], read_points(tmp_path / "points.csv"))
+    assert things(caught) == ["points 2, 3 of body stapes"]
+
+
+@pytest.mark.parametrize("text", ["stapes", "stapes=", "=1-3", "stapes=3-1", "stapes=1,,2"])
+def test_rules_that_cannot_be_read(text):
+    with pytest.raises(StapeskitError) as caught:
+        _ = FileFacts(body=(text,)).bodies
+    assert things(caught) == ["--body"]
+
+
+def test_tidy_tables_and_other_files_are_one_measurement(tmp_path):
+    (tmp_path / "a.csv").write_text(tidy_table(body="base"), encoding="utf-8")
+    (tmp_path / "b.uff").write_bytes(universal_file())
+    measured = read_measurement(
+        [tmp_path / "a.csv", tmp_path / "b.uff"], facts=FileFacts(body=("stapes=b.uff",))
+    )
+    assert [body.body for body in measured.bodies] == ["base", "stapes"]
+    assert np.allclose(measured.bodies[0].value[0], VELOCITY.reshape(9, -1), rtol=1e-14)
+    assert np.allclose(measured.bodies[1].positions_m[::3], PLACES_M)
+    assert set(measured.inputs) == {"ldv", "ldv 2"}
+
+
+def test_common_noise_is_kept_apart_only_where_a_run_shares_it():
+    def noisy(point, share, name):
+        made = row(point)
+        return one(Row(made.channel, made.freq_hz, made.value, sd=0.1, common_sd=share), name=name)
+
+    together = assemble(
+        [one(*[Row(r.channel, r.freq_hz, r.value, 0.1, common_sd=0.2) for r in (row("1"), row("2"))])]
+    )
+    assert np.allclose(together.common_sd, 0.2)
+    assert np.allclose(together.bodies[0].sd, 0.1)
+    apart = assemble([noisy("1", 0.2, "a.npz"), noisy("2", 0.3, "b.npz")])
+    assert apart.common_sd is None
+    assert np.allclose(apart.bodies[0].sd[0, :, 0], np.hypot(0.1, [0.2, 0.3]))

@@ -1,0 +1,249 @@
+"""MATLAB and HDF5 files by names, structs and mappings; time series by a table of channels."""
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat, wavfile
+
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.formats import read_file
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, matlab_variables, v73
+
+Z = VELOCITY[:, 2]
+USD = {"YUnit": "m/s", "ResponseDOFs": {"Direction": 3.0}}
+
+
+def read(folder, variables, toml="", **options):
+    path = folder / "a.mat"
+    savemat(path, variables, **options)
+    if toml:
+        (folder / "a.mat.toml").write_text(toml, encoding="utf-8")
+    return read_file(path, FileFacts())
+
+
+def faults(folder, variables, toml=""):
+    with pytest.raises(StapeskitError) as caught:
+        read(folder, variables, toml)
+    return caught.value.faults
+
+
+LAYOUTS = {
+    "one beam": {"x": FREQ_HZ, "y": Z, "usd": USD},
+    "columns": {"f": FREQ_HZ[:, None], "Y": Z.T, "usd": USD},
+    "parts": {"freq": FREQ_HZ, "v_re": Z.real, "v_im": Z.imag, "unit": "m/s"},
+    "in a struct": {"data": {"x": FREQ_HZ, "y": Z, "usd": USD}},
+    "a struct array": {"pt": [{"x": FREQ_HZ, "y": row, "usd": USD} for row in Z]},
+    "micrometres": {"x": FREQ_HZ, "y": 1e6 * Z, "unit": "um/s"},
+    "named points": {"x": FREQ_HZ, "y": Z, "usd": USD, "names": np.array(["1", "2", "3"], dtype=object)},
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_layouts_by_their_names(name, tmp_path):
+    recording = read(tmp_path, LAYOUTS[name])
+    assert recording.points == ("1", "2", "3")
+    assert np.allclose(recording.value, Z, rtol=1e-14)
+    if "usd" in LAYOUTS[name]:
+        assert np.allclose(recording.directions, [[0.0, 0.0, 1.0]] * 3)
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_versions_of_plain_variables(version, tmp_path):
+    variables = {name: value for name, value in matlab_variables().items() if name != "usd"}
+    recording = read(tmp_path, {**variables, "unit": "m/s"}, format=version)
+    assert np.allclose(recording.value.reshape(3, 3, -1).swapaxes(0, 1), VELOCITY)
+    assert np.allclose(recording.points_m[:3], PLACES_M)
+
+
+def test_version_73_is_read_like_version_5(tmp_path):
+    five = read(tmp_path, matlab_variables())
+    v73(tmp_path / "b.mat", matlab_variables())
+    seven = read_file(tmp_path / "b.mat", FileFacts())
+    assert np.array_equal(five.value, seven.value)
+    assert np.array_equal(five.points_m, seven.points_m)
+    assert np.array_equal(five.directions, seven.directions)
+
+
+def test_structs_beside_each_other_are_runs(tmp_path):
+    path = tmp_path / "a.mat"
+    savemat(path, {name: {"x": FREQ_HZ, "y": Z, "usd": USD} for name in ("push", "tilt")})
+    assert read_measurement([path]).runs == ("push", "tilt")
+
+
+def test_coherence_and_averages_give_the_noise(tmp_path):
+    path = tmp_path / "a.mat"
+    savemat(path, {"x": FREQ_HZ, "y": Z, "usd": USD, "coh": np.full(Z.shape, 0.5), "n_avg": 8.0})
+    body = read_measurement([path]).bodies[0]
+    assert np.allclose(body.sd[0], np.abs(Z) * np.sqrt(0.5 / (2 * 8 * 0.5)))
+
+
+def test_a_mapping_names_the_variables(tmp_path):
+    toml = (
+        'frequency = "d.f"\nposition = "where"\nposition_unit = "mm"\npoints = "who"\nconvention = "-"\n'
+        '[[signal]]\nvalue = "d.v"\ndirection = "beams"\nunit = "mm/s"\nsd = "spread"\nbody = "stapes"\n'
+    )
+    variables = {
+        "d": {"f": FREQ_HZ, "v": 1e3 * Z.conj()}, "where": 1e3 * PLACES_M, "who": [5.0, 6.0, 7.0],
+        "beams": np.eye(3), "spread": np.ones(Z.shape),
+    }  # fmt: skip
+    recording = read(tmp_path, variables, toml)
+    assert np.allclose(recording.value, Z)
+    assert recording.points == ("5", "6", "7")
+    assert np.allclose(recording.points_m, PLACES_M)
+    assert np.allclose(recording.directions, np.eye(3))
+    assert np.allclose(recording.sd, 1e-3)
+    assert {channel.body for channel in recording.channels} == {"stapes"}
+
+
+MISTAKES = {
+    "no unit": ({"x": FREQ_HZ, "y": Z}, "the unit of y"),
+    "a power": ({"x": FREQ_HZ, "y": Z, "usd": {**USD, "PowerSignal": 1.0}}, "y"),
+    "a magnitude": ({"x": FREQ_HZ, "y": np.abs(Z), "usd": USD}, "the variable y"),
+    "nothing": ({"a": 1.0}, "a.mat"),
+    "too few positions": ({"x": FREQ_HZ, "y": Z, "usd": USD, "xyz": PLACES_M[:2]}, "xyz"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes(name, tmp_path):
+    variables, thing = MISTAKES[name]
+    assert [fault.thing for fault in faults(tmp_path, variables)] == [thing]
+
+
+def test_string_arrays_of_matlab_are_named_with_the_cure(tmp_path):
+    """A string array in version 7.3 is a data set of class string, which no library reads."""
+    path = tmp_path / "a.mat"
+    v73(path, {"x": FREQ_HZ, "y": Z})
+    with h5py.File(path, "r+") as file:
+        file["unit"] = np.zeros(6, dtype=np.uint32)
+        file["unit"].attrs["MATLAB_class"] = np.bytes_("string")
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, FileFacts())
+    assert "unit" in caught.value.faults[0].got
+    assert "cellstr" in caught.value.faults[0].next_step
+
+
+def multisine(noise=0.0, seconds=2.0, rate=8000.0, seed=4):
+    """Responses of two points to a multisine drive of 0.1 s period: (time, drive, responses, freq, truth)."""
+    rng = np.random.default_rng(seed)
+    freq = np.arange(200.0, 1000.0, 50.0)
+    truth = rng.normal(size=(2, len(freq))) + 1j * rng.normal(size=(2, len(freq)))
+    time = np.arange(int(seconds * rate)) / rate
+    turning = np.exp(1j * (2 * np.pi * freq[:, None] * time + rng.uniform(0, 2 * np.pi, (len(freq), 1))))
+    responses = (truth @ turning).real
+    return (
+        time,
+        np.sum(turning.real, axis=0),
+        responses + noise * rng.normal(size=responses.shape),
+        freq,
+        truth,
+    )
+
+
+def channels(folder, rows, name="channels.csv"):
+    path = folder / name
+    path.write_text(
+        "\n".join(["channel,role,body,point,dir,unit,sensitivity", *rows]) + "\n", encoding="utf-8"
+    )
+    return path
+
+
+LISTED = ("a,response,stapes,1,z,mm/s,2", "b,response,stapes,2,z,mm/s,2", "d,reference,,,,V,")
+
+
+@pytest.mark.parametrize("kind", ["npz", "csv", "mat", "wav"])
+def test_series_of_every_kind_of_file(kind, tmp_path):
+    time, drive, responses, freq, truth = multisine()
+    path = tmp_path / f"a.{kind}"
+    names = {"a": responses[0], "b": responses[1], "d": drive}
+    listed, scale, tolerance = LISTED, 1.0, 1e-9
+    if kind == "npz":
+        np.savez(path, sample_rate_hz=8000.0, **names)
+    elif kind == "mat":
+        savemat(path, {"fs": 8000.0, **names})
+    elif kind == "wav":
+        scale = 1.0 / np.max(np.abs([*responses, drive]))
+        wavfile.write(path, 8000, (scale * np.array([*responses, drive])).T.astype(np.float32))
+        listed, tolerance = (
+            [row.replace(old, new, 1) for row, old, new in zip(LISTED, "abd", "123", strict=True)],
+            1e-4,
+        )
+    else:
+        rows = [",".join(f"{v:.15g}" for v in row) for row in zip(time, *responses, drive, strict=True)]
+        path.write_text("\n".join(["time_s,a,b,d", *rows]) + "\n", encoding="utf-8")
+    facts = FileFacts(series=SeriesFacts(channels(tmp_path, listed), period_s=0.1))
+    recording = read_file(path, facts)
+    assert np.allclose(recording.freq_hz, freq)
+    assert np.allclose(recording.value, 2e-3 * truth, atol=tolerance)
+    assert (recording.reference, recording.quantity) == ("V", "velocity")
+
+
+def test_noise_of_the_reference_is_shared_by_the_run(tmp_path):
+    """Noise of the drive moves all channels alike: it is apart from their own, and not in their sd."""
+    rng = np.random.default_rng(2)
+    drive = rng.normal(size=40_000)
+    gains = np.array([1.0, 2.0, -1.5, 0.7])
+    responses = gains[:, None] * drive + 0.01 * rng.normal(size=(4, 40_000))
+    np.savez(tmp_path / "a.npz", sample_rate_hz=8000.0, d=drive + 0.1 * rng.normal(size=40_000), **{
+        f"c{k}": row for k, row in enumerate(responses)
+    })  # fmt: skip
+    rows = [*(f"c{k},response,stapes,{k},z,m/s," for k in range(4)), "d,reference,,,,V,"]
+    measured = read_measurement(
+        [tmp_path / "a.npz"], facts=FileFacts(series=SeriesFacts(channels(tmp_path, rows)))
+    )
+    body = measured.bodies[0]
+    error = body.value[0] - gains[:, None] / 1.01
+    shared = np.mean((error.real / gains[:, None]), axis=0)
+    assert np.std(shared) == pytest.approx(np.sqrt(np.mean(measured.common_sd[0] ** 2)), rel=0.15)
+    own = error - gains[:, None] * np.mean(error / gains[:, None], axis=0)
+    assert 0.5 < np.mean(np.abs(own) ** 2 / 2) / np.mean(body.sd[0] ** 2) < 1.5
+
+
+def test_a_series_without_its_table_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", fs=8000.0, a=np.zeros(100))
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.npz", FileFacts())
+    assert "--channels" in caught.value.faults[0].expected
+
+
+SERIES_MISTAKES = {
+    "a missing channel": (["e,response,stapes,1,z,m/s,", "d,reference,,,,V,"], "channel e"),
+    "no reference": (["a,response,stapes,1,z,m/s,"], "the table of channels"),
+    "two references": (
+        ["a,response,stapes,1,z,m/s,", "b,reference,,,,V,", "d,reference,,,,V,"],
+        "the reference",
+    ),
+    "no unit": (["a,response,stapes,1,z,V,", "d,reference,,,,V,"], "the unit of unit"),
+    "another direction": (["a,response,stapes,1,w,m/s,", "d,reference,,,,V,"], "dir"),
+    "listed twice": (
+        ["a,response,stapes,1,z,m/s,", "a,response,stapes,1,z,m/s,", "d,reference,,,,V,"],
+        "channel a",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SERIES_MISTAKES)
+def test_mistakes_of_series(name, tmp_path):
+    rows, thing = SERIES_MISTAKES[name]
+    _, drive, responses, _, _ = multisine()
+    np.savez(tmp_path / "a.npz", fs=8000.0, a=responses[0], b=responses[1], d=drive)
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.npz", FileFacts(series=SeriesFacts(channels(tmp_path, rows))))
+    assert [fault.thing for fault in caught.value.faults] == [thing]
+
+
+def test_a_stepped_sine_by_its_table_of_steps(tmp_path):
+    rate, freq, gain = 20_000.0, np.array([300.0, 500.0]), np.array([0.5 + 0.2j, -0.1 + 0.7j])
+    time = np.arange(8000) / rate
+    parts = [np.exp(2j * np.pi * one * time) for one in freq]
+    drive = np.concatenate([part.real for part in parts])
+    response = np.concatenate([(g * part).real for g, part in zip(gain, parts, strict=True)])
+    np.savez(tmp_path / "a.npz", fs=rate, a=response, d=drive)
+    steps = tmp_path / "steps.csv"
+    steps.write_text("start_s,stop_s,freq_hz\n0,0.4,300\n0.4,0.8,500\n", encoding="utf-8")
+    rows = ["a,response,stapes,1,z,m/s,", "d,reference,,,,V,"]
+    facts = FileFacts(series=SeriesFacts(channels(tmp_path, rows), steps=steps))
+    recording = read_file(tmp_path / "a.npz", facts)
+    assert np.allclose(recording.value[0], gain, atol=1e-9)

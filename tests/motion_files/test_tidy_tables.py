@@ -1,0 +1,222 @@
+"""The tidy table: dialects of spreadsheets, units, noise, and one fault by line and column for each mistake."""
+
+import time
+
+import numpy as np
+import pytest
+
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.formats import read_file
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import FREQ_HZ, VELOCITY, tidy_table
+
+HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
+ROWS = ("stapes,1,0,0,0,y,100,1,2", "stapes,1,0,0,0,y,200,3,4", "stapes,2,1,0,0,-z,100,5,6")
+
+
+def written(folder, text, name="ldv.csv"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def table(folder, rows=ROWS, head=HEAD):
+    return written(folder, "\n".join([head, *rows]) + "\n")
+
+
+def faults(path, points=None):
+    with pytest.raises(StapeskitError) as caught:
+        read_measurement([path], points)
+    return caught.value.faults
+
+
+DIALECTS = {
+    "crlf": lambda text: text.replace("\n", "\r\n").encode(),
+    "cr": lambda text: text.replace("\n", "\r").encode(),
+    "bom": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "utf-16": lambda text: text.encode("utf-16"),
+    "no end": lambda text: text.rstrip("\n").encode(),
+    "comment": lambda text: f"# made by hand\n{text}".encode(),
+    "sep": lambda text: f"sep=,\n{text}".encode(),
+    "quoted": lambda text: text.replace("stapes", '"stapes"').encode(),
+    "blank lines": lambda text: text.replace("\n", "\n\n", 1).encode(),
+    "empty columns": lambda text: text.replace("\n", ",,\n").encode(),
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_dialects_are_one_table(name, tmp_path):
+    plain = read_measurement([written(tmp_path, tidy_table())])
+    other = read_measurement([written(tmp_path, DIALECTS[name](tidy_table()))])
+    assert np.array_equal(plain.bodies[0].value, other.bodies[0].value)
+    assert np.array_equal(plain.bodies[0].positions_m, other.bodies[0].positions_m)
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [(";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+def test_separators_and_decimal_commas(separator, decimal, tmp_path):
+    measured = read_measurement([written(tmp_path, tidy_table(separator, decimal))])
+    assert np.allclose(measured.bodies[0].value[0], VELOCITY.reshape(9, -1), rtol=1e-14)
+    assert np.array_equal(measured.freq_hz, FREQ_HZ)
+
+
+UNITS = {
+    "re_mm_s,im_mm_s": ("velocity", 1e-3),
+    "re_um,im_um": ("displacement", 1e-6),
+    "re_m_s2,im_m_s2": ("acceleration", 1.0),
+    "re_rms_m_s,im_rms_m_s": ("velocity", 2.0**0.5),
+}
+
+
+@pytest.mark.parametrize("head", UNITS)
+def test_units_of_columns(head, tmp_path):
+    measured = read_measurement([written(tmp_path, tidy_table(head=head))])
+    quantity, factor = UNITS[head]
+    assert measured.quantity == quantity
+    assert np.allclose(measured.bodies[0].value[0], factor * VELOCITY.reshape(9, -1), rtol=1e-14)
+
+
+def test_amplitude_and_phase(tmp_path):
+    rows = ["stapes,1,0,0,0,y,100,2,90", "stapes,1,0,0,0,y,200,1,-180"]
+    measured = read_measurement([table(tmp_path, rows, HEAD.replace("re_m_s,im_m_s", "amp_mm_s,phase_deg"))])
+    assert np.allclose(measured.bodies[0].value[0, 0], [2e-3j, -1e-3], atol=1e-18)
+
+
+def test_order_of_rows_does_not_matter(tmp_path):
+    head, *rows = tidy_table().strip().split("\n")
+    plain = read_measurement([written(tmp_path, tidy_table())]).bodies[0]
+    mixed = np.random.default_rng(3).permutation(rows).tolist()
+    shuffled = read_measurement([table(tmp_path, mixed, head)]).bodies[0]
+    order = [
+        list(zip(shuffled.points, map(tuple, shuffled.directions), strict=True)).index((name, tuple(beam)))
+        for name, beam in zip(plain.points, plain.directions, strict=True)
+    ]
+    assert np.array_equal(plain.value[0], shuffled.value[0, order])
+
+
+def test_noise_by_sd_coherence_and_averages(tmp_path):
+    """Bendat and Piersol: |v| sqrt((1 - g2) / (2 n g2)) of the real part; averages alone are relative."""
+    rows = [f"{row},0.8,10" for row in ROWS[:2]]
+    body = read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0]
+    assert np.allclose(body.sd, np.abs(body.value) * np.sqrt(0.2 / (2 * 10 * 0.8)))
+    assert not body.relative
+    body = read_measurement([table(tmp_path, [f"{row},4" for row in ROWS[:2]], f"{HEAD},n_avg")]).bodies[0]
+    assert body.relative
+    assert np.allclose(body.sd, 0.5)
+    body = read_measurement([table(tmp_path, [f"{row},7" for row in ROWS[:2]], f"{HEAD},sd_mm_s")]).bodies[0]
+    assert np.allclose(body.sd, 7e-3)
+
+
+def test_missing_values_and_rows_are_missing(tmp_path):
+    rows = [*ROWS[:2], "stapes,2,1,0,0,-z,200,,"]
+    measured = read_measurement([table(tmp_path, rows)])
+    assert np.array_equal(np.isnan(measured.bodies[0].value[0].real), [[False, False], [True, True]])
+    assert {notice.code for notice in measured.notices} == {"rows_missing", "values_missing"}
+
+
+def test_runs_and_repeats(tmp_path):
+    rows = [f"{row},{run},{again}" for run in ("push", "tilt") for again in (1, 2) for row in ROWS[:2]]
+    measured = read_measurement([table(tmp_path, rows, f"{HEAD},run,repeat")])
+    assert [(one.run, one.repeat) for one in measured.repeats] == [
+        ("push", "1"), ("push", "2"), ("tilt", "1"), ("tilt", "2"),
+    ]  # fmt: skip
+    assert measured.bodies[0].value.shape == (4, 1, 2)
+
+
+def test_names_that_a_spreadsheet_made_numbers_of(tmp_path):
+    points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\nstapes,1,1,2,3\nstapes,2,4,5,6\n", "points.csv")
+    head = HEAD.replace("x_mm,y_mm,z_mm,", "")
+    rows = ["Stapes ,1.0,y,100,1,2", "Stapes ,1.0,y,200,3,4", "Stapes ,2.0,-z,100,5,6"]
+    path = table(tmp_path, rows, head)
+    measured = read_measurement([path], points)
+    assert measured.bodies[0].points == ("1", "2")
+    assert measured.bodies[0].body == "stapes"
+    assert np.allclose(measured.bodies[0].positions_m, [[1e-3, 2e-3, 3e-3], [4e-3, 5e-3, 6e-3]])
+    assert "names_respelled" in {notice.code for notice in measured.notices}
+
+
+def test_positions_may_come_from_elsewhere(tmp_path):
+    head = HEAD.replace("x_mm,y_mm,z_mm,", "")
+    rows = [row.replace(",0,0,0,", ",").replace(",1,0,0,", ",") for row in ROWS]
+    assert read_measurement([table(tmp_path, rows, head)]).bodies[0].positions_m is None
+
+
+MISTAKES = {
+    "text": ("stapes,1,0,0,0,y,abc,1,2", "freq_hz", 5),
+    "DC line": ("stapes,1,0,0,0,y,0,1,2", "freq_hz", 5),
+    "infinite": ("stapes,1,0,0,0,y,300,inf,2", "re_m_s", 5),
+    "direction": ("stapes,1,0,0,0,w,300,1,2", "dir", 5),
+    "no body": (",1,0,0,0,y,300,1,2", "body", 5),
+    "no point": ("stapes,,0,0,0,y,300,1,2", "point", 5),
+    "again": ("stapes,1,0,0,0,y,200,3,4", "a row", 5),
+    "moved": ("stapes,1,0,0.5,0,y,300,1,2", "the position of a point", 5),
+    "empty place": ("stapes,1,0,,0,y,300,1,2", "y_mm", 5),
+    "short": ("stapes,1,0,0,0,y,300,1", "a row", 5),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_fault_with_its_line(name, tmp_path):
+    row, thing, line = MISTAKES[name]
+    found = faults(table(tmp_path, [*ROWS, row]))
+    assert [fault.where.numbers for fault in found] == [(line,)]
+    if name != "short":
+        assert found[0].thing == thing
+
+
+HEADERS = {
+    "no unit": (HEAD.replace("re_m_s", "re"), "the unit of column re"),
+    "no direction": (HEAD.replace("dir,", "way,"), "the table"),
+    "both pairs": (f"{HEAD},amp_m_s", "the value"),
+    "two units": (HEAD.replace("im_m_s", "im_mm_s"), "real and imaginary part"),
+    "other sd": (f"{HEAD},sd_um", "the standard deviation"),
+    "kilohertz": (HEAD.replace("freq_hz", "freq_khz"), "the frequency column freq_khz"),
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_mistakes_of_the_header(name, tmp_path):
+    head, thing = HEADERS[name]
+    rows = [f"{row},1" if head.count(",") > HEAD.count(",") else row for row in ROWS]
+    assert thing in {fault.thing for fault in faults(table(tmp_path, rows, head))}
+
+
+def test_all_faults_of_all_files_come_together(tmp_path):
+    points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\nstapes,1,0,0,far\n", "points.csv")
+    found = faults(table(tmp_path, [*ROWS, "stapes,1,0,0,0,w,abc,1,2"]), points)
+    assert {fault.where.file for fault in found} == {"ldv.csv", "points.csv"}
+    assert len(found) == 3
+
+
+def test_an_sd_column_without_numbers_is_refused(tmp_path):
+    found = faults(table(tmp_path, [f"{row},nan" for row in ROWS], f"{HEAD},sd_m_s"))
+    assert [fault.thing for fault in found] == ["sd_m_s"]
+
+
+def test_options_that_columns_say_are_refused(tmp_path):
+    with pytest.raises(StapeskitError) as caught:
+        read_file(table(tmp_path), FileFacts(beam="z", amplitude="rms"))
+    assert [fault.thing for fault in caught.value.faults] == ["--beam", "--amplitude"]
+
+
+def test_columns_exchanged_are_refused(tmp_path):
+    """Frequencies in the place of a name: almost no reading shares a line with another."""
+    rows = [f"stapes,{k % 7},0,0,0,y,{100 + 0.37 * k:.2f},1,2,{k}" for k in range(5000)]
+    found = faults(table(tmp_path, rows, f"{HEAD},run"))
+    assert found[0].thing == "the readings"
+
+
+def test_a_large_table_is_read_quickly(tmp_path):
+    rng = np.random.default_rng(1)
+    freq = np.linspace(100.0, 5000.0, 500)
+    rows = [
+        f"stapes,{point},{0.01 * point:.4f},0.1,0.5,{beam},{freq[k]:.6f},{one:.8e},{other:.8e}"
+        for point in range(200)
+        for beam in ("x", "y", "z")
+        for k, (one, other) in enumerate(1e-4 * rng.normal(size=(500, 2)))
+    ]
+    path = table(tmp_path, rows)
+    began = time.process_time()
+    measured = read_measurement([path])
+    assert time.process_time() - began < 1.5
+    assert measured.bodies[0].value.shape == (1, 600, 500)

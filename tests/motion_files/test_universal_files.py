@@ -1,0 +1,173 @@
+"""Universal files: forms of numbers, geometry, units, coherence, runs, and what is refused."""
+
+import numpy as np
+import pytest
+
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.formats import read_file
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import (
+    COHERENCE,
+    DISPLACEMENT,
+    FORCE,
+    FREQ_HZ,
+    PLACES_M,
+    SPECTRUM,
+    TIME,
+    VELOCITY,
+    function,
+    nodes_15,
+    nodes_2411,
+    system_18,
+    units,
+    universal_file,
+)
+
+VALUE = VELOCITY[0, 0]
+PLACE = {1: (0.5, 0.0, 0.0)}
+
+
+def read(folder, *parts, name="a.uff"):
+    path = folder / name
+    path.write_bytes(b"".join(parts))
+    return read_file(path, FileFacts())
+
+
+def faults(folder, *parts):
+    with pytest.raises(StapeskitError) as caught:
+        read(folder, *parts)
+    return caught.value.faults
+
+
+@pytest.mark.parametrize("binary", ["", "<", ">"])
+@pytest.mark.parametrize(("form", "even"), [(5, True), (5, False), (6, True), (6, False)])
+def test_every_form_of_numbers(form, even, binary, tmp_path):
+    recording = read(
+        tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ, VALUE, form=form, even=even, binary=binary)
+    )
+    digits = 1e-5 if form == 5 else 1e-11
+    assert np.allclose(recording.value[0], VALUE, rtol=digits)
+    assert np.allclose(recording.freq_hz, FREQ_HZ)
+
+
+def test_units_of_positions_and_values(tmp_path):
+    """Dataset 164: SI = file value / factor, also for values without a unit of their own."""
+    millimetres = read(tmp_path, units(1e3), nodes_15({1: (5e2, 0.0, 0.0)}), function(FREQ_HZ, VALUE))
+    assert np.allclose(millimetres.points_m[0], PLACE[1])
+    assert np.allclose(millimetres.value[0], VALUE)
+    silent = read(tmp_path, units(1e3), nodes_2411(PLACE), function(FREQ_HZ, 1e3 * VALUE, unit="NONE"))
+    assert np.allclose(silent.value[0], VALUE)
+    scaled = read(tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ, 1e6 * VALUE, unit="um/s"))
+    assert np.allclose(scaled.value[0], VALUE)
+
+
+def test_a_response_is_per_unit_of_its_reference(tmp_path):
+    response = function(FREQ_HZ, VALUE, per=FORCE, quantity=DISPLACEMENT, unit="m", reference=(2, 3))
+    recording = read(tmp_path, units(), nodes_2411(PLACE), response)
+    assert (recording.quantity, recording.reference, recording.units) == ("displacement", "N", "(m)/N")
+    assert recording.frf is not None
+    assert recording.velocity is None
+
+
+def test_directions_are_those_of_the_displacement_system(tmp_path):
+    """+x of the system points along +y, +z along +z: a third axis follows by the right hand."""
+    turned = system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1))
+    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, 2, -3)]
+    recording = read(tmp_path, units(), turned, nodes_15(PLACE, measured=7), *parts)
+    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
+    shifted = system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1))
+    recording = read(tmp_path, units(), shifted, nodes_15(PLACE, defined=7), function(FREQ_HZ, VALUE))
+    assert np.allclose(recording.points_m[0], [1.0, 0.5, 0.0])
+
+
+def test_coherence_belongs_to_its_response(tmp_path):
+    gamma = np.array([0.9, 0.8, 0.7, 0.6])
+    recording = read(
+        tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ, VALUE, per=FORCE, reference=(2, 3)),
+        function(FREQ_HZ, gamma, kind=COHERENCE, form=4, quantity=0, unit="NONE", reference=(2, 3)),
+    )  # fmt: skip
+    assert np.allclose(recording.coherence[0], gamma)
+
+
+def test_descending_frequencies_are_turned_round(tmp_path):
+    recording = read(tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ[::-1], VALUE[::-1]))
+    assert np.allclose(recording.freq_hz, FREQ_HZ)
+    assert np.allclose(recording.value[0], VALUE)
+
+
+def test_references_load_cases_and_versions(tmp_path):
+    path = tmp_path / "a.uff"
+    parts = [function(FREQ_HZ, VALUE, per=FORCE, reference=(node, 3)) for node in (8, 9)]
+    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
+    assert read_measurement([path]).runs == ("8+z", "9+z")
+    parts = [function(FREQ_HZ, VALUE, load_case=case) for case in (1, 2)]
+    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
+    assert read_measurement([path]).runs == ("case 1", "case 2")
+    parts = [function(FREQ_HZ, VALUE, version=version) for version in (1, 2)]
+    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
+    assert [one.repeat for one in read_measurement([path]).repeats] == ["1", "2"]
+
+
+def test_a_dc_line_is_dropped(tmp_path):
+    recording = read(tmp_path, units(), nodes_2411(PLACE), function([0.0, 100.0, 200.0], VALUE[:3]))
+    assert np.allclose(recording.freq_hz, [100.0, 200.0])
+    assert "dc_line" in {notice.code for notice in recording.notices}
+
+
+def test_velocity_is_taken_before_displacement_and_responses_before_spectra(tmp_path):
+    both = [function(FREQ_HZ, VALUE), function(FREQ_HZ, 2 * VALUE, quantity=DISPLACEMENT, unit="m")]
+    recording = read(tmp_path, units(), nodes_2411(PLACE), *both)
+    assert recording.quantity == "velocity"
+    recording = read(
+        tmp_path, units(), nodes_2411(PLACE), both[0], function(FREQ_HZ, 3 * VALUE, kind=SPECTRUM)
+    )
+    assert np.allclose(recording.value, VALUE)
+
+
+REFUSED = {
+    "decibels": (function(FREQ_HZ, VALUE, unit="dB"), "the unit of the values"),
+    "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "the direction of a function"),
+    "fewer values": (function(FREQ_HZ, VALUE, count=9), "the values of a function"),
+    "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "quantity and unit"),
+    "one frequency twice": (
+        function([1.0, 1.0, 2.0, 3.0], VALUE, even=False),
+        "the frequencies of a function",
+    ),
+    "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
+    "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refusals(name, tmp_path):
+    part, thing = REFUSED[name]
+    nodes = nodes_15(PLACE, measured=7) if name == "a curved system" else nodes_2411(PLACE)
+    more = function(FREQ_HZ, VALUE) if name == "a curved system" else b""
+    assert [fault.thing for fault in faults(tmp_path, units(), nodes, part, more)] == [thing]
+
+
+def test_a_kind_of_fault_is_one_message(tmp_path):
+    parts = [function(FREQ_HZ, VALUE, node + 1, unit="dB") for node in range(30)]
+    found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
+    assert len(found) == 1
+    assert len(found[0].where.numbers) == 30
+
+
+def test_directions_that_stand_in_the_text_alone_are_named(tmp_path):
+    parts = [
+        function(FREQ_HZ, VALUE, node, 3, names=(f"Vib {axis}", "V")) for node in (1, 2) for axis in "XYZ"
+    ]
+    found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
+    assert len(found) == 1
+    assert "Vib X, Vib Y, Vib Z" in found[0].next_step
+
+
+def test_a_file_of_one_body_needs_no_name_of_it(tmp_path):
+    (tmp_path / "a.uff").write_bytes(universal_file())
+    measured = read_measurement([tmp_path / "a.uff"])
+    assert len(measured.bodies) == 1
+    assert np.allclose(measured.bodies[0].positions_m[::3], PLACES_M)
+    named = read_measurement([tmp_path / "a.uff"], facts=FileFacts(body=("stapes=1-2", "base=3")))
+    assert [body.body for body in named.bodies] == ["stapes", "base"]
+    assert [len(body.points) for body in named.bodies] == [6, 3]

@@ -1,0 +1,185 @@
+"""Wide tables and text exports of scanning vibrometers: names, units, decimal commas, and what is refused."""
+
+import numpy as np
+import pytest
+
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.formats import read_file
+from kinematics.readers.wide import meaning
+from stapeskit.faults import StapeskitError
+from tests.motion_files.written_files import (
+    FREQ_HZ,
+    PLACES_M,
+    VELOCITY,
+    fastscan,
+    point_block,
+    wide_table,
+)
+
+
+def written(folder, text, name="ldv.csv"):
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def faults(path, facts=None):
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, facts or FileFacts())
+    return caught.value.faults
+
+
+NAMES = {
+    "P3 Vx Mag": ("amp", "3", "x"),
+    "Point 3 - Vib Z - Real": ("re", "3", "z"),
+    "apex -y Phase": ("phase", "apex", "-y"),
+    "Imag": ("im", "", ""),
+    "P1 Coherence": ("coherence", "1", ""),
+    "comment": None,
+    "x Real Imag": None,
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_meaning_of_names(name):
+    assert meaning(name) == NAMES[name]
+
+
+@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", True), ("\t", True), (";", False)])
+def test_separators_and_decimal_commas(separator, comma, tmp_path):
+    text = wide_table(separator)
+    recording = read_file(written(tmp_path, text.replace(".", ",") if comma else text), FileFacts())
+    assert np.allclose(recording.value, VELOCITY.reshape(9, -1), rtol=0, atol=1e-17)
+
+
+def test_lines_above_units_below_and_descending_rows(tmp_path):
+    names, *rows = wide_table().strip().split("\n")
+    bare = ",".join(name.split(" [")[0] for name in names.split(","))
+    units = ",".join("[" + name.split("[")[1] for name in names.split(","))
+    text = "\n".join(["Measured by hand", "Date, 2026-11-21", "", bare, units, *rows[::-1]])
+    recording = read_file(written(tmp_path, text), FileFacts())
+    assert np.allclose(recording.value, VELOCITY.reshape(9, -1), rtol=0, atol=1e-17)
+    assert np.allclose(recording.freq_hz, FREQ_HZ)
+
+
+@pytest.mark.parametrize(("phase", "frequency"), [("[rad]", "[Hz]"), ("[deg]", "[kHz]")])
+def test_stated_units(phase, frequency, tmp_path):
+    recording = read_file(written(tmp_path, wide_table(phase=phase, frequency=frequency)), FileFacts())
+    assert np.allclose(recording.value, VELOCITY.reshape(9, -1), rtol=0, atol=1e-17)
+    assert np.allclose(recording.freq_hz, FREQ_HZ)
+
+
+def test_a_unit_that_may_be_another_must_be_stated(tmp_path):
+    """Phases within 3.14 without a unit may be degrees or radians; lines up to 1.15 may be Hz or kHz."""
+    radians = wide_table(phase="[rad]").replace(" [rad]", "")
+    assert [fault.thing for fault in faults(written(tmp_path, radians))] == ["the unit of the phases"]
+    kilohertz = wide_table(frequency="[kHz]").replace(" [kHz]", "")
+    assert [fault.thing for fault in faults(written(tmp_path, kilohertz))] == ["the unit of the frequencies"]
+
+
+def test_decibels_are_one_fault_with_the_cure(tmp_path):
+    found = faults(written(tmp_path, wide_table().replace("[mm/s]", "[dB re 1 m/s]")))
+    assert len(found) == 1
+    assert "10^(dB/20)" in found[0].next_step
+
+
+def test_separators_of_thousands_are_refused(tmp_path):
+    text = wide_table(";").replace("1150;", "1,150.0;")
+    found = faults(written(tmp_path, text))
+    assert [fault.where.numbers for fault in found] == [(5,)]
+    assert "thousands" in found[0].next_step
+
+
+def test_cells_and_rows_at_fault_are_listed_with_their_lines(tmp_path):
+    lines = wide_table().strip().split("\n")
+    lines[2] = lines[2].replace(lines[2].split(",")[3], "lost")
+    lines[4] = ",".join(lines[4].split(",")[:-2])
+    found = faults(written(tmp_path, "\n".join(lines)))
+    assert [fault.where.numbers for fault in found] == [(3,), (5,)]
+
+
+def test_a_magnitude_without_phase_is_refused(tmp_path):
+    text = "Frequency [Hz],P1 x Mag [m/s],P2 x Mag [m/s],P2 x Phase [deg]\n100,1,1,10\n200,1,1,20\n"
+    assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the column P1 x Mag"]
+
+
+def test_a_mapping_names_the_columns(tmp_path):
+    path = written(tmp_path, "f,A,B,C\n0.4,1,0.5,0.9\n0.5,2,0.25,0.8\n")
+    written(
+        tmp_path,
+        'frequency = "f"\nfrequency_unit = "kHz"\namplitude = "rms"\n[[signal]]\nmagnitude = "A"\nphase = "B"\n'
+        'phase_unit = "rad"\nunit = "mm/s"\ndirection = [0.0, 0.6, 0.8]\npoint = "7"\ncoherence = "C"\nn_avg = 10\n',
+        "ldv.csv.toml",
+    )
+    recording = read_file(path, FileFacts())
+    assert np.allclose(
+        recording.value[0], 1e-3 * np.sqrt(2) * np.array([1, 2]) * np.exp(1j * np.array([0.5, 0.25]))
+    )
+    assert np.allclose(recording.freq_hz, [400.0, 500.0])
+    assert np.allclose(recording.directions, [[0.0, 0.6, 0.8]])
+    assert (recording.points, recording.n_avg[0, 0], recording.coherence[0, 1]) == (("7",), 10.0, 0.8)
+
+
+def test_mistakes_of_a_mapping_come_together(tmp_path):
+    path = written(tmp_path, "f,A,B\n1,2,3\n4,5,6\n")
+    text = 'frequenzy = "f"\namplitude = "half"\n[[signal]]\nmagnitude = "A"\nshape = "B"\n'
+    written(tmp_path, text, "ldv.csv.toml")
+    things = {fault.thing for fault in faults(path)}
+    assert things == {"a key", "amplitude", "frequency", "the values of a signal"}
+
+
+def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
+    blocks = [fastscan(freq, PLACES_M, VELOCITY[:, :, k]) for k, freq in enumerate(FREQ_HZ)]
+    for number, block in enumerate(blocks[::-1]):
+        written(tmp_path, block, f"scan/band{number}.txt")
+    folder = read_file(tmp_path / "scan", FileFacts())
+    assert np.allclose(folder.value, VELOCITY.reshape(9, -1), rtol=1e-11)
+    comma = b"\r\n".join(fastscan(f, PLACES_M, VELOCITY[:, :, k], comma=True) for k, f in enumerate(FREQ_HZ))
+    single = read_file(written(tmp_path, comma, "a.txt"), FileFacts())
+    assert np.allclose(single.value, folder.value, rtol=1e-11)
+    assert {notice.code for notice in folder.notices} == {"axes_from_beams"}
+
+
+SCANS = {
+    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequency 400 Hz"),
+    "two scans": (
+        [
+            fastscan(400, PLACES_M, VELOCITY[:, :, 0]),
+            fastscan(500, PLACES_M, VELOCITY[:, :, 0]).replace(b"ear.svd", b"old.svd"),
+        ],
+        "the source of the files",
+    ),
+    "points that move": (
+        [fastscan(400, PLACES_M, VELOCITY[:, :, 0]), fastscan(500, 2 * PLACES_M, VELOCITY[:, :, 0])],
+        "the position of point 1",
+    ),
+    "decibels": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0], "dB")], "the unit of Real X, Real Y, Real Z"),
+    "a row cut short": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0]).rsplit(b"\t", 1)[0]], "a row"),
+}
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_refusals_of_fastscans(name, tmp_path):
+    blocks, thing = SCANS[name]
+    assert thing in {fault.thing for fault in faults(written(tmp_path, b"\r\n".join(blocks), "a.txt"))}
+
+
+def test_values_mixed_between_points_are_reported(tmp_path):
+    path = written(tmp_path, fastscan(400, PLACES_M, VELOCITY[:, :, 0], treated="Yes"), "a.txt")
+    assert "values_smoothed" in {notice.code for notice in read_file(path, FileFacts()).notices}
+
+
+def test_points_of_two_sources_are_two_runs(tmp_path):
+    blocks = [
+        point_block(1, VELOCITY[0, 0], PLACES_M[0], source=f"{name}.svd", component="-Z") for name in "ab"
+    ]
+    measured = read_measurement([written(tmp_path, b"\r\n".join(blocks), "a.txt")])
+    assert measured.runs == ("a", "b")
+    assert np.array_equal(measured.bodies[0].directions, [[0.0, 0.0, -1.0]])
+
+
+def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
+    block = point_block(1, VELOCITY[0, 0], PLACES_M[0], first="Time")
+    assert [fault.got for fault in faults(written(tmp_path, block, "a.txt"))] == ["a time series"]
