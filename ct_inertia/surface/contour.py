@@ -12,8 +12,8 @@ from stapeskit.faults import StapeskitError
 _LEAST_CAVITY = 1e-3  # of the volume of the body: a smaller cavity is noise, and weighs less than it
 
 
-def contour(field: Grey, scan_from_index: Array, level: float = 0.0) -> Surface:
-    """Return the closed outward surface where a field [z, y, x] passes a level: the largest piece of it.
+def contour(field: Grey, scan_from_index: Array, level: float = 0.0, largest: bool = True) -> Surface:
+    """Return the closed outward surface where a field [z, y, x] passes a level.
 
     Parameters
     ----------
@@ -22,6 +22,8 @@ def contour(field: Grey, scan_from_index: Array, level: float = 0.0) -> Surface:
     scan_from_index : ndarray, (4, 4)
         Index x, y, z of the field to scan coordinates, mm.
     level : float
+    largest : bool
+        Keep the largest piece and its cavities only.
 
     Raises
     ------
@@ -29,7 +31,7 @@ def contour(field: Grey, scan_from_index: Array, level: float = 0.0) -> Surface:
         Nothing lies above the level.
     """
     first, part = padded_part(field - np.float32(level))
-    points, faces = zero_surface(part)
+    points, faces = zero_surface(part, largest)
     return placed(points + first, faces, scan_from_index, field.shape)
 
 
@@ -58,8 +60,8 @@ def padded_part(field: Grey) -> tuple[Array, Grey]:
     return np.array(starts[::-1]) - 1.0, part
 
 
-def zero_surface(field: Grey) -> tuple[Array, Faces]:
-    """Return points (n, 3; index x, y, z) and outward faces of the largest closed piece of a zero surface."""
+def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
+    """Return points (n, 3; index x, y, z) and outward faces of a zero surface, or of its largest closed piece."""
     import pyvista as pv
 
     grid = pv.ImageData(dimensions=field.shape[::-1])
@@ -72,7 +74,7 @@ def zero_surface(field: Grey) -> tuple[Array, Faces]:
     parts = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     if parts.sum() < 0.0:
         faces, parts = np.ascontiguousarray(faces[:, ::-1]), -parts
-    return _largest(points, faces, parts)
+    return _largest(points, faces, parts) if largest else (points, faces)
 
 
 def _largest(points: Array, faces: Faces, parts: Array) -> tuple[Array, Faces]:

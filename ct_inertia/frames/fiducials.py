@@ -1,0 +1,152 @@
+"""The plate frame from points that a person measured in the scan, instead of from fitted faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ct_inertia.frames.plate_frame import AMBIGUOUS, PlateFrame, positive_sense
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.frames import RigidTransform, axes_matrix
+from stapeskit.registration import fit_rigid
+from stapeskit.tables import read_table
+from stapeskit.warnings import Notice
+
+_SCAN = ("x_mm", "y_mm", "z_mm")
+_PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+_LEAST_SD_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class PlateFiducials:
+    """Points of the plate found in the scan.
+
+    Attributes
+    ----------
+    names : tuple of str, (n,)
+    scan_mm : ndarray, (n, 3)
+    plate_mm : ndarray, (n, 3), or None
+        The same points in the plate frame; None: the points are corners of the plate's face.
+    sd_mm : ndarray, (n,), or None
+    """
+
+    names: tuple[str, ...]
+    scan_mm: Array
+    plate_mm: Array | None = None
+    sd_mm: Array | None = None
+
+
+def read_plate_fiducials(path: Path) -> PlateFiducials:
+    """Read ``name, x_mm, y_mm, z_mm [, x_ref_mm, y_ref_mm, z_ref_mm] [, sd_mm]``.
+
+    Raises
+    ------
+    StapeskitError
+        A column is missing, a cell is empty, a name is repeated, or there are fewer than 3 points.
+    """
+    columns: list[str] = []
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        columns.extend(header)
+        wanted = [*_SCAN, *(_PLATE if any(name in header for name in _PLATE) else ())]
+        missing = [name for name in ("name", *wanted) if name not in header]
+        if missing:
+            expected = "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm"
+            got = f"no {', '.join(missing)}"
+            raise StapeskitError.of("the columns of --plate-fiducials", expected, got, file, "Add them")
+        return {*wanted, *(("sd_mm",) if "sd_mm" in header else ())}, {"name"}
+
+    table = read_table(path, choose)
+    faults = list(table.faults)
+    for column, values in table.numbers.items():
+        for row in np.flatnonzero(~np.isfinite(values)):
+            faults.append(Fault(column, "a finite number", "nothing", table.where(int(row)), "Fill in the cell"))
+    raise_all(faults)
+    codes, known = table.texts["name"].codes, table.texts["name"].names
+    names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
+    sd = table.numbers.get("sd_mm")
+    if len(set(names)) != len(names):
+        got, step = ", ".join(names), "Rename one of them"
+        faults.append(Fault("the names of --plate-fiducials", "different", got, path.name, step))
+    if len(names) < 3:
+        step = "Add points that are not on one line"
+        faults.append(Fault("--plate-fiducials", "at least 3 points", len(names), path.name, step))
+    if sd is not None and np.any(sd <= 0.0):
+        step = "Give the standard deviation of a point in mm, or leave the column out"
+        faults.append(Fault("sd_mm", "positive", float(sd.min()), path.name, step))
+    raise_all(faults)
+    scan = np.column_stack([table.numbers[name] for name in _SCAN])
+    plate = np.column_stack([table.numbers[name] for name in _PLATE]) if _PLATE[0] in columns else None
+    return PlateFiducials(names, scan, plate, sd)
+
+
+def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
+    """Return the plate frame that fiducials define.
+
+    Parameters
+    ----------
+    fiducials : PlateFiducials
+        With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order; y out of
+        their plane towards the stapes, x along the longest side, origin their centroid.
+    stapes_mm : ndarray, (3,)
+        A point of the stapes, scan coordinates.
+
+    Raises
+    ------
+    StapeskitError
+        Points on a line, or that fit only as a mirror image.
+    """
+    if fiducials.plate_mm is None:
+        return _from_corners(fiducials, stapes_mm)
+    fit = fit_rigid(
+        fiducials.plate_mm,
+        fiducials.scan_mm,
+        fiducials.sd_mm,
+        to="scan",
+        source="plate",
+        names=fiducials.names,
+        kind="plate fiducials",
+    )
+    return PlateFrame(fit.transform, fit.covariance_si, np.zeros((0, 3)), False, "fiducials", fit.notices)
+
+
+def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
+    points = fiducials.scan_mm
+    centre = points.mean(axis=0)
+    _, size, axes = np.linalg.svd(points - centre)
+    if size[1] < 1e-3 * size[0]:
+        step = "Add a point off that line"
+        thing = "the points of --plate-fiducials"
+        raise StapeskitError.of(thing, "corners of a face", "points on a line", next_step=step)
+    normal = axes[2] * (np.sign(axes[2] @ (stapes_mm - centre)) or 1.0)
+    flat = (points - centre) @ axes[:2].T
+    ring = points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
+    sides = np.roll(ring, -1, axis=0) - ring
+    lengths = np.linalg.norm(sides, axis=1)
+    longest = sides[int(np.argmax(lengths))]
+    frame = axes_matrix(positive_sense(longest - (longest @ normal) * normal), normal)
+    square = np.abs(sides @ longest) < 0.7 * lengths * lengths.max()
+    listed = ", ".join(f"{value:+.3f}" for value in frame[:, 0])
+    text = (
+        "x of the plate frame is the longest side between the --plate-fiducials in the sense with the positive "
+        f"component along scan x, [{listed}] in scan axes."
+    )
+    notices = [Notice("plate_axis_sign", text)]
+    if np.max(lengths[square], initial=0.0) > AMBIGUOUS * lengths.max():
+        text = (
+            "Two sides between the --plate-fiducials are nearly equally long: which of them is x is ambiguous. Give "
+            "their x_ref_mm, y_ref_mm, z_ref_mm."
+        )
+        notices.append(Notice("plate_axis_ambiguous", text))
+    transform = RigidTransform.from_parts(frame, centre, "scan", "plate")
+    local = transform.inverse().points(points)
+    sd = fiducials.sd_mm
+    if sd is None:  # the scatter of the corners about their plane
+        scatter = float(np.sqrt(np.sum(local[:, 1] ** 2) / max(len(local) - 3, 1)))
+        sd = np.full(len(local), max(scatter, _LEAST_SD_MM))
+    fit = fit_rigid(local, points, sd, to="scan", source="plate")
+    return PlateFrame(transform, fit.covariance_si, ring, False, "fiducials", tuple(notices))

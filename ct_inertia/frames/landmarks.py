@@ -1,0 +1,165 @@
+"""Read landmarks in scan coordinates (mm, LPS): 3D Slicer .mrk.json and .fcsv, CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ct_inertia.frames.anatomy import LANDMARK_NAMES
+from ct_inertia.scan.place import mm_per_unit
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.records.json_files import read_json
+from stapeskit.tables import read_table
+
+Named = list[tuple[str, Array]]
+
+_LPS_FROM = {"LPS": np.array([1.0, 1.0, 1.0]), "RAS": np.array([-1.0, -1.0, 1.0])}
+_NUMBERED = {"0": "RAS", "1": "LPS"}  # as .fcsv writes coordinate systems
+_FCSV_COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label")
+_COLUMNS = ("x_mm", "y_mm", "z_mm")
+_AGAIN = "Set the point again, or correct the file"
+
+
+def read_landmarks(path: Path) -> dict[str, Array]:
+    """Read a file of named points and return them in scan coordinates.
+
+    Parameters
+    ----------
+    path : Path
+        ``.mrk.json`` or ``.json`` and ``.fcsv`` (3D Slicer; LPS or RAS as the file says), or ``.csv`` with columns
+        name, x_mm, y_mm, z_mm (scan coordinates).
+
+    Returns
+    -------
+    dict of str to ndarray, (3,)
+        mm. Names in lower case with underscores; ``footplate_center`` reads as ``footplate_centre``.
+
+    Raises
+    ------
+    StapeskitError
+        The file is of another kind, damaged, in no unit of length, names a point twice, or holds none of the names
+        anterior, posterior, superior, inferior, head, footplate_centre.
+
+    Notes
+    -----
+    RAS to LPS turns the signs of x and y. An .fcsv without a coordinate system is RAS, as Slicer wrote it before
+    version 4.11; there 0 means RAS and 1 LPS.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None or not path.is_file():
+        step = "Save the landmarks in one of these formats"
+        raise StapeskitError.of("--landmarks", "a .mrk.json, .fcsv or .csv file", path.name, next_step=step)
+    return _by_name(reader(path), path.name)
+
+
+def _by_name(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]:
+    named: dict[str, Array] = {}
+    faults = []
+    for label, point in points:
+        name = "_".join(label.strip().lower().replace("-", " ").replace("_", " ").split())
+        name = name.replace("center", "centre")
+        if not np.all(np.isfinite(point)):
+            faults.append(Fault(f"landmark {label}", "three finite numbers", point.tolist(), file, _AGAIN))
+        elif name in named:
+            step = "Rename or remove one of the two"
+            faults.append(Fault(f"landmark {label}", "named once", "a second point of that name", file, step))
+        named[name] = point
+    raise_all(faults)
+    if not named.keys() & set(LANDMARK_NAMES):
+        expected, got = f"named out of {', '.join(LANDMARK_NAMES)}", ", ".join(named) or "no point at all"
+        raise StapeskitError.of("the landmarks", expected, got, file, "Rename them in the program they were set in")
+    return named
+
+
+def _signs(system: object, file: str) -> Array:
+    """Return the signs (3,) that lead to LPS."""
+    written = _NUMBERED.get(str(system), str(system)).upper()
+    if written not in _LPS_FROM:
+        step = "Save the markups in one of the two"
+        raise StapeskitError.of("the coordinate system", "LPS or RAS", system, file, step)
+    return _LPS_FROM[written]
+
+
+def _slicer_json(path: Path) -> Named:
+    try:
+        return [
+            (str(control.get("label", "")), to_lps * _point(control.get("position"), path.name))
+            for markups in read_json(path, "the landmark file", "Save the markups as .mrk.json")["markups"]
+            for to_lps in [_to_lps_mm(markups, path.name)]
+            for control in markups.get("controlPoints", [])
+            if control.get("positionStatus", "defined") == "defined"
+        ]
+    except (KeyError, TypeError, AttributeError) as fault:
+        got, step = "a file without a list of markups", "Save the markups as .mrk.json"
+        expected = "a markups file of 3D Slicer"
+        raise StapeskitError.of("the landmark file", expected, got, path.name, step) from fault
+
+
+def _to_lps_mm(markups: dict[str, Any], file: str) -> Array:
+    """Return the factors (3,) that lead the points of one list to LPS in mm."""
+    units = markups.get("coordinateUnits", "mm")
+    names = {str(unit) for unit in (units if isinstance(units, list) else [units])}
+    factor = mm_per_unit(names.pop()) if len(names) == 1 else None
+    if factor is None:
+        raise StapeskitError.of("coordinateUnits", "one unit of length", units, file, "Save the markups in mm")
+    return _signs(markups.get("coordinateSystem", "LPS"), file) * factor
+
+
+def _point(values: Any, file: str) -> Array:
+    try:
+        point = np.array([float(value) for value in values])
+    except (TypeError, ValueError, OverflowError):
+        point = np.zeros(0)
+    if point.shape != (3,):
+        raise StapeskitError.of("a landmark's position", "three numbers", values, file, _AGAIN)
+    return point
+
+
+def _slicer_fcsv(path: Path) -> Named:
+    to_lps, columns, points = _LPS_FROM["RAS"], list(_FCSV_COLUMNS), []
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as fault:
+        step = "Save the list again in 3D Slicer"
+        raise StapeskitError.of("the landmark file", "text in UTF-8", "another", path.name, step) from fault
+    for line in lines:
+        if line.startswith("#"):
+            key, _, value = line[1:].partition("=")
+            if key.strip().lower() == "coordinatesystem":
+                to_lps = _signs(value.strip(), path.name)
+            elif key.strip().lower() == "columns":
+                columns = [column.strip() for column in value.split(",")]
+        elif line.strip():
+            cells = dict(zip(columns, next(csv.reader([line])), strict=False))  # labels with commas are quoted
+            if "label" not in cells:
+                step = "Save the list again in 3D Slicer"
+                thing = "a row of an .fcsv file"
+                raise StapeskitError.of(thing, "complete up to its label", line, path.name, step)
+            points.append((cells["label"], to_lps * _point([cells.get(axis) for axis in "xyz"], path.name)))
+    return points
+
+
+def _csv(path: Path) -> Named:
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        missing = [column for column in ("name", *_COLUMNS) if column not in header]
+        if missing:
+            got, step = f"no {', '.join(missing)}", "Add the missing columns"
+            raise StapeskitError.of("the columns", "name, x_mm, y_mm, z_mm", got, file, step)
+        return set(_COLUMNS), {"name"}
+
+    table = read_table(path, choose)
+    raise_all(table.faults)
+    names = table.texts["name"]
+    points = np.column_stack([table.numbers[column] for column in _COLUMNS])
+    labels = [names.names[code] if code >= 0 else "" for code in names.codes]
+    return list(zip(labels, points, strict=True))
+
+
+READERS: dict[str, Callable[[Path], Named]] = {".json": _slicer_json, ".fcsv": _slicer_fcsv, ".csv": _csv}
+"""Reader of landmarks by the suffix of their file."""

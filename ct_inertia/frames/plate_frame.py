@@ -1,0 +1,314 @@
+"""The plate frame from the mesh of the plate: +y out of its large face towards the stapes, x along its longest edge.
+
+The edges are the lines where the fitted plane of the face meets those of the plate's sides, so that bone and glue on
+the face do not matter. Edges that are parallel or square to the longest one within what is known of them help to
+tell its direction. Where the field of view crops the plate, its border ends the face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.calibrated import calibrated
+from ct_inertia.frames.plate import PlaneFace, jacobian, plane_faces
+from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, axes_matrix, cross_matrix
+from stapeskit.registration import displacement
+from stapeskit.warnings import Notice
+
+AMBIGUOUS = 0.95
+"""Ratio of two edges from which it is ambiguous which one is the longest (contract)."""
+
+_LEAST_EDGE_MM = 0.5
+_STEEP, _BORDER_STEEP = 0.2, 0.995  # cosine to the main face up to which a side, or the border, ends it
+_COVERED = 0.9  # cosine from which two directions are taken for one
+_LIKE, _ROUNDING_MM = 0.93, 0.1  # cosine and distance of a face that is only the rounded edge of a larger one
+_CURVED_1_MM = 0.15  # a side of 7 mm radius is no plane
+_RIM_MM = calibrated("plate.rim_mm")
+_AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate.agreeing_rad")
+_UNKNOWN_TURN_RAD = 1.0
+_STEP = "Check the segmentation in the report, or give --plate-fiducials"
+
+
+@dataclass(frozen=True)
+class PlateFrame:
+    """The frame of the plastic plate.
+
+    Attributes
+    ----------
+    scan_from_plate : RigidTransform
+        mm.
+    covariance : ndarray, (6, 6)
+        Of the frame's displacement in its own axes, m and rad.
+    outline_mm : ndarray, (n, 3)
+        Corners of the visible face, scan coordinates; empty when fiducials gave the frame.
+    cropped : bool
+        The field of view ends the face on at least one side.
+    source : str
+        ``faces`` or ``fiducials``.
+    notices : tuple of Notice
+    """
+
+    scan_from_plate: RigidTransform
+    covariance: Array
+    outline_mm: Array
+    cropped: bool
+    source: str
+    notices: tuple[Notice, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """A frame built from planes: axes (3, 3), origin (3,), corners (n, 3), edge lengths, planes behind the edges."""
+
+    axes: Array
+    origin: Array
+    corners: Array
+    lengths: Array
+    owners: NDArray[np.int_]
+    along: int
+
+    @property
+    def transform(self) -> RigidTransform:
+        return RigidTransform.from_parts(self.axes, self.origin, "scan", "plate")
+
+
+def plate_frame(plate: Surface, stapes_mm: Array) -> PlateFrame:
+    """Find the frame of the plate from its surface.
+
+    Parameters
+    ----------
+    plate : Surface
+    stapes_mm : ndarray, (3,)
+        A point in the middle of the stapes, scan coordinates.
+
+    Raises
+    ------
+    StapeskitError
+        The plate has no large plane face that looks towards the stapes.
+    """
+    faces = plane_faces(plate)
+    main = _main_face(faces, stapes_mm)
+    sides = _sides(faces, main)
+    first = _pose(main, sides)
+    weights = _side_weights(main, sides, first)
+    pose = _pose(main, sides, first.along, weights)
+    covariance = _propagated(main, sides, pose, weights)
+    cropped = any(side.at_border for side in sides)
+    return PlateFrame(pose.transform, covariance, pose.corners, cropped, "faces", _notices(pose, sides))
+
+
+def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
+    for face in faces:
+        if not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
+            return face
+    got = f"{len(faces)} plane faces, none of which has the stapes on its outer side"
+    raise StapeskitError.of("the plate", "a solid with a plane face towards the stapes", got, next_step=_STEP)
+
+
+def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
+    """Return the faces that end the main face: steep, flat, reaching up to its plane."""
+    kept: list[PlaneFace] = []
+    for face in faces:
+        steep = abs(face.normal @ main.normal) < (_BORDER_STEEP if face.at_border else _STEEP)
+        reaches = float(np.max(main.distance(face.samples_mm))) > -_RIM_MM
+        inside = float(np.median(face.distance(main.samples_mm))) < 0.0
+        flat = face.at_border or face.curvature(np.cross(main.normal, face.normal)) < _CURVED_1_MM
+        if face is not main and steep and reaches and inside and flat and not _is_rounded_edge(face, kept):
+            kept.append(face)
+    return kept
+
+
+def _is_rounded_edge(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
+    """Return whether a face is only the rounded edge of a larger one."""
+    return any(
+        face.normal @ other.normal > _LIKE
+        and abs(float(np.median(other.distance(face.samples_mm)))) < _ROUNDING_MM
+        for other in kept
+    )
+
+
+def _pose(
+    main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None, weights: Array | None = None
+) -> _Pose:
+    """Build the frame from the planes; ``along`` is the side whose edge gives x, with others by weight."""
+    normal = main.normal
+    u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    u = u / np.linalg.norm(u)
+    plane = np.column_stack([u, np.cross(normal, u)])
+    lines = [(plane.T @ side.normal, float((side.point_mm - main.point_mm) @ side.normal)) for side in sides]
+    polygon, owners = _polygon((main.samples_mm - main.point_mm) @ plane, lines)
+    lengths = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
+    edge = np.array([owner >= 0 and not sides[owner].at_border for owner in owners])
+    if along is None:
+        longest = int(np.argmax(np.where(edge, lengths, 0.0)))
+        along = int(owners[longest]) if edge[longest] and lengths[longest] > _LEAST_EDGE_MM else -1
+    if along >= 0:
+        direction = np.cross(normal, sides[along].normal)
+        if weights is not None:
+            direction = _mean_direction(normal, sides, direction, weights)
+    else:
+        direction = np.eye(3)[int(abs(normal[0]) > _COVERED)]
+        direction = direction - (direction @ normal) * normal
+    axes = axes_matrix(positive_sense(direction), normal)
+    corners = main.point_mm + polygon @ plane.T
+    origin = main.point_mm + plane @ _centroid(polygon)
+    return _Pose(axes, origin, corners, np.where(edge, lengths, 0.0), owners, along)
+
+
+def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, weights: Array) -> Array:
+    """Return the mean of the directions of edges, each turned by quarters to lie near the first."""
+    turn = cross_matrix(normal)
+    total = np.zeros(3)
+    for side, weight in zip(sides, weights, strict=True):
+        edge = turn @ side.normal
+        edge = edge / np.linalg.norm(edge)
+        square = turn @ edge
+        total += weight * max((edge, square, -edge, -square), key=lambda turned: float(turned @ first))
+    return total
+
+
+def _side_weights(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose) -> Array:
+    """Return the weight (n,) of each side in the mean direction of x; they sum to 1.
+
+    Sides parallel or square to the longest edge, within their uncertainty, are weighted by the inverse of their
+    variance; the others have weight 0.
+    """
+    weights = np.zeros(len(sides))
+    if pose.along < 0:
+        return weights
+    first = np.cross(main.normal, sides[pose.along].normal)
+    first = first / np.linalg.norm(first)
+    variances = np.array([_turn_variance(main, side) for side in sides])
+    for place, side in enumerate(sides):
+        alone = np.zeros(len(sides))
+        alone[place] = 1.0
+        edge = _mean_direction(main.normal, sides, first, alone)
+        angle = float(np.arcsin(np.clip(np.cross(first, edge) @ main.normal, -1.0, 1.0)))
+        limit = _AGREEING_SD * float(np.sqrt(variances[place] + variances[pose.along]))
+        if place == pose.along or (not side.at_border and abs(angle) <= min(limit, _AGREEING_RAD)):
+            weights[place] = 1.0 / max(variances[place], 1e-16)
+    return np.asarray(weights / weights.sum())
+
+
+def _turn_variance(main: PlaneFace, side: PlaneFace) -> float:
+    """Return the variance of the direction of a side's edge about the normal of the main face, rad2."""
+    edge = np.cross(main.normal, side.normal)
+    slopes = side.basis.T @ (edge / np.linalg.norm(edge))
+    return float(slopes @ side.covariance[1:, 1:] @ slopes)
+
+
+def positive_sense(direction: Array) -> Array:
+    """Return the sense with the larger positive component along scan x (ties: y, then z), unit."""
+    found = direction / np.linalg.norm(direction)
+    leading = next((component for component in found if abs(component) > 1e-6), 1.0)
+    return np.asarray(found * np.sign(leading))
+
+
+def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array, NDArray[np.int_]]:
+    """Return the face's corners (n, 2) and the line (or -1) that each edge lies on, counter-clockwise.
+
+    Where no side ends the face, the convex hull of what was seen of it does.
+    """
+    reach = 4.0 * float(np.max(np.abs(points)))
+    polygon = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    owners = np.full(4, -1)
+    for place, (across, offset) in enumerate(lines):
+        polygon, owners = _clip(polygon, owners, across, offset, place)
+    if np.any(owners < 0):
+        from scipy.spatial import ConvexHull
+
+        sides = np.array([line[0] / np.linalg.norm(line[0]) for line in lines]).reshape(-1, 2)
+        for *across, offset in ConvexHull(points).equations:
+            if not np.any(sides @ np.array(across) > _COVERED):
+                polygon, owners = _clip(polygon, owners, np.array(across), -float(offset), -1)
+    if len(polygon) < 3:
+        got = "planes that leave nothing of it"
+        raise StapeskitError.of("the sides of the plate", "planes around its face", got, next_step=_STEP)
+    return polygon, owners
+
+
+def _clip(
+    polygon: Array, owners: NDArray[np.int_], across: Array, offset: float, owner: int
+) -> tuple[Array, NDArray[np.int_]]:
+    """Keep the part of a convex polygon where ``across . p <= offset`` and name the new edge's line."""
+    height = polygon @ across - offset
+    corners: list[Array] = []
+    names: list[int] = []
+    for place, corner in enumerate(polygon):
+        after = (place + 1) % len(polygon)
+        here, next_one = height[place], height[after]
+        crossing = None
+        if here * next_one < 0.0:
+            crossing = corner + here / (here - next_one) * (polygon[after] - corner)
+        if here <= 0.0:
+            corners.append(corner)
+            names.append(int(owners[place]))
+        if crossing is not None:
+            corners.append(crossing)
+            names.append(owner if here <= 0.0 else int(owners[place]))
+    return np.array(corners).reshape(-1, 2), np.array(names, dtype=np.int_)
+
+
+def _centroid(polygon: Array) -> Array:
+    x, y = polygon.T
+    x2, y2 = np.roll(polygon, -1, axis=0).T
+    cross = x * y2 - x2 * y
+    return np.asarray(np.array([(x + x2) @ cross, (y + y2) @ cross]) / (3.0 * cross.sum()))
+
+
+def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose, weights: Array) -> Array:
+    """Carry the covariance of every plane to the frame by finite differences, (6, 6), m and rad."""
+    covariance = np.zeros((6, 6))
+    planes = [main, *sides]
+    for place, plane in enumerate(planes):
+
+        def moved(face: PlaneFace, place: int = place) -> Array:
+            every = [*planes[:place], face, *planes[place + 1 :]]
+            return displacement(pose.transform, _pose(every[0], every[1:], pose.along, weights).transform)
+
+        steps = jacobian(moved, plane)
+        covariance += steps @ plane.covariance @ steps.T
+    if pose.along < 0:
+        covariance[4, 4] += _UNKNOWN_TURN_RAD**2
+    return covariance
+
+
+def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
+    notices = []
+    listed = ", ".join(f"{value:+.3f}" for value in pose.axes[:, 0])
+    if pose.along < 0:
+        text = (
+            "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and its turn "
+            "about y says nothing about the plate. Give --plate-fiducials."
+        )
+        notices.append(Notice("plate_edges_not_visible", text))
+    else:
+        text = (
+            "x of the plate frame is the longest edge of the plate in the sense with the positive component along scan "
+            f"x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
+        )
+        notices.append(Notice("plate_axis_sign", text))
+        across = sides[pose.along].normal
+        pairs = list(zip(pose.lengths, pose.owners, strict=True))
+        other = [length for length, owner in pairs if owner >= 0 and abs(sides[owner].normal @ across) < 0.7]
+        ratio = max(other, default=0.0) / max(length for length, owner in pairs if owner == pose.along)
+        if ratio > AMBIGUOUS:
+            text = (
+                f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is ambiguous. "
+                "Give --plate-fiducials."
+            )
+            notices.append(Notice("plate_axis_ambiguous", text))
+    if any(side.at_border for side in sides):
+        text = (
+            "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, no point of "
+            "the plate itself. Give --plate-fiducials to tie it to the plate."
+        )
+        notices.append(Notice("plate_cropped", text))
+    return tuple(notices)
