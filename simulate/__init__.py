@@ -72,16 +72,15 @@ from simulate.motion import motion_of
 from simulate.points import scattered_points
 from simulate.scanner import Renderer, Scan, render
 from simulate.series import TimeSeries, multisine, stepped_sine
+from simulate.shaker import base_motion, resonant_motion
 from simulate.solids import Moments, Solid, box, ellipsoid, joined, ring, rod, solid_of_field
 from simulate.stapes import STAPES, Stapes, stapes_solid
 from simulate.study import Truth, simulate_recording, simulate_study, simulate_truth
 from simulate.vibrometer import (
     Experiment,
     Recording,
-    base_motion,
     measure,
     measure_motion,
-    resonant_motion,
 )
 
 __all__ = [
