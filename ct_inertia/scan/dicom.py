@@ -36,7 +36,10 @@ def open_file(path: Path, options: ReadOptions) -> Opened:
         colours.
     """
     if not path.is_dir():
-        return _frames(path, _head(path))
+        head = _head(path)
+        if "Rows" not in head:
+            raise wrong_header(path, "DICOM file", "one without pixels")
+        return _frames(path, head)
     heads = {}
     for file in sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")):
         if has_preamble(file) or file.suffix.lower() in DICOM_SUFFIXES:
@@ -289,13 +292,22 @@ def _stored(file: Path, frame: int, dtype: np.dtype[Any], held: dict[Path, NDArr
             if not packed:
                 frames = int(head.get("NumberOfFrames") or 1)
                 values = pixel_array(file, index=frame if frames > 1 else None, raw=True)
-                return values.astype(dtype, copy=False)
+                return _unmasked(values.astype(dtype, copy=False), head)
         except Exception as fault:
             raise wrong_header(file, "DICOM file", "one whose pixels pydicom cannot read") from fault
         held.clear()
         held[file] = _unpacked(file, head, dtype)
     values = held[file]
     return values[frame]
+
+
+def _unmasked(values: NDArray[Any], head: Any) -> NDArray[Any]:
+    """Return pixels of fewer bits than they are stored in, without the other bits (PS3.5, 8.1.1)."""
+    allocated, stored = int(head.BitsAllocated), int(head.get("BitsStored") or head.BitsAllocated)
+    above = allocated - 1 - int(head.get("HighBit", stored - 1))
+    if stored == allocated or not 0 <= above <= allocated - stored:
+        return values
+    return np.right_shift(np.left_shift(values, above), allocated - stored)
 
 
 def _unpacked(file: Path, head: Any, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -118,12 +118,11 @@ FORMATS = (
     ),
     Format(
         "NIfTI",
-        "itk",
+        "nifti",
         "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
         (".nii", ".nii.gz", ".hdr"),
         ("nibabel",),
         carries_place=True,
-        function="open_nifti",
     ),
     Format(
         "Scanco ISQ",

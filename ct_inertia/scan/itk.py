@@ -1,4 +1,4 @@
-"""NRRD and MetaImage by SimpleITK, NIfTI by nibabel: their geometry; raw voxels are read where they lie.
+"""NRRD and MetaImage: geometry by SimpleITK; raw voxels are read where they lie, packed ones unpacked once.
 
 SimpleITK does not say where voxels begin, what the unit of length is and whether the axes are a patient's:
 these few fields are looked up in the text of the header.
@@ -7,9 +7,8 @@ these few fields are looked up in the text of the header.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,11 @@ from ct_inertia.scan.opened import (
     no_data_file,
     planes_in,
     several_values,
-    too_short,
     wrong_header,
 )
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.scan import Box, check_grey_values
-from ct_inertia.scan.streams import unpacked
-from stapeskit.arrays import Array
+from ct_inertia.scan.scan import check_grey_values
+from ct_inertia.scan.streams import check_surplus, unpack, unpack_once
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
@@ -54,13 +51,25 @@ _NRRD_PACKINGS = {
     **dict.fromkeys(("bzip2", "bz2"), "bzip2"),
 }
 _PATIENT = re.compile(r"(ras|las|lps|\w+-(anterior|posterior)-\w+|\w+-\w+-(superior|inferior))(-time)?")
-_LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class _Voxels:
-    """Where the voxels of a header lie: files with the byte (-1: counted from the end), packing, bytes to "
-    "skip."""
+    """Where the voxels of a header lie.
+
+    Attributes
+    ----------
+    pieces : list of (Path, int)
+        Files, each with the byte of its voxels or of its packed stream; -1: counted from its end.
+    packing : str
+        ``raw``, ``deflate`` or ``bzip2``.
+    skip : int
+        Unpacked bytes before the first voxel of a packed stream; -1: counted from its end.
+    order : str
+        Byte order, ``<`` or ``>``.
+    attached : bool
+        They are in the file of the header.
+    """
 
     pieces: list[tuple[Path, int]]
     packing: str
@@ -81,7 +90,7 @@ def open_nrrd(path: Path, _: ReadOptions) -> Opened:
     """
     text, end = _header(path, rb"\r?\n\r?\n", "NRRD volume", rb"NRRD000", path.suffix.lower() == ".nhdr")
     voxels = _nrrd_voxels(path, text, end)
-    info = _Information(path, "NRRD volume")
+    info = _Information(path)
     space = _field(text, "space").lower().replace("_", "-")
     if space == "3d-left-handed":
         raise StapeskitError.of(
@@ -91,7 +100,10 @@ def open_nrrd(path: Path, _: ReadOptions) -> Opened:
     opened = info.opened(path, voxels.order, layers=bool(segments))
     units = re.findall(r'"([^"]*)"', _field(text, "space units") or _field(text, "units"))
     factors = {factor for unit in units if (factor := mm_per_unit(unit)) is not None}
-    factor = factors.pop() if len(factors) == 1 else 1.0
+    if len(factors) > 1:
+        step = "Save it with one unit, or give --spacing for a copy without units"
+        raise StapeskitError.of("the units", "the same along all axes", ", ".join(units), path.name, step)
+    factor = factors.pop() if factors else 1.0
     opened.origin_mm = opened.origin_mm * factor
     stated = bool(_field(text, "spacings") or _field(text, "space directions"))
     opened.spacing_mm = opened.spacing_mm * factor if stated and opened.spacing_mm is not None else None
@@ -115,7 +127,7 @@ def open_metaimage(path: Path, _: ReadOptions) -> Opened:
     end_of_header = rb"^ElementDataFile[ \t]*=[^\n]*\n?"
     text, end = _header(path, end_of_header, "MetaImage volume")
     voxels = _metaimage_voxels(path, text, end)
-    info = _Information(path, "MetaImage volume")
+    info = _Information(path)
     opened = info.opened(path, voxels.order)
     factor = mm_per_unit(_field(text, "DistanceUnits")) or 1.0
     opened.origin_mm = opened.origin_mm * factor
@@ -128,16 +140,13 @@ def open_metaimage(path: Path, _: ReadOptions) -> Opened:
 class _Information:
     """What SimpleITK reads of a header."""
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path) -> None:
         import SimpleITK as sitk
 
         sitk.ProcessObject.SetGlobalWarningDisplay(False)
         reader: Any = sitk.ImageFileReader()
         reader.SetFileName(str(path))
-        try:
-            reader.ReadImageInformation()
-        except RuntimeError as fault:
-            raise wrong_header(path, kind, "one that SimpleITK cannot read") from fault
+        reader.ReadImageInformation()
         self.kind = sitk.GetPixelIDValueAsString(reader.GetPixelID()).removeprefix("vector of ")
         self.components = int(reader.GetNumberOfComponents())
         self.size = [int(n) for n in reader.GetSize()]
@@ -155,13 +164,8 @@ class _Information:
         if self.components > 1 and not layers:
             raise several_values(path, f"{self.components} values (a colour or vector image)")
         if self.kind not in _KINDS:
-            raise StapeskitError.of(
-                "the grey values",
-                "integers or floating point numbers",
-                self.kind,
-                path.name,
-                "Export it as real grey values",
-            )
+            wanted, step = "integers or floating point numbers", "Export it as real grey values"
+            raise StapeskitError.of("the grey values", wanted, self.kind, path.name, step)
         dtype = np.dtype(order + _KINDS[self.kind])
         if len(size) > 3 and min(size[:3]) > 1:
             raise several_values(path, f"{' x '.join(map(str, size[3:]))} values (a vector or time image)")
@@ -215,17 +219,17 @@ def _nrrd_voxels(path: Path, text: str, end: int) -> _Voxels:
     skip, lines = _whole(text, "byte skip", path), _whole(text, "line skip", path)
     order = ">" if _field(text, "endian").lower() == "big" else "<"
     named = _field(text, "data file")
-    if not named:
-        return _Voxels([(path, -1 if packing == "raw" and skip == -1 else end)], packing, skip, order, True)
-    listed = text.splitlines()
-    at = next(k for k, line in enumerate(listed) if re.match(r"data ?file\s*:", line, re.I))
-    names = listed_files(path, named, [line.strip() for line in listed[at + 1 :] if line.strip()], 1 << 20)
+    files = [path]
+    if named:
+        _, _, listed = text.partition(named)
+        names = listed_files(path, named, [line.strip() for line in listed.splitlines() if line.strip()])
+        files = [_existing(path, name) for name in names]
     pieces = []
-    for name in names:
-        file = _existing(path, name)
-        past = _past_lines(file, lines) if lines else 0
-        pieces.append((file, skip if skip == -1 else past + skip) if packing == "raw" else (file, past))
-    return _Voxels(pieces, packing, skip, order, False)
+    for file in files:
+        start = _past_lines(file, 0 if named else end, lines)
+        # Of raw voxels bytes are skipped in the file, of packed ones in what is unpacked.
+        pieces.append((file, start if packing != "raw" else -1 if skip == -1 else start + skip))
+    return _Voxels(pieces, packing, skip, order, not named)
 
 
 def _metaimage_voxels(path: Path, text: str, end: int) -> _Voxels:
@@ -243,7 +247,7 @@ def _metaimage_voxels(path: Path, text: str, end: int) -> _Voxels:
     with path.open("rb") as stream:
         behind = stream.read(_HEADER_BYTES)[end:].decode("utf-8", "replace")
     listed = [line.strip() for line in behind.splitlines() if line.strip()]
-    names = listed_files(path, named, listed, 1 << 20)
+    names = listed_files(path, named, listed)
     pictures = [name for name in names if Path(name).suffix.lower() in _PICTURES]
     if pictures:
         step = "Give the folder of slices itself, with --spacing"
@@ -258,8 +262,9 @@ def _existing(path: Path, name: str) -> Path:
     return file
 
 
-def _past_lines(file: Path, count: int) -> int:
+def _past_lines(file: Path, start: int, count: int) -> int:
     with file.open("rb") as stream:
+        stream.seek(start)
         for _ in range(count):
             if not stream.readline(_HEADER_BYTES):
                 break
@@ -271,59 +276,14 @@ def _with_voxels(opened: Opened, voxels: _Voxels, path: Path) -> Opened:
     opened.files = tuple(dict.fromkeys([path, *(file for file, _ in voxels.pieces)]))
     if voxels.packing == "raw":
         opened.planes = planes_in(voxels.pieces, opened.shape, opened.dtype, path.name)
-        _check_surplus(opened, voxels)
+        check_surplus(opened, voxels.pieces, voxels.attached)
         return opened
-    opened.depth = opened.shape[0]
-    opened.read = _unpacked_once(lambda: _unpack(voxels, opened.shape, opened.dtype))
+    opened.read = unpack_once(lambda: _unpack(voxels, opened.shape, opened.dtype))
     return opened
 
 
-def _check_surplus(opened: Opened, voxels: _Voxels) -> None:
-    """Refuse a separate data file that is longer than its voxels: a header of its own may come before "
-    "them."""
-    if voxels.attached or any(start == -1 for _, start in voxels.pieces):
-        return
-    share = int(np.prod(opened.shape, dtype=np.int64)) * opened.dtype.itemsize
-    stored = sum(file.stat().st_size - start for file, start in voxels.pieces)
-    if stored > share:
-        raise _surplus(share, stored, voxels.pieces[0][0].name)
-
-
-def _surplus(needed: int, stored: int, name: str) -> StapeskitError:
-    return StapeskitError.of(
-        "the data file",
-        f"as long as its header says ({needed} bytes)",
-        f"{stored} bytes",
-        name,
-        "If it begins with a header of its own, let the voxels be counted from its end: byte skip: -1 in "
-        "NRRD, HeaderSize = -1 in MetaImage",
-    )
-
-
 def _unpack(voxels: _Voxels, shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return all voxels of packed files."""
-    out = np.empty(tuple(shape), dtype)
-    parts = np.array_split(out.reshape(-1), len(voxels.pieces))
-    for part, (file, start) in zip(parts, voxels.pieces, strict=True):
-        filled, more = unpacked(voxels.packing, file, start, voxels.skip, part)
-        if filled < part.nbytes:
-            raise too_short(shape, part.nbytes, filled, file.name)
-        if more and not voxels.attached and voxels.skip != -1:
-            raise _surplus(part.nbytes, filled + more, file.name)
-    return out
-
-
-def _unpacked_once(unpack: Callable[[], NDArray[Any]]) -> Callable[[Box], NDArray[Any]]:
-    """Return a reader of an array that is unpacked when it is first asked for."""
-    held: list[NDArray[Any]] = []
-
-    def read(box: Box) -> NDArray[Any]:
-        if not held:
-            held.append(unpack())
-        values = held[0][box]
-        return values.astype(values.dtype.newbyteorder("="), copy=False)
-
-    return read
+    return unpack(voxels.pieces, voxels.packing, voxels.skip, shape, dtype, voxels.attached)
 
 
 def _segments(info: _Information) -> list[tuple[int, int, str]]:
@@ -345,7 +305,7 @@ def _flattened(
 ) -> Opened:
     """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
 
-    def unpack() -> NDArray[Any]:
+    def labelled() -> NDArray[Any]:
         layered = _unpack(voxels, (*opened_shape, layers), stored)
         labels = np.zeros(opened_shape, dtype=np.uint16)
         for number, (layer, value, _) in enumerate(segments, start=1):
@@ -362,98 +322,7 @@ def _flattened(
     )
     opened.notices.append(Notice("segments_numbered", text))
     opened.names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
-    opened.dtype, opened.depth = np.dtype(np.uint16), opened.shape[0]
-    opened.read = _unpacked_once(unpack)
+    opened.dtype = np.dtype(np.uint16)
+    opened.read = unpack_once(labelled)
     opened.files = tuple(dict.fromkeys([path, *(file for file, _ in voxels.pieces)]))
     return opened
-
-
-def open_nifti(path: Path, _: ReadOptions) -> Opened:
-    """Open a NIfTI or Analyze volume; the sform places its voxels, otherwise the qform.
-
-    The format: https://nifti.nimh.nih.gov/pub/dist/src/niftilib/nifti1.h
-
-    Raises
-    ------
-    StapeskitError
-        A damaged header, a missing or too short data file, or several values in a voxel.
-    """
-    import nibabel
-
-    try:
-        image: Any = nibabel.load(path)
-    except FileNotFoundError as fault:
-        raise no_data_file(path.with_suffix(".img"), path.name) from fault
-    except Exception as fault:
-        raise wrong_header(path, "NIfTI volume", "one that nibabel cannot read") from fault
-    header, voxels = image.header, image.dataobj
-    shape = [int(n) for n in voxels.shape]
-    while len(shape) > 3 and shape[-1] == 1:
-        shape.pop()
-    if len(shape) > 3 and min(shape[:3]) > 1:
-        raise several_values(path, f"{int(np.prod(shape[3:]))} values (a vector or time image)")
-    stored = header.get_data_dtype()
-    if stored.names:
-        raise several_values(path, "a colour (RGB) image")
-    check_grey_values(tuple(reversed(shape)), stored, path.name)
-    opened = Opened(tuple(reversed(shape)), stored)
-    opened.slope, opened.intercept = float(voxels.slope), float(voxels.inter)
-    _place_nifti(opened, header, path.name)
-    data = Path(image.file_map["image"].filename)
-    opened.files = tuple(dict.fromkeys([path, data]))
-    if data.suffix.lower() != ".gz":
-        opened.planes = planes_in([(data, int(voxels.offset))], opened.shape, stored, data.name)
-        return opened
-    packed = _Voxels([(data, 0)], "deflate", int(voxels.offset), "<", True)
-    opened.depth = opened.shape[0]
-    opened.read = _unpacked_once(lambda: _unpack(packed, opened.shape, stored))
-    return opened
-
-
-def _place_nifti(opened: Opened, header: Any, name: str) -> None:
-    """Set spacing, origin and direction by the rules of nifti1.h: sform, else qform, else voxel sizes "
-    "alone."""
-    sform, qform = (
-        (header.get_sform(True)[0], header.get_qform(True)[0]) if "sform_code" in header else (None, None)
-    )
-    unit = mm_per_unit(header.get_xyzt_units()[0]) if "xyzt_units" in header else None
-    if unit is None:
-        unit = 1.0
-        text = f"{name} does not say its unit of length: mm was taken, as NIfTI programs do."
-        opened.notices.append(Notice("length_unit_missing", text))
-    steps = np.abs(np.asarray(header.get_zooms()[:3], dtype=float))
-    bare = np.diag([*steps, 1.0])
-    affine = sform if sform is not None else qform
-    affine = bare if affine is None else np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine
-    spacing = np.linalg.norm(affine[:3, :3], axis=0)
-    if not np.all(np.isfinite(affine)) or np.any(spacing <= 0.0):
-        return
-    opened.spacing_mm, opened.origin_mm = spacing * unit, affine[:3, 3] * unit
-    opened.direction = affine[:3, :3] / spacing
-    opened.anatomical = sform is not None or qform is not None
-    if sform is None:
-        return
-    other, called = bare, "voxel sizes (pixdim)"
-    if qform is not None:
-        other, called = np.diag([-1.0, -1.0, 1.0, 1.0]) @ qform, "qform"
-    else:
-        other = np.column_stack([affine[:, :3] / np.append(spacing, 1.0)[:3] * steps, affine[:, 3]])
-    opened.notices += _difference(affine, other, called, opened.shape, unit, name)
-
-
-def _difference(
-    affine: Array, other: Array, called: str, shape: Sequence[int], unit: float, name: str
-) -> list[Notice]:
-    """Return a notice where the sform, which counts, and the rest of the header place voxels differently."""
-    steps, stated = (np.linalg.norm(one[:3, :3], axis=0) for one in (affine, other))
-    corners = np.array([[*corner, 1.0] for corner in product(*((0, n - 1) for n in reversed(shape)))])
-    apart = float(np.linalg.norm((corners @ (affine - other).T)[:, :3], axis=1).max()) * unit
-    if apart <= 0.5 * unit * steps.min() and np.max(np.abs(stated / steps - 1.0)) <= 1e-3:
-        return []
-    first, second = (", ".join(f"{value:.5g}" for value in unit * one) for one in (steps, stated))
-    text = (
-        f"{name} states the place of its voxels twice: by the sform ({first} mm a voxel), which was used, "
-        f"and by the {called} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the "
-        f"other show other coordinates and sizes. Save it anew from the program that shows it rightly."
-    )
-    return [Notice("header_places_differ", text)]

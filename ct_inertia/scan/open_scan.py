@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import os
 import stat
-import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,11 @@ from ct_inertia.scan.formats import RAW, Format, format_of
 from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions, wrong_header
 from ct_inertia.scan.place import place_scan, without_inversion
 from ct_inertia.scan.raw import header_beside, plane_reader
-from ct_inertia.scan.scan import Box, Fetch, Scan
+from ct_inertia.scan.scan import Fetch, Scan
 from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import Session, memory_limit, processor_limit_s
 
-_PARSER_ERRORS = (ArithmeticError, LookupError, OSError, ValueError, struct.error)
+Result = TypeVar("Result")
 
 _LEAST_LIMIT_S = 20.0  # processor time of a request: a small packed file can hold gigabytes of one value
 
@@ -150,19 +149,15 @@ def _opened(path: Path, options: ReadOptions, own_spacing: bool = False) -> Scan
 def _read_header(entry: Format, path: Path, options: ReadOptions) -> tuple[Opened, Fetch]:
     """Read the header, in a child process where a library does it, and return how voxels are read."""
     if not entry.libraries:
-        try:
-            opened = entry.open_file(path, options)
-        except _PARSER_ERRORS as fault:
-            if isinstance(fault, StapeskitError):
-                raise
-            raise wrong_header(path, f"{entry.title} file", f"a damaged header ({fault})") from fault
+        opened = _plainly(entry, path, lambda: entry.open_file(path, options))
         return opened, _fetch_of(opened)
 
     def open_source() -> tuple[Opened, Fetch]:
-        found = entry.open_file(path, options)
-        fetch = found.read or _fetch_of(found)
-        found.read = None
-        return found, fetch
+        found = _plainly(entry, path, lambda: entry.open_file(path, options))
+        if found.read is None:
+            return found, _fetch_of(found)
+        read, found.read = found.read, None
+        return found, lambda box: _plainly(entry, path, lambda: read(box))
 
     session = Session(
         open_source,
@@ -176,11 +171,18 @@ def _read_header(entry: Format, path: Path, options: ReadOptions) -> tuple[Opene
     if opened.planes is not None:
         session.close()
         return opened, _fetch_of(opened)
+    return opened, lambda box: session.ask(box)
 
-    def ask(box: Box) -> NDArray[Any]:
-        return session.ask(box)
 
-    return opened, ask
+def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
+    """Return what ``work`` returns; whatever a library raises on a damaged file becomes one sentence."""
+    try:
+        return work()
+    except (StapeskitError, MemoryError):
+        raise
+    except Exception as fault:
+        library = entry.libraries[0].split(".")[0] if entry.libraries else "its reader"
+        raise wrong_header(path, f"{entry.title} file", f"one that {library} cannot read") from fault
 
 
 def _fetch_of(opened: Opened) -> Fetch:

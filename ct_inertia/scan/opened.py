@@ -18,6 +18,7 @@ from stapeskit.warnings import Notice
 
 EXPORT_AGAIN = "The file is truncated or its header is wrong: copy or export it again"
 
+_MOST_FILES = 100_000
 _LONGEST_NAME = 255  # bytes of a file name in common file systems
 
 
@@ -240,13 +241,13 @@ def several_values(path: Path, got: str) -> StapeskitError:
     return StapeskitError.of("the volume", "a stack of one grey value per voxel", got, path.name, step)
 
 
-def listed_files(path: Path, named: str, listed: Sequence[str], most: int) -> list[str]:
+def listed_files(path: Path, named: str, listed: Sequence[str]) -> list[str]:
     """Return the data files that a header names: one, a list behind it, or ``pattern first last [step]``.
 
     Raises
     ------
     StapeskitError
-        An empty list, a pattern without whole numbers, or more files than ``most``.
+        An empty list, a pattern without whole numbers, or more files than a scan can have.
     """
     import re
 
@@ -262,6 +263,6 @@ def listed_files(path: Path, named: str, listed: Sequence[str], most: int) -> li
     if parts is None:
         raise wrong_header(path, "header", f"data files {named}")
     numbers = range(int(parts[2]), int(parts[3]) + 1, int(parts[4] or 1))
-    if len(numbers) > most:
-        raise wrong_header(path, "header", f"{len(numbers)} data files for {most} slices")
+    if len(numbers) > _MOST_FILES:
+        raise wrong_header(path, "header", f"{len(numbers)} data files")
     return [parts[1] % number for number in numbers]

@@ -100,6 +100,8 @@ def choose_spacing(
         There is none, or one that is not positive.
     """
     stated = np.full(3, np.nan) if from_file is None else np.asarray(from_file, dtype=float)
+    stated, unset = believed_spacing(stated, 1.0)
+    known = unset or known
     if from_user is None:
         if not np.all(np.isfinite(stated)):
             raise StapeskitError.of(

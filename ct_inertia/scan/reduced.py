@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from ct_inertia.scan.scan import Box, Scan
 
+_PLANES = 16  # read at a time: few enough to hold, many enough for two threads
+
 
 def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tuple[NDArray[np.float32], Scan]:
     """Average a box of the scan over blocks of voxels.
@@ -49,6 +51,10 @@ def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tup
         for start, count, size in zip(starts, counts, (bz, by, bx), strict=True)
     )
     means = np.empty(counts, dtype=np.float32)
+    if bx == by == bz == 1:
+        for first, slab in scan.slabs(_PLANES, exact):  # type: ignore[arg-type]
+            means[first : first + len(slab)] = slab
+        return means, _grid_of(means, scan, starts, (1, 1, 1))
     share = np.float32(1.0 / (bx * by * bz))
     for first, slab in scan.slabs(bz, exact):  # type: ignore[arg-type]
         layer = slab[0].astype(np.float32)
@@ -61,10 +67,17 @@ def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tup
         np.copyto(mean, rows[:, ::bx])
         for i in range(1, bx):
             mean += rows[:, i::bx]
-    centre = np.array(starts[::-1]) + (np.array((bx, by, bz)) - 1) / 2.0
-    grid = Scan.from_array(
+    return means, _grid_of(means, scan, starts, (bx, by, bz))
+
+
+def _grid_of(
+    means: NDArray[np.float32], scan: Scan, starts: Sequence[int], block: tuple[int, int, int]
+) -> Scan:
+    """Return means as a scan whose voxels are blocks; ``starts`` are the first voxels along z, y, x."""
+    centre = np.array(starts[::-1]) + (np.array(block) - 1) / 2.0
+    return Scan.from_array(
         means,
-        scan.spacing_mm * (bx, by, bz),
+        scan.spacing_mm * block,
         origin_mm=scan.scan_points(centre),
         direction=scan.direction,
         source=scan.source,
@@ -72,4 +85,3 @@ def block_means(scan: Scan, block: Sequence[int], box: Box | None = None) -> tup
         handedness_confirmed=scan.handedness_confirmed,
         nan_as_air=scan.nan_as_air,
     )
-    return means, grid

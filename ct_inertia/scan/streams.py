@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import bz2
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.scan.opened import Opened, too_short
+from ct_inertia.scan.scan import Box, Fetch
 from stapeskit.faults import StapeskitError
 
 _PIECE = 1 << 20  # bytes that are read and unpacked at a time
@@ -95,3 +97,81 @@ def _inflated(packing: str, file: Path, start: int) -> Iterator[bytes]:
 
 def _damaged(file: Path, got: str) -> StapeskitError:
     return StapeskitError.of("the voxels", "readable", got, file.name, "Copy or export it again")
+
+
+def unpack(
+    pieces: Sequence[tuple[Path, int]],
+    packing: str,
+    skip: int,
+    shape: Sequence[int],
+    dtype: np.dtype[Any],
+    attached: bool,
+) -> NDArray[Any]:
+    """Return the voxels of packed files that hold equal parts of a volume.
+
+    Parameters
+    ----------
+    pieces : sequence of (Path, int)
+        Files, each with the byte at which its stream begins.
+    packing, skip
+        As in `unpacked`.
+    shape : sequence of int
+    dtype : dtype
+    attached : bool
+        The file has the header as well; a separate file may hold nothing but voxels.
+
+    Raises
+    ------
+    StapeskitError
+        A stream is damaged, too short or, in a separate file, too long.
+    """
+    out = np.empty(tuple(shape), dtype)
+    if out.shape[0] % len(pieces):
+        wanted = "files of equal numbers of slices"
+        raise StapeskitError.of("the list of data files", wanted, f"{len(pieces)} files", pieces[0][0].name)
+    for part, (file, start) in zip(np.split(out.reshape(-1), len(pieces)), pieces, strict=True):
+        filled, more = unpacked(packing, file, start, skip, part)
+        if filled < part.nbytes:
+            raise too_short(shape, part.nbytes, filled, file.name)
+        if more and not attached:
+            raise _surplus(part.nbytes, filled + more, file.name)
+    return out
+
+
+def unpack_once(work: Callable[[], NDArray[Any]]) -> Fetch:
+    """Return a reader of an array that is unpacked when it is first asked for."""
+    held: list[NDArray[Any]] = []
+
+    def read(box: Box) -> NDArray[Any]:
+        if not held:
+            held.append(work())
+        values = held[0][box]
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+    return read
+
+
+def check_surplus(opened: Opened, pieces: Sequence[tuple[Path, int]], attached: bool) -> None:
+    """Refuse raw voxels with more behind them: the header counts fewer, or another header comes first.
+
+    Raises
+    ------
+    StapeskitError
+        A separate file is longer than its voxels, or a file with a header holds at least one more slice.
+    """
+    if any(start == -1 for _, start in pieces):
+        return
+    plane = opened.dtype.itemsize * int(opened.shape[1]) * int(opened.shape[2])
+    needed = plane * int(opened.shape[0])
+    stored = sum(file.stat().st_size - start for file, start in pieces)
+    if stored - needed >= (plane if attached else 1):
+        raise _surplus(needed, stored, pieces[0][0].name)
+
+
+def _surplus(needed: int, stored: int, name: str) -> StapeskitError:
+    step = (
+        "The header counts other voxels than the file holds. If the file begins with a header of its own, "
+        "let the voxels be counted from its end: byte skip: -1 in NRRD, HeaderSize = -1 in MetaImage"
+    )
+    wanted = f"as long as its header says ({needed} bytes)"
+    return StapeskitError.of("the data file", wanted, f"{stored} bytes of voxels", name, step)

@@ -68,7 +68,6 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
         opened.planes = _raw_planes(series, page, shape, dtype, path)
     if opened.planes is None:
         opened.read = _decoder(series, shape, path)
-        opened.depth = shape[0] if len(series.pages) != shape[0] else 1
     return opened
 
 
@@ -316,27 +315,30 @@ def _ome_place(
     if not images:
         return None
     pixels = images[number if len(images) > 1 else 0]
-    size = np.array(
-        [_length(pixels.get(f"PhysicalSize{a}"), pixels.get(f"PhysicalSize{a}Unit", "µm")) for a in "XYZ"]
-    )
+    size = _lengths(pixels, "PhysicalSize", "µm")
     planes = [one for one in pixels if one.tag.rsplit("}", 1)[-1] == "Plane"]
     planes.sort(key=lambda one: int(one.get("TheZ", "0") or 0))
-    places = np.array(
-        [
-            [_length(one.get(f"Position{a}"), one.get(f"Position{a}Unit", "reference frame")) for a in "XYZ"]
-            for one in planes
-        ]
-    ).reshape(-1, 3)
+    places = np.array([_lengths(one, "Position", "reference frame") for one in planes]).reshape(-1, 3)
     origin = np.nan_to_num(places[0]) if len(places) else np.zeros(3)
     if np.isnan(size[2]) and len(places) > 1:
         steps = np.abs(np.diff(places[:, 2]))
         if np.ptp(steps) < _EVEN_STEPS * np.mean(steps):
             size[2] = np.mean(steps)
     size[size <= 0.0] = np.nan
-    shown = ", ".join(
-        f"{axis} {value:.6g} mm" for axis, value in zip("xyz", size, strict=True) if np.isfinite(value)
+    unit = mm_per_unit(pixels.get("PhysicalSizeZUnit", "µm")) or 1.0
+    size, unset = believed_spacing(size / unit, unit)
+    known = ", ".join(
+        f"{axis} {value:.6g} mm" for axis, value in zip("xyz", size, strict=True) if value > 0.0
     )
-    return size, origin, f"the OME header says {shown or 'no physical size'}"
+    return size, origin, unset or f"the OME header says {known or 'no physical size'}"
+
+
+def _lengths(element: Any, name: str, default_unit: str) -> Array:
+    """Return lengths along x, y, z (3,) in mm; NaN where one is missing or has no unit of length."""
+    stated = [
+        (element.get(f"{name}{axis}"), element.get(f"{name}{axis}Unit", default_unit)) for axis in "XYZ"
+    ]
+    return np.array([_length(value, unit) for value, unit in stated])
 
 
 def _length(value: str | None, unit: str | None) -> float:

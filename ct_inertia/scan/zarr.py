@@ -16,7 +16,6 @@ from ct_inertia.scan.opened import Opened, ReadOptions, beside, several_values, 
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import Box, check_grey_values
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
 _SPACE = ("z", "y", "x")
@@ -38,25 +37,18 @@ def open_file(folder: Path, _: ReadOptions) -> Opened:
     """
     import zarr
 
-    try:
-        node: Any = zarr.open(str(folder), mode="r")
-        where, scales, notices = _image(node, folder)
-        if scales is None:
-            array, axes = node, list("tczyx")[-node.ndim :]
-            spacing, origin, known = None, np.zeros(3), "a Zarr array alone does not have it"
-        else:
-            axes = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in scales["axes"]]
-            level = scales["datasets"][0]
-            beside(folder / "image", str(level["path"]) or ".")
-            array = where[str(level["path"])] if str(level["path"]) else where
-            spacing, origin, known = _place(scales, level, axes)
-        opened = _voxels(array, axes, folder)
-    except StapeskitError:
-        raise
-    except Exception as fault:
-        raise wrong_header(
-            folder, "OME-Zarr image", f"metadata that zarr cannot read ({type(fault).__name__})"
-        ) from fault
+    node: Any = zarr.open(str(folder), mode="r")
+    where, scales, notices = _image(node, folder)
+    if scales is None:
+        array, axes = node, list("tczyx")[-node.ndim :]
+        spacing, origin, known = None, np.zeros(3), "a Zarr array alone does not have it"
+    else:
+        axes = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in scales["axes"]]
+        level = scales["datasets"][0]
+        beside(folder / "image", str(level["path"]) or ".")
+        array = where[str(level["path"])] if str(level["path"]) else where
+        spacing, origin, known = _place(scales, level, axes)
+    opened = _voxels(array, axes, folder)
     opened.spacing_mm, opened.origin_mm, opened.known = spacing, origin, known
     opened.notices = [*notices, *_missing_chunks(array, folder)]
     return opened
