@@ -29,7 +29,7 @@ WHOLE_SHARE = 0.25
 
 _NO_PATTERN = np.log(1e-3)
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
-_UNEXPLAINED = 24.0  # squares of the twelve further parts of a channel's residual by chance, twice their mean
+_CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
 _ONE_PATTERN = 0.5  # of the misfit: two points that move on their own hold half each
 _CONTENDERS, _CLOSE = 4, 0.02  # candidates whose evidence is alike: fits to part of the columns differ so much
@@ -117,6 +117,8 @@ class Candidate:
         (Schwarz 1978, doi:10.1214/aos/1176344136).
     fall : float
         Fall of chi2.
+    count : int
+        Number of values that an omission takes away.
     """
 
     evidence: float
@@ -125,6 +127,7 @@ class Candidate:
     place: Place
     values: Array
     exchange: Exchange | None = None
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -307,8 +310,8 @@ def _replaces(named: Candidate, unlike: Candidate, level: float) -> bool:
     """Return whether a kind at some of the channels explains about what leaving all of them out does."""
     if not set(named.place.channels) <= set(unlike.place.channels):
         return False
-    chance = _UNEXPLAINED * level * len(unlike.place.channels)
-    return named.fall >= _LEAST_EXPLAINED * unlike.fall - chance
+    own = unlike.fall / level - unlike.count
+    return named.fall / level >= _LEAST_EXPLAINED * own - _CHANCE_SD * np.sqrt(2.0 * unlike.count)
 
 
 def _refined(now: Round, candidates: list[Candidate], number: float) -> list[Candidate]:
@@ -344,9 +347,15 @@ def _leave_out(state: State, place: Place) -> float:
 
 def _unlike_others(place: Place, fall: float, now: Round, flat: State) -> Candidate:
     """Return the candidate that these channels read something else than the motion of the others."""
-    count = 2 * len(place.channels) * flat.q.shape[2]
+    count = _unlike_count(place, flat)
     evidence = 0.5 * fall / now.noise.level - 0.5 * count * np.log(now.packed.values)
-    return Candidate(evidence, fall, "elsewhere", place, np.zeros(0))
+    return Candidate(evidence, fall, "elsewhere", place, np.zeros(0), count=count)
+
+
+def _unlike_count(place: Place, flat: State) -> int:
+    """Return the number of real values that channels read in all columns."""
+    used = flat.packed.w[:, list(place.channels)] > 0.0
+    return int(2 * np.sum(used * flat.packed.columns[:, None]))
 
 
 def _fitted(
@@ -362,7 +371,7 @@ def _fitted(
         reverse = np.zeros(len(start))
         reverse[0] = -2.0
         moved = packed.geometry.moved(parameters + expected, reverse, packed.tau, packed.rho)
-        start = reverse if State(packed, moved).energy < null.chi2 else start
+        start = reverse if State(packed, moved).energy < State(packed).energy else start
     fit = joint(packed, parameters + expected, start)
     fall = null.chi2 - fit.chi2
     return Candidate(0.5 * fall / now.noise.level - 0.5 * count * number, fall, kind, place, fit.values[:count])

@@ -191,11 +191,13 @@ def system(state: State, parameters: Parameters) -> tuple[Array, Array, Array]:
     k = parameters.tangent
     score = np.einsum("jc,cj->j", parameters.mask, state.b[:, k])
     projection = state.projection(parameters)
+    own, some = parameters.by_channel
+    both = some[:, :, None] & some[:, None, :]
+    channel = np.arange(len(own))[:, None, None]
+    blocks = state.m[channel, k[own][:, :, None], k[own][:, None, :]]
     information = np.zeros((len(k), len(k)))
-    for channel in np.flatnonzero(parameters.mask.any(axis=0)):
-        j = np.flatnonzero(parameters.mask[:, channel])
-        own = parameters.mask[j, channel]
-        information[np.ix_(j, j)] += np.outer(own, own) * state.m[channel][np.ix_(k[j], k[j])]
+    first, second = (np.broadcast_to(index, both.shape) for index in (own[:, :, None], own[:, None, :]))
+    np.add.at(information, (first[both], second[both]), blocks[both])
     return 2.0 * score, 2.0 * (information - projection @ projection.T), projection
 
 
@@ -276,5 +278,9 @@ def joint(
 def inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric matrix in scaled variables; pseudo-inverse where it has none."""
     diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix / np.outer(diagonal, diagonal)
-    return np.asarray(np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(diagonal, diagonal))
+    scale = np.outer(diagonal, diagonal)
+    scaled = matrix / scale
+    inverted = np.linalg.inv(scaled + 1e-15 * np.eye(len(scaled)))
+    if not np.all(np.abs(inverted) < 1e9):
+        inverted = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+    return np.asarray(inverted / scale)

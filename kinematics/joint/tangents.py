@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,14 @@ class Parameters:
     def prior(self) -> Array:
         """Inverse variances (p,); 0 for free parameters."""
         return np.asarray(self.sd**-2.0)
+
+    @cached_property
+    def by_channel(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Parameters of each channel, (c, k), filled up with 0, and which of them are any, (c, k)."""
+        own = self.mask.T != 0.0
+        most = int(np.max(own.sum(axis=1), initial=0))
+        order = np.argsort(~own, axis=1, kind="stable")[:, :most]
+        return order, np.take_along_axis(own, order, axis=1)
 
     def part(self, chosen: NDArray[np.bool_]) -> Parameters:
         """Return some of the parameters."""
