@@ -35,8 +35,8 @@ def read_vibrometer(
     -------
     Recording
         ``freq_hz`` (L,), ``points_m`` (P, 3), ``directions`` (P, 3), ``frf`` or ``velocity`` (P, L)
-        complex, ``coherence`` (P, L) or None, ``sd`` (P, L) or None, ``units``, ``reference``; ``to_frame()``,
-        ``plot()``.
+        complex, ``coherence`` (P, L) or None, ``sd`` (P, L) or None, ``units``, ``reference``;
+        ``to_frame()``, ``plot()``.
         Amplitudes and positions of which the file does not say the unit are as in the file and in metres: see
         ``amplitude_stated`` and ``length_stated``.
 

@@ -27,27 +27,22 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts, SeriesFacts, is_file
 from kinematics.readers.points import require
-from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
-from kinematics.readers.text import plain_name, shown
-from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
+from kinematics.readers.recording import Recording, Row, recording_of
+from kinematics.readers.series_tables import Listed, read_channels, read_steps, reference_of
 from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
 from kinematics.signals.lock_in import Step, stepped_frf
 from kinematics.signals.samples import sample_notices
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
-from stapeskit.frames import axis_vector
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from stapeskit.tables import Table
+    pass
 
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
-ROLES = ("response", "reference", "ignore")
 
-_NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
-_TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
 _SHORTEST = 16  # samples; shorter records hold no spectrum
 
@@ -61,18 +56,6 @@ class Series:
     start_s: float
     channels: Mapping[str, tuple[Array, ...]]
     set_hz: Array | None = None
-
-
-@dataclass(frozen=True)
-class Listed:
-    """One row of the table of channels: ``scale`` leads from the numbers of the file to SI, or to ``per``."""
-
-    name: str
-    role: str
-    file: str
-    scale: float
-    per: str
-    channel: Channel
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -95,7 +78,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
         step = "Add a row, or leave the column file empty"
         want = f"with a response of {path.name}"
         raise StapeskitError.of("the table of channels", want, "none", how.channels.name, step)
-    reference = _reference(listed, how)
+    reference = reference_of(listed, how)
     names = [row.name for row in responses] + ([] if reference is None else [reference.name])
     series = read_series(path, list(dict.fromkeys(names)))
     rows: list[Row] = []
@@ -120,93 +103,6 @@ def read(path: Path, facts: FileFacts) -> Recording:
         amplitude_stated=True,
         from_series=True,
     )
-
-
-def read_channels(path: Path) -> list[Listed]:
-    """Read a table of channels.
-
-    Raises
-    ------
-    StapeskitError
-        A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed
-        twice; all faults with their lines.
-    """
-    from stapeskit.tables import read_table
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("channel", "unit"), file)
-        return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
-
-    table = read_table(Path(path), choose)
-    faults = list(table.faults)
-    listed = [_listed(table, row, faults) for row in range(len(table))]
-    keys = [(row.name, row.file, row.channel.point) for row in listed]
-    for number, key in enumerate(keys):
-        if key in keys[:number]:
-            faults.append(
-                Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
-            )
-    raise_all(faults)
-    return [row for row in listed if row.role != "ignore"]
-
-
-def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
-    """Read one row of the table of channels; what is wrong is added to the faults."""
-    texts = {
-        name: one.names[one.codes[row]] if one.codes[row] >= 0 else "" for name, one in table.texts.items()
-    }
-    numbers = {name: float(values[row]) for name, values in table.numbers.items()}
-    where = table.where(row)
-    role = texts.get("role", "").lower() or "response"
-    if role not in ROLES or not texts["channel"]:
-        got = shown(role) if texts["channel"] else "an empty cell"
-        faults.append(Fault("channel and role", f"a name, and one of {', '.join(ROLES)}", got, where))
-    factor = numbers.get("sensitivity", np.nan)
-    factor = 1.0 if np.isnan(factor) else factor
-    if not 0.0 < factor < np.inf:
-        faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
-    unit = motion_unit(texts["unit"])
-    if role == "response" and (unit is None or unit.per):
-        step = "Give the unit of the numbers times the sensitivity, e.g. m/s"
-        faults.append(unit_fault(shown(texts["unit"]), ("unit",), where, step))
-    elif role == "reference" and is_none(texts["unit"]):
-        faults.append(Fault("unit", "the unit of the reference, e.g. Pa, V or m/s", "an empty cell", where))
-    direction = unknown_vector()
-    if role == "response" and texts.get("dir"):
-        axis = axis_vector(texts["dir"])
-        direction = direction if axis is None else axis
-        if axis is None:
-            faults.append(Fault("dir", "x, y, z, -x, -y or -z", shown(texts["dir"]), where))
-    elif role == "response":
-        direction = np.array([numbers.get(name, np.nan) for name in _NUMBERS[:3]])
-        length = float(np.linalg.norm(direction))
-        if abs(length - 1.0) > 1e-3:
-            step = "Divide the direction by its length"
-            faults.append(
-                Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", f"{length:g}", where, step)
-            )
-            direction = unknown_vector()
-    position = 1e-3 * np.array([numbers.get(name, np.nan) for name in _NUMBERS[3:6]])
-    channel = Channel(
-        plain_name(texts.get("point", "")), texts.get("body", ""), texts.get("run", ""),
-        order=unit.order if unit else 1, position_m=position, direction=direction, where=where,
-    )  # fmt: skip
-    scale = factor * (unit.scale if unit is not None and not unit.per else 1.0)
-    per = ("m", "m/s", "m/s2")[unit.order] if unit is not None and not unit.per else plain(texts["unit"])
-    return Listed(texts["channel"], role, texts.get("file", ""), scale, per, channel)
-
-
-def _reference(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
-    wanted = how.reference_channel
-    references = [
-        r for r in listed if (r.name.lower() == wanted.lower() if wanted else r.role == "reference")
-    ]
-    names = list(dict.fromkeys(row.name for row in references))
-    if len(names) > 1 or (wanted and not names):
-        got = ", ".join(names) or wanted
-        step = "Choose one by --reference-channel, or ignore the others"
-        raise StapeskitError.of("the reference", "one channel of the table", got, how.channels.name, step)
-    return references[0] if references else None
 
 
 def read_series(path: Path, names: Sequence[str]) -> Series:
@@ -441,36 +337,6 @@ def _steps(lead: Array | None, signals: Array, series: Series, how: SeriesFacts)
         got = list_some(f"samples {a} to {b}" for a, b, _ in outside)
         raise StapeskitError.of("a step", want, got, series.file, "Correct the table of steps")
     return [Step(freq, None if lead is None else lead[a:b], signals[:, a:b]) for a, b, freq in stretches]
-
-
-def read_steps(path: Path) -> list[tuple[float, float, float]]:
-    """Read a table of steps: start_s, stop_s, freq_hz.
-
-    Raises
-    ------
-    StapeskitError
-        A column is missing, a cell is no finite number, a step ends before it starts, or a frequency is not
-        positive.
-    """
-    from stapeskit.tables import read_table
-
-    columns = ("start_s", "stop_s", "freq_hz")
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, columns, file)
-        return set(columns), set()
-
-    table = read_table(Path(path), choose)
-    faults = list(table.faults)
-    start, stop, freq = (table.numbers[name] for name in columns)
-    for row in np.flatnonzero(
-        ~((stop > start) & (freq > 0.0) & np.isfinite(stop) & np.isfinite(freq))
-    ).tolist():
-        got = f"{start[row]:g} to {stop[row]:g} s at {freq[row]:g} Hz"
-        want = "three finite numbers, the stop later than the start, the frequency positive"
-        faults.append(Fault("a step", want, got, table.where(row)))
-    raise_all(faults)
-    return [(float(a), float(b), float(f)) for a, b, f in zip(start, stop, freq, strict=True)]
 
 
 def _rows(group: Sequence[Listed], frf: Frf, lines: Any) -> list[Row]:

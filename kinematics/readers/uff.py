@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ from kinematics.readers.recording import (
     unknown_vector,
 )
 from kinematics.readers.text import CUT, shown
+from kinematics.readers.uff_geometry import Geometry, read_geometry
 from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
-from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.warnings import Notice
 
@@ -49,24 +49,7 @@ REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
-_FARTHEST_M = 1e3  # a point farther away is a wrong unit or a damaged number
 _IN_TEXT = re.compile(r"(?:^|[\s_])[+-]?[xyz]\b", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """Positions of nodes in m, their axes of measurement in rows, and the length factor of dataset 164."""
-
-    positions_m: Mapping[int, Array] = field(default_factory=dict)
-    axes: Mapping[int, Array] = field(default_factory=dict)
-    length_factor: float | None = None
-    notices: tuple[Notice, ...] = ()
-
-    def direction(self, node: int, code: int) -> Array:
-        """Return the unit vector of a direction +-1..3 at a node; NaN for a scalar."""
-        if not 1 <= abs(code) <= 3:
-            return unknown_vector()
-        return np.asarray(self.axes.get(node, np.eye(3))[abs(code) - 1] * np.sign(code))
 
 
 @dataclass(frozen=True)
@@ -126,7 +109,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         want, step = "one with functions (dataset 58)", "Export the spectra or frequency responses as UFF 58"
         raise StapeskitError.of("a universal file", want, "none", path.name, step)
     used = {int(one["rsp_node"]) for _, one in functions}
-    geometry = _geometry(sets, path.name, used, faults)
+    geometry = read_geometry(sets, path.name, used, faults)
     motions, others = _motions(functions, geometry, path.name, faults)
     raise_all(faults)
     if not motions:
@@ -196,115 +179,6 @@ def _function_faults(one: dict[str, Any], place: int, file: str) -> list[Fault]:
         got = f"{len(np.unique(x))} different ones of {len(x)}, from {np.min(x):g} to {np.max(x):g}"
         return [Fault("the frequencies of a function", want, got, where, "Export it again")]
     return []
-
-
-def _geometry(
-    sets: Sequence[tuple[int, Mapping[str, Any]]], file: str, used: set[int], faults: list[Fault]
-) -> Geometry:
-    """Read units, coordinate systems and the nodes that functions refer to.
-
-    Notes
-    -----
-    Dataset 164: SI = file value / factor. Dataset 15 gives coordinates in the node's definition system,
-    dataset 2411 in the global one. Measured directions are those of the displacement system of a node.
-    """
-    factor: float | None = None
-    systems: dict[int, tuple[int, Array, Array]] = {}
-    nodes: dict[int, tuple[Array, int, int, Place]] = {}
-    for place, one in sets:
-        where = Place(file, "dataset", (place,))
-        if one["type"] == 164:
-            factor = float(one["length"])
-            if not 0.0 < factor < np.inf:
-                thing = "the length factor of dataset 164"
-                faults.append(Fault(thing, "positive", f"{factor:g}", where, "Export it again"))
-        elif one["type"] in (18, 2420):
-            systems |= _systems(one, where, faults)
-        elif one["type"] in (15, 2411):
-            _read_nodes(one, where, nodes, faults)
-    positions: dict[int, Array] = {}
-    axes: dict[int, Array] = {}
-    missing: set[int] = set()
-    for label in sorted(used & set(nodes)):
-        position, defined, measured, where = nodes[label]
-        missing |= {number for number in (defined, measured) if number and number not in systems}
-        turn, origin = systems.get(defined, (0, np.eye(3), np.zeros(3)))[1:]
-        positions[label] = (position @ turn + origin) / (factor or 1.0)
-        axes[label] = systems.get(measured, (0, np.eye(3), np.zeros(3)))[1]
-        if not np.all(np.abs(positions[label]) < _FARTHEST_M):
-            got, thing = f"{positions[label].tolist()} m", f"the position of node {label}"
-            faults.append(Fault(thing, f"within {_FARTHEST_M:g} m", got, where, "Export it again"))
-    listed = ", ".join(map(str, sorted(missing)))
-    if missing and systems:
-        step = "Export the coordinate systems too, or the geometry in global coordinates"
-        thing = f"coordinate system {listed}"
-        faults.append(Fault(thing, "described in dataset 18 or 2420", "nodes that refer to it", file, step))
-    elif missing:
-        text = (
-            f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
-        )
-        return Geometry(
-            positions, axes, factor, (Notice("coordinate_system_missing", f"{text}for the global one."),)
-        )
-    return Geometry(positions, axes, factor)
-
-
-def _read_nodes(
-    one: Mapping[str, Any], where: Place, nodes: dict[int, tuple[Array, int, int, Place]], faults: list[Fault]
-) -> None:
-    columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
-    if len({len(column) for column in columns}) > 1:
-        faults.append(Fault("the nodes", "given by label and three coordinates", "others", where, CUT))
-        return
-    labels, defined, measured = (column.astype(int) for column in columns[:3])
-    xyz = np.column_stack(columns[3:]).astype(float)
-    defined = np.zeros_like(defined) if one["type"] == 2411 else defined
-    for label, place, system, displaced in zip(
-        labels.tolist(), xyz, defined.tolist(), measured.tolist(), strict=True
-    ):
-        known = nodes.get(label)
-        if known is not None and not np.allclose(known[0], place, rtol=1e-5, atol=1e-12):
-            got = f"{known[0].tolist()} and {place.tolist()}"
-            faults.append(Fault(f"the position of node {label}", "one", got, where, "Remove the wrong one"))
-        nodes[label] = (place, system, displaced, where)
-
-
-def _systems(
-    one: Mapping[str, Any], where: Place, faults: list[Fault]
-) -> dict[int, tuple[int, Array, Array]]:
-    """Return kind, axes in rows and origin of the coordinate systems of a dataset, by their numbers."""
-    systems: dict[int, tuple[int, Array, Array]] = {}
-    names = ("cs_num", "cs_type") if one["type"] == 18 else ("CS_sys_labels", "CS_types")
-    labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
-    if one["type"] == 2420:
-        frames = np.asarray(one["CS_matrices"], dtype=float).reshape(-1, 4, 3)
-        turns, origins = list(frames[:, :3]), list(frames[:, 3])
-    else:
-        defined = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
-        turns, origins = [_axes_of(*points) for points in zip(*defined, strict=True)], list(defined[0])
-        if np.any(np.asarray(one.get("ref_cs_num", 0), dtype=int)):
-            step = "Export the geometry in global coordinates"
-            faults.append(
-                Fault("a coordinate system", "described in the global one", "a nested one", where, step)
-            )
-    for label, kind, turn, origin in zip(labels, kinds, turns, origins, strict=True):
-        if kind != 0:
-            step = "Export the geometry in cartesian coordinates"
-            faults.append(Fault(f"coordinate system {label}", "cartesian", f"type {kind}", where, step))
-        elif not (np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) and np.linalg.det(turn) > 0.0):
-            got = "axes that are not perpendicular, or left-handed"
-            faults.append(Fault(f"coordinate system {label}", "a rotation", got, where, "Correct it"))
-        systems[label] = (kind, np.asarray(turn), np.asarray(origin))
-    return systems
-
-
-def _axes_of(origin: Array, on_x: Array, on_xz: Array) -> Array:
-    """Return the axes in rows of a system by a point on +x and one in +xz; NaN where they span no plane."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        x = (on_x - origin) / np.linalg.norm(on_x - origin)
-        z = (on_xz - origin) - (on_xz - origin) @ x * x
-        z = z / np.linalg.norm(z)
-        return np.array([x, np.cross(z, x), z])
 
 
 def _motions(

@@ -1,4 +1,4 @@
-"""Several files as one measurement: bodies, runs, positions, lines, units, and what does not belong together."""
+"""Several files as one measurement: bodies, runs, positions, lines, units, and what does not fit together."""
 
 from pathlib import Path
 
@@ -33,7 +33,8 @@ def things(error):
 
 UNITS = {
     "m/s": (1, 1.0, ""), "[ um/s / V ]": (1, 1e-6, "V"), "(m/s^2)/N": (2, 1.0, "N"), "g": (2, 9.80665, ""),
-    "mm": (0, 1e-3, ""), "m s-1": (1, 1.0, ""), "µm": (0, 1e-6, ""), "m/s/s": (2, 1.0, ""), "m/s/m/s": (1, 1.0, "m/s"),
+    "mm": (0, 1e-3, ""), "m s-1": (1, 1.0, ""), "µm": (0, 1e-6, ""), "m/s/s": (2, 1.0, ""),
+    "m/s/m/s": (1, 1.0, "m/s"),
 }  # fmt: skip
 
 

@@ -1,4 +1,6 @@
-"""The contract of every format of the table: what is written is read, what is cut is refused, nothing crashes."""
+"""The contract of every format: what is written is read, what is cut is refused, nothing crashes."""
+
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -74,11 +76,8 @@ def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
         end = len(content) if seed % 2 else min(len(content), 600)
         content[rng.integers(0, end, 1 + seed % 8)] = rng.integers(0, 256, 1 + seed % 8)
         path.write_bytes(content.tobytes())
-        try:
+        with suppress(StapeskitError):
             recording = read_file(path, facts)
-        except StapeskitError as error:
-            assert str(error)
-        else:
             assert recording.value.shape == (len(recording.channels), len(recording.freq_hz))
             assert np.all(np.diff(recording.freq_hz) > 0.0)
 

@@ -81,7 +81,7 @@ def test_steps_are_sorted_and_checked_together():
 
 
 def test_noise_of_each_channel_and_of_the_reference_are_separated():
-    """Residuals -H e + n with var e = 0.04 and var n from 0.25 to 9: both are found, and nothing where e = 0."""
+    """Residuals -H e + n, var e = 0.04, var n from 0.25 to 9: both are found, nothing where e = 0."""
     rng = np.random.default_rng(8)
 
     def circular(*shape):
