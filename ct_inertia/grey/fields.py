@@ -11,7 +11,7 @@ from ct_inertia.bodies import Grey, Mask
 from stapeskit.arrays import Array
 
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
-_BLOCK = 48  # rows of a band matrix that are multiplied at a time: its band is a quarter of that
+_PRODUCT = 1 << 18  # multiplications of one matrix product up to which BLAS does not start threads
 _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
 
 
@@ -73,36 +73,41 @@ def share_above(field: Grey, where: Mask) -> Grey:
     return share
 
 
-Band = tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]
-"""A matrix (rows, size) and, by block of rows, the first and one past the last column that is not 0."""
+Band = tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]
+"""A matrix (rows, size); of each row the first and one past the last column that is not 0; its transpose."""
 
 
 def _apply(field: Grey, bands: list[Band]) -> Grey:
     """Multiply a field by one band matrix along each axis."""
-    for axis, (matrix, first, last) in enumerate(bands):
+    for axis, (matrix, first, last, transposed) in enumerate(bands):
         shape = list(field.shape)
         shape[axis] = len(matrix)
         result = np.empty(shape, dtype=np.float32)
         # Products of single planes: they fit the processor's cache.
         source, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
-        for block, (low, high) in enumerate(zip(first, last, strict=True)):
-            rows = slice(block * _BLOCK, min((block + 1) * _BLOCK, len(matrix)))
+        rows = _rows(int(np.max(last - first)), field.shape[1 if axis == 2 else 2])
+        for start in range(0, len(matrix), rows):
+            some = slice(start, min(start + rows, len(matrix)))
+            low, high = int(first[some].min()), int(last[some].max())
             if axis < 2:
-                np.matmul(matrix[rows, low:high], source[:, low:high], out=out[:, rows])
+                np.matmul(matrix[some, low:high], source[:, low:high], out=out[:, some])
             else:
-                across = np.ascontiguousarray(matrix[rows, low:high].T)
-                np.matmul(source[..., low:high], across, out=out[..., rows])
+                np.matmul(source[..., low:high], transposed[low:high, some], out=out[..., some])
         field = result
     return field
 
 
+def _rows(band: int, across: int) -> int:
+    """Return how many rows of a band matrix are multiplied at a time."""
+    return next((rows for rows in (48, 32, 24, 16) if rows * (rows + band) * across <= _PRODUCT), 8)
+
+
 def _banded(matrix: Array) -> Band:
-    ends = []
-    for start in range(0, len(matrix), _BLOCK):
-        used = np.flatnonzero(np.any(matrix[start : start + _BLOCK] != 0.0, axis=0))
-        ends.append((used[0], used[-1] + 1))
-    first, last = np.array(ends).T
-    return matrix.astype(np.float32), first, last
+    used = matrix != 0.0
+    first = np.argmax(used, axis=1)
+    last = matrix.shape[1] - np.argmax(used[:, ::-1], axis=1)
+    single = matrix.astype(np.float32)
+    return single, first, last, np.ascontiguousarray(single.T)
 
 
 def _rounded(width: float) -> float:

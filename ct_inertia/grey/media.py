@@ -11,8 +11,9 @@ import numpy as np
 from ct_inertia.bodies import Grey, Mask, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.distance import capped_distance
-from ct_inertia.grey.fields import blur, local_ratio
+from ct_inertia.grey.fields import blur, local_ratio, share_above
 from ct_inertia.grey.moments import effect
+from ct_inertia.grey.plate_plane import FacePlane, beside_stapes, face_plane, is_flat
 from ct_inertia.grey.start import Start, grown
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -24,7 +25,11 @@ _LEAST_VOID = 12  # voxels of a closed void; fewer are noise
 _DENSEST = 0.85  # of bone's contrast: what is denser is bone
 _MEDIUM_SIGMAS = 2.0  # widths of the blur over which a medium is averaged
 _CLEAR = (0.4, 0.05)  # share of bodies below which a voxel shows a medium: on the stapes' side, anywhere
-_TOUCH_SIGMAS = 1.5  # widths of the blur between two bodies that fills the gap between them
+_MEETING_VOXELS = 1.8  # between the middles of voxels of two masks that touch
+_TOUCH_SIGMAS = 1.5  # widths of the blur about their border in which a fluid fills what bone leaves
+_BEYOND_EDGES = 1e-3  # share of bodies below which not even a wrong blur passes for a medium
+_STRONG = 0.08  # of bone's contrast: more than what a wrong blur leaves next to an edge
+_LEAST_PART = 0.01  # of the voxels there that must stand out
 _LEAST_MEDIUM = calibrated("media.least_share")
 _VOID_SD = calibrated("media.void_sd")
 _STANDS_OUT = 3.0  # standard deviations from which a void counts as filled
@@ -58,7 +63,9 @@ class Media:
     voids : ndarray of bool or None
         Closed hollows of the stapes.
     touching : ndarray of bool or None
-        Where no air is left between plate and stapes.
+        Where no air is left between a fluid and the stapes.
+    plane : FacePlane or None
+        The face of a plate near the stapes; None without a plate and for a fluid.
     soft : ndarray of float32 or None
         Grey value of the medium in each voxel, before bodies take their share of it.
     void_share : ndarray of float32
@@ -70,6 +77,7 @@ class Media:
     coat: Coat | None = None
     voids: Mask | None = None
     touching: Mask | None = None
+    plane: FacePlane | None = None
     soft: Grey | None = None
     void_share: Grey | None = None
     void_grey: float = 0.0
@@ -79,21 +87,35 @@ class Media:
     @classmethod
     def around(cls, start: Start, coat: Coat | None) -> Media:
         """Look for closed hollows, and for plastic that touches the stapes."""
-        touching = None
-        if "plate" in start.distances:
+        touching, plane = None, None
+        if "plate" in start.masks:
+            plane = face_plane(start)
+            plane = plane if is_flat(plane) else None
             gap = start.distances["plate"] + start.distances["stapes"]
-            width = np.float32(_TOUCH_SIGMAS * start.sigma_mm)
-            meet = gap < width + np.float32(2.0 * start.spacing.max())
-            if meet.any():
-                touching = capped_distance(meet, start.spacing[::-1], 1.4 * float(width)) < width
-        return cls(coat if coat is not None and coat.thickness_mm > 0.0 else None, _hollows(start), touching)
+            meet = gap < np.float32(_MEETING_VOXELS * start.spacing.max())
+            if plane is None and meet.any():
+                width = _TOUCH_SIGMAS * start.sigma_mm
+                touching = capped_distance(meet, start.spacing[::-1], 1.4 * width) < np.float32(width)
+        return cls(coat if coat is not None and coat.thickness_mm > 0.0 else None, _hollows(start), touching, plane)
 
-    def side_of(self, fit: SceneFit, name: str) -> Mask:
-        """Return the voxels in which a body may lie: its side, and for plastic what touches the stapes."""
-        side = fit.side(name)
-        if name == "plate" and self.touching is not None:
-            side = side | (self.touching & (fit.start.distances[name] <= np.float32(fit.start.reach_mm)))
-        return side
+    def plastic(self, fit: SceneFit, field: Grey, window: Window) -> Grey:
+        """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a window.
+
+        The face of a plate is held to its plane near the stapes, where its own grey values show it badly; a fluid
+        fills what the bone leaves where it touches.
+        """
+        bones = np.zeros_like(field)
+        for name in fit.names[: fit.names.index("plate")]:
+            np.maximum(bones, fit.bodies[name][window], out=bones)
+        body = share_above(field, fit.side("plate")[window])
+        if self.plane is not None:
+            first = tuple(part.start for part in window)
+            depth = self.plane.depth(field.shape, fit.start.spacing, first)
+            behind = np.clip(depth * np.float32(1.0 / fit.start.spacing.mean()) + np.float32(0.5), 0.0, 1.0)
+            body = np.where(beside_stapes(fit.start, window, fit.sigma_mm), behind, body)
+        elif self.touching is not None:
+            body = np.where(self.touching[window], np.float32(1.0), body)
+        return np.minimum(body, np.float32(1.0) - bones)
 
     def image(self, window: Window) -> Grey | np.float32:
         """Return the grey values of all media in a window."""
@@ -161,8 +183,12 @@ class Media:
         independent = max(1.0, float(np.prod(2.0 * np.sqrt(np.pi) * width)))
         least = max(_LEAST_MEDIUM * contrast, 4.0 * start.noise * np.sqrt(start.correlation / independent))
         close = start.distances["stapes"] <= np.float32(start.reach_mm)
-        stands_out = np.count_nonzero((np.abs(mean) > np.float32(2.0 * least)) & close)
-        if self.soft is None and stands_out <= 0.003 * np.count_nonzero(close & ~start.masks["stapes"]):
+        seen = [
+            np.count_nonzero((np.abs(mean) > np.float32(most)) & close & (total < np.float32(share)))
+            > _LEAST_PART * np.count_nonzero(close & (total < np.float32(share)))
+            for share, most in ((_BEYOND_EDGES, 2.0 * least), (_CLEAR[1], max(2.0 * least, _STRONG * contrast)))
+        ]
+        if self.soft is None and not any(seen):
             return
         kept = np.clip((np.abs(mean) - np.float32(least)) / np.float32(least), 0.0, 1.0) * start.near
         most = np.float32(_DENSEST * contrast)

@@ -33,6 +33,8 @@ _INNER = calibrated("scene.inner_share")
 _SMOOTHING = calibrated("scene.smoothing_per_noise")
 _MOST_SMOOTHING = calibrated("scene.most_smoothing_voxels")
 _LEAST_INNER, _LEAST_PLASTIC = 50, 400  # voxels from which a contrast follows
+_LEAST_FREE = 0.1  # share of the stapes' voxels that face air, from which they alone show the blur
+_CLEAR_AIR = 0.02  # of the contrast: a medium beyond it is no air
 _LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
 
 Window = tuple[slice, ...]
@@ -142,10 +144,10 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
     above -= fit.media.image(window)
     above *= np.float32(1.0 / fit.contrasts[name])
     above -= fit.levels[name][window]
-    body = share_above(above, fit.media.side_of(fit, name)[window])
     if name == "plate":
-        for bone in fit.names[: fit.names.index(name)]:
-            body = np.minimum(body, np.float32(1.0) - fit.bodies[bone][window])
+        body = fit.media.plastic(fit, above, window)
+    else:
+        body = share_above(above, fit.side(name)[window])
     fit.bodies[name][window], fit.fields[name][window] = body, above
     fit.shares[name][window] = blur(body, fit.sigma_mm, fit.start.spacing)
 
@@ -177,9 +179,15 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
 
 
 def _adjust_blur(fit: SceneFit) -> None:
-    """Take the width of the blur one step of Gauss and Newton nearer to the least misfit."""
+    """Take the width of the blur one step of Gauss and Newton nearer to the least misfit at edges that face air."""
     window = fit.windows["stapes"]
     own = (fit.start.near & fit.side("stapes"))[window]
+    free = own.copy()
+    for name in fit.names[1:]:
+        free &= (fit.start.distances[name] > np.float32(fit.start.reach_mm))[window]
+    if fit.media.soft is not None:
+        free &= np.abs(fit.media.soft[window]) < np.float32(_CLEAR_AIR * fit.contrasts["stapes"])
+    own = free if np.count_nonzero(free) > _LEAST_FREE * np.count_nonzero(own) else own
     wider = blur(fit.bodies["stapes"][window], 1.05 * fit.sigma_mm, fit.start.spacing)
     change = (wider - fit.shares["stapes"][window])[own] * np.float32(fit.contrasts["stapes"])
     residual = fit.residual[window][own]

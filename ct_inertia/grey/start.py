@@ -94,22 +94,23 @@ def start(labelled: Labelled) -> Start:
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
+    beside = {name: mask for name, mask in masks.items() if (near & (distances[name] < np.float32(reach))).any()}
     calm = far & (np.abs(grey - np.float32(air)) < 5.0 * noise)
     return Start(
         part,
         spacing,
         grey,
-        masks,
-        distances,
+        beside,
+        {name: distances[name] for name in beside},
         reach,
-        _basins(grey, masks, distances, reach, sigma),
+        _basins(grey, beside, distances, reach, sigma),
         near,
         far,
         air,
         max(noise, 1e-6 * (labelled.bone - labelled.air)),
         air_sd,
         noise_correlation(np.where(far, grey - np.float32(air), np.float32(0.0)), calm),
-        _contrasts(labelled, grey, masks, air),
+        _contrasts(labelled, grey, beside, air),
         sigma,
     )
 
@@ -184,7 +185,8 @@ def first_sigma(labelled: Labelled) -> float:
     share = (labelled.box.grey[part] - np.float32(labelled.air)) / np.float32(contrast)
     smooth = 0.8 if labelled.noise > 0.05 * contrast else 0.0
     share = gaussian_filter(share, smooth, truncate=3.0) if smooth else share
-    rim = np.abs(share - np.float32(0.5)) < 0.15
+    stapes = labelled.stapes[part]
+    rim = (np.abs(share - np.float32(0.5)) < 0.15) & grown(stapes) & ~eroded(stapes)
     inner = np.zeros_like(rim)
     inner[1:-1, 1:-1, 1:-1] = rim[1:-1, 1:-1, 1:-1]
     place = np.flatnonzero(inner)
@@ -213,7 +215,7 @@ def _basins(
     basin = np.zeros(grey.shape, dtype=np.int8)
     nearest = np.full(grey.shape, np.float32(reach))
     second = np.full(grey.shape, np.float32(np.inf))
-    for number, away in enumerate(distances.values(), 1):
+    for number, away in enumerate((distances[name] for name in masks), 1):
         closer = away < nearest
         np.minimum(second, np.where(closer, nearest, away), out=second)
         basin[closer] = number
