@@ -1,0 +1,1 @@
+"""Mass, centre of mass and inertia of the stapes, by every way to a mass."""
