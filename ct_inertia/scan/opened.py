@@ -203,24 +203,23 @@ def too_short(shape: Sequence[int], claimed: int, stored: int, name: str) -> Sta
 def beside(header: Path, name: str) -> Path:
     """Return the data file that a header names; it must lie in the folder of the header.
 
+    A path of the machine that wrote the header counts as its last part when such a file lies in the folder.
+
     Raises
     ------
     StapeskitError
         The name leads out of the folder, or is no file name.
     """
-    if not name or "\0" in name or any(len(part.encode()) > _LONGEST_NAME for part in Path(name).parts):
-        raise StapeskitError.of(
-            "the data file", "a file name", repr(name[:60]), header.name, "Correct the header"
-        )
-    if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise StapeskitError.of(
-            "the data file",
-            "in the folder of its header",
-            name,
-            header.name,
-            "Put both files into one folder and let the header name the data file alone",
-        )
-    return header.parent / name
+    last = name.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
+    if not last or "\0" in name or any(len(part.encode()) > _LONGEST_NAME for part in Path(name).parts):
+        got = repr(name[:60])
+        raise StapeskitError.of("the data file", "a file name", got, header.name, "Correct the header")
+    if "\\" not in name and not Path(name).is_absolute() and ".." not in Path(name).parts:
+        return header.parent / name
+    if (header.parent / last).is_file():
+        return header.parent / last
+    step = "Put both files into one folder"
+    raise StapeskitError.of("the data file", "in the folder of its header", name, header.name, step)
 
 
 def no_data_file(file: Path, header: str) -> StapeskitError:

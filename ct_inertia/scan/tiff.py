@@ -327,18 +327,14 @@ def _ome_place(
     size[size <= 0.0] = np.nan
     unit = mm_per_unit(pixels.get("PhysicalSizeZUnit", "µm")) or 1.0
     size, unset = believed_spacing(size / unit, unit)
-    known = ", ".join(
-        f"{axis} {value:.6g} mm" for axis, value in zip("xyz", size, strict=True) if value > 0.0
-    )
-    return size, origin, unset or f"the OME header says {known or 'no physical size'}"
+    known = [f"{axis} {value:.6g} mm" for axis, value in zip("xyz", size, strict=True) if value > 0.0]
+    return size, origin, unset or f"the OME header says {', '.join(known) or 'no physical size'}"
 
 
 def _lengths(element: Any, name: str, default_unit: str) -> Array:
     """Return lengths along x, y, z (3,) in mm; NaN where one is missing or has no unit of length."""
-    stated = [
-        (element.get(f"{name}{axis}"), element.get(f"{name}{axis}Unit", default_unit)) for axis in "XYZ"
-    ]
-    return np.array([_length(value, unit) for value, unit in stated])
+    keys = [f"{name}{axis}" for axis in "XYZ"]
+    return np.array([_length(element.get(key), element.get(f"{key}Unit", default_unit)) for key in keys])
 
 
 def _length(value: str | None, unit: str | None) -> float:

@@ -126,6 +126,12 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Mende
     if turned:
         text = f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned outward."
         notices.append(Notice("surface_turned", text))
+    solid = [piece for piece in _pieces(faces) if signed_volume(vertices, faces[piece]) > 0.0]
+    if len(solid) > 1:
+        text = (
+            f"{name} holds {len(solid)} separate bodies: they are added, and count twice where they overlap."
+        )
+        notices.append(Notice("mesh_in_pieces", text))
     return MendedMesh(vertices, faces, tuple(notices))
 
 

@@ -85,6 +85,9 @@ def test_doubled_faces_count_once_and_touching_bodies_stay():
     both = trimesh.util.concatenate(one, two)
     touching = mend(np.asarray(both.vertices), np.asarray(both.faces), "a.stl")
     assert signed_volume(touching.vertices_mm, touching.faces) == pytest.approx(2.0)
+    two.apply_translation([5, 0, 0])
+    both = trimesh.util.concatenate(one, two)
+    assert codes(mend(np.asarray(both.vertices), np.asarray(both.faces), "a.stl")) == {"mesh_in_pieces"}
 
 
 def with_hole(count=12):

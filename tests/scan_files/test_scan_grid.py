@@ -97,7 +97,7 @@ def test_a_box_by_its_corners_holds_the_centres_between_them():
 @settings(max_examples=40, deadline=None)
 @given(st.tuples(*[st.integers(1, 4)] * 3), st.booleans())
 def test_block_means_keep_the_integral_and_the_place(block, boxed):
-    """Of what whole blocks cover the sum is that of the voxels; means of a linear field are the field itself."""
+    """The sum over whole blocks is that of their voxels; means of a linear field are the field itself."""
     scan = turned()
     box = (slice(1, 13), slice(2, 11), slice(0, 8)) if boxed else (slice(0, 13), slice(0, 11), slice(0, 9))
     means, grid = block_means(scan, block, box)

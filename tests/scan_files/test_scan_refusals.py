@@ -136,6 +136,21 @@ def test_a_data_file_with_a_header_of_its_own_is_not_read_from_its_start(tmp_pat
         assert "-1" in fault.next_step
 
 
+def test_a_name_that_does_not_fit_the_content(tmp_path):
+    w.itk(tmp_path / "a.nii", picture("i2"))
+    (tmp_path / "b.nii").write_bytes(gzip.compress((tmp_path / "a.nii").read_bytes()))
+    (tmp_path / "c.nii.gz").write_bytes(w.nrrd(tmp_path / "a.nrrd", picture()).read_bytes())
+    assert "gzip" in refused(tmp_path / "b.nii").got
+    assert "NRRD" in refused(tmp_path / "c.nii.gz").got
+
+
+def test_a_path_of_another_machine_counts_as_its_last_part(tmp_path):
+    (tmp_path / "a.raw").write_bytes(picture().tobytes())
+    for name in ("C:\\scans\\a.raw", "/mnt/disk/a.raw", "../old/a.raw"):
+        assert np.array_equal(open_scan(w.meta(tmp_path / "a.mhd", picture(), data=name)).read(), picture())
+    assert refused(w.meta(tmp_path / "a.mhd", picture(), data="../old/b.raw")).thing == "the data file"
+
+
 def test_an_imagej_description_that_counts_other_slices(tmp_path):
     text = "ImageJ=1.54f\nimages=9\nslices=9\nunit=mm\nspacing=0.03\n"
     with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
