@@ -1,8 +1,8 @@
 """Principal axes of the stiffness: the point and the rotation about y that uncouple y, alpha and gamma.
 
-A shift of the reference point in the footplate plane to (x0, z0) = (K13 / K11, -K12 / K11) uncouples the piston
-motion; a rotation about y then uncouples the two rocking motions (paper, section on principal axes). This is not
-eig(K), whose result depends on the units.
+A shift of the reference point in the footplate plane to (x0, z0) = (K13 / K11, -K12 / K11) uncouples the
+piston motion; a rotation about y then uncouples the two rocking motions (paper, section on principal axes).
+This is not eig(K), whose result depends on the units.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ NAMES = ("origin_x_m", "origin_z_m", "angle_rad", "k_y", "k_about_x", "k_about_z
 def principal_axes(stiffness: ArrayLike) -> Array:
     """Return (x0, z0, angle, three stiffnesses), (..., 6), of K (..., 3, 3) in y, alpha, gamma; SI.
 
-    The angle is right-handed about +y, from footplate x to the nearest principal axis, within 45 degrees; with
-    q = (y0, alpha, gamma) the point (x, z) moves by y0 - z alpha + x gamma, and the axis at the angle t is
-    (cos t, -sin t) in (x, z).
+    The angle is right-handed about +y, from footplate x to the nearest principal axis, within 45 degrees;
+    with q = (y0, alpha, gamma) the point (x, z) moves by y0 - z alpha + x gamma, and the axis at the angle t
+    is (cos t, -sin t) in (x, z).
 
     Raises
     ------

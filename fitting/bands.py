@@ -1,7 +1,8 @@
 """Do one K and one D hold over the whole band? Local factors of both, band by band, to first order.
 
-In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. The factors are further unknowns of the likelihood,
-found by one step from its minimum; a factor common to all bands is K (or D) itself and is left out.
+In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. The factors are further unknowns of the
+likelihood, found by one step from its minimum; a factor common to all bands is K (or D) itself and is left
+out.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def _lossier(inside: Array, value: float, parts: Parts, _data: Data) -> None:
 
 
 def band_factors(found: Fit) -> BandFactors | None:
-    """Return the factors of five bands of equally many lines; fewer where lines are few, None for less than two."""
+    """Return the factors of five bands of equally many lines, fewer where lines are few; None below two."""
     data, likelihood, theta = found.data, found.likelihood, found.theta
     bands = min(_BANDS, data.count // _FEWEST_LINES)
     if bands < 2:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fitting.data import Data
 from fitting.unknowns import Parts, Unknown, on_ligament, on_mass, on_structure
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
 
 HEAD_M = np.array([0.0, 3.4e-3, 0.0])
@@ -95,15 +95,15 @@ def _holder(frequency_hz: float, value: float, parts: Parts, data: Data) -> None
     parts.base = parts.base * (1.0 + 0.01 * value * shape)
 
 
-def _delay(value: float, omega: Array) -> Array:
+def _delay(value: float, omega: Array) -> ComplexArray:
     return np.asarray(np.exp(1e-6j * value * omega))
 
 
-def _phase(value: float, omega: Array) -> Array:
+def _phase(value: float, omega: Array) -> ComplexArray:
     return np.full(len(omega), np.exp(1j * np.radians(value)))
 
 
-def _gain(value: float, omega: Array) -> Array:
+def _gain(value: float, omega: Array) -> ComplexArray:
     return np.full(len(omega), 1.0 + 0.01 * value, dtype=complex)
 
 
@@ -137,9 +137,15 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "inertia", "moments of inertia of another size", "%", 25.0, on_mass(partial(_share, slice(4, 10)))
         ),
-        Unknown("mirrored", "the mass matrix of the other side", "", 1.0, on_mass(_mirrored), only=1.0),
-        Unknown("drift", "a ligament that stiffens over the measurement", "%", 10.0, on_ligament(_time), weights=_time),
-        Unknown("level", "a stiffness that depends on the amplitude", "%", 10.0, on_ligament(_level), weights=_level),
+        Unknown("mirrored", "the mass matrix of the other side", "", 1.0, on_mass(_mirrored), 0.01, only=1.0),
+        Unknown(
+            "drift", "a ligament that stiffens over the measurement", "%", 10.0, on_ligament(_time),
+            weights=_time,
+        ),
+        Unknown(
+            "level", "a stiffness that depends on the amplitude", "%", 10.0, on_ligament(_level),
+            weights=_level,
+        ),
     )
 }  # fmt: skip
 """By name. ``--unknowns`` takes them; places of steps and resonances are added from the data."""

@@ -1,4 +1,4 @@
-"""Warnings of a fit, and the ONE verdict on it: believe, check, or do not use, with its reasons, causes first."""
+"""Warnings of a fit, and the ONE verdict on it: believe, check, or do not use, its reasons causes first."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtr, chdtri, chdtrc
+from scipy.special import chdtr, chdtrc, chdtri
 
 from fitting import entries
 from fitting.bands import SIGNIFICANT_P
@@ -35,8 +35,8 @@ _GYRATION_RANGE_MM = (0.2, 4.0)  # radii of gyration about x, z: half width to h
 _IMPRECISE, _UNDETERMINED = 0.3, 1.0  # relative sd of a diagonal entry: known to no better; of K: unknown
 _FALSE_OUTLIERS = 0.01  # fits in which noise alone gives an outlying line
 _BIASED = 0.02  # of sqrt(Xii Xjj): bias of an estimator of textbooks that is reported
-# Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change over
-# the band as well, the one pair of matrices is wrong, and widening does not cover that.
+# Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change
+# over the band as well, the one pair of matrices is wrong, and widening does not cover that.
 _TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
@@ -130,7 +130,7 @@ def _rank(code: str) -> tuple[int, int]:
 
 
 def unused_codes(motion_provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return warnings that do not concern a motion: of plate and handedness where all marks are in the scan."""
+    """Return warnings that do not concern a motion: plate and handedness where all marks are in the scan."""
     frames = motion_provenance.get("registered_in")
     if not isinstance(frames, list | tuple) or set(frames) != {"scan"}:
         return ()
@@ -172,18 +172,23 @@ def _physics(fit: KDFit) -> list[Notice]:
     notices = []
     if not fit.modes.stable:
         text = (
-            f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. No passive "
+            f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. No "
+            f"passive "
             "ligament does this; use --estimator ml."
         )
         notices.append(Notice("unstable", text))
     wrong = [name for name, good in zip("KD", fit.passive, strict=True) if not good]
     if wrong:
-        text = f"{' and '.join(wrong)} not positive semidefinite: the model can give off energy that it never took in."
+        text = (
+            f"{' and '.join(wrong)} not positive semidefinite: the model can give off energy that it never "
+            f"took in."
+        )
         notices.append(Notice("not_passive", text))
     active = active_constraints(fit)
     if active:
         text = (
-            f"The estimate is held back by {', '.join(active)}; the data alone would lead elsewhere, and intervals "
+            f"The estimate is held back by {', '.join(active)}; the data alone would lead elsewhere, and "
+            f"intervals "
             "near the constraint are approximate."
         )
         notices.append(Notice("constraint_active", text))
@@ -195,8 +200,10 @@ def _physics(fit: KDFit) -> list[Notice]:
         worst = int(np.argmax(np.abs(bias)))
         if abs(bias[worst]) > _BIASED:
             text = (
-                f"{fit.options.estimator} is biased by the noise of its regressor however many lines there are: "
-                f"{fit.parameters[worst]} by about {100.0 * bias[worst]:+.2g} % of sqrt(Xii Xjj). --estimator ml is not."
+                f"{fit.options.estimator} is biased by the noise of its regressor however many lines there "
+                f"are: "
+                f"{fit.parameters[worst]} by about {100.0 * bias[worst]:+.2g} % of sqrt(Xii Xjj). "
+                f"--estimator ml is not."
             )
             notices.append(Notice("attenuation_bias", text))
         notices += [Notice("constraint_active", f"{note}.") for note in book.notes]
@@ -226,22 +233,31 @@ def _quality(fit: KDFit) -> list[Notice]:
         if chdtrc(found.n_dof, found.chi2) < MISFIT_P:
             widened = np.sqrt(max(found.level, 1.0))
             text = (
-                f"Residuals exceed noise and shared errors: chi2 per degree of freedom is {found.level:.3g}. Noise may "
-                "be understated, or the model (damping law, neglected motion, mass matrix) is wrong; channel noise was "
+                f"Residuals exceed noise and shared errors: chi2 per degree of freedom is "
+                f"{found.level:.3g}. Noise may "
+                "be understated, or the model (damping law, neglected motion, mass matrix) is wrong; "
+                "channel noise was "
                 f"widened by {widened:.3g}, which does not cover a wrong model."
             )
             notices.append(Notice("misfit", text))
         elif found.data.floored:
-            text = "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that allows."
+            text = (
+                "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that "
+                "allows."
+            )
             notices.append(Notice("noise_free", text))
         elif chdtr(found.n_dof, found.chi2) < MISFIT_P:
-            text = f"Residuals are smaller than their stated noise: chi2 per degree of freedom is {found.level:.3g}."
+            text = (
+                f"Residuals are smaller than their stated noise: chi2 per degree of freedom is "
+                f"{found.level:.3g}."
+            )
             notices.append(Notice("noise_overstated", text))
     far = outlying_hz(fit)
     if len(far):
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
         text = (
-            f"{len(far)} of {found.data.count} lines lie farther off than noise brings them (at {listed} Hz); they "
+            f"{len(far)} of {found.data.count} lines lie farther off than noise brings them (at {listed} "
+            f"Hz); they "
             "were given little weight."
         )
         notices.append(Notice("outliers", text))
@@ -249,7 +265,8 @@ def _quality(fit: KDFit) -> list[Notice]:
     if bands is not None and bands.p_value < SIGNIFICANT_P:
         text = (
             f"One K and one D do not hold over the whole band (p = {bands.p_value:.1g}): {bands.words()}. A "
-            "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try --damping compare, "
+            "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try --damping "
+            "compare, "
             "or fit parts with --band."
         )
         notices.append(Notice("frequency_dependent", text))
@@ -278,8 +295,10 @@ def _causes(fit: KDFit) -> list[Notice]:
             value = float(fit.found.theta[place])
             sd = float(np.sqrt(fit.found.covariance[place, place]))
             text = (
-                f"{unknown.title[0].upper()}{unknown.title[1:]} of {plus_minus(value, sd)} {unknown.unit} is part of the "
-                "model, since the data call for it. K and D exclude it; damping by fluid cannot be separated and is "
+                f"{unknown.title[0].upper()}{unknown.title[1:]} of {plus_minus(value, sd)} {unknown.unit} "
+                f"is part of the "
+                "model, since the data call for it. K and D exclude it; damping by fluid cannot be "
+                "separated and is "
                 f"included in D11. --unknowns none leaves it out."
             )
             notices.append(Notice(f"{unknown.name}_found", text))
@@ -291,7 +310,8 @@ def _causes(fit: KDFit) -> list[Notice]:
     change = fit.effect(best)[:, 0] / entries.sizes(fit.stiffness, fit.damping)
     worst = int(np.argmax(np.abs(change)))
     text = (
-        f"The best explanation is {best.title} ({best.name}){size}; its odds against none are e^{best.log_odds:.0f}. "
+        f"The best explanation is {best.title} ({best.name}){size}; its odds against none are "
+        f"e^{best.log_odds:.0f}. "
         f"With it {fit.parameters[worst]} changes by {100.0 * change[worst]:+.2g} % of sqrt(Xii Xjj)."
     )
     alike = [other.title for other in search.look_alikes]
@@ -304,7 +324,10 @@ def _causes(fit: KDFit) -> list[Notice]:
         text += f" Use --damping {best.name.removeprefix('law_')}, or compare."
     text += "" if best.found.explained else " It does not explain the whole misfit."
     if any(notice.code == "motion_without_h5" for notice in fit.notices):
-        text += " The motion was read without the correlations of its noise: fit with its .h5 file before you believe it."
+        text += (
+            " The motion was read without the correlations of its noise: fit with its .h5 file before you "
+            "believe it."
+        )
     return [*notices, Notice("cause_found", text)]
 
 
@@ -313,7 +336,8 @@ def _laws(fit: KDFit) -> list[Notice]:
     if fit.solution.laws_alike:
         text = (
             f"The damping law is undetermined: {fit.law.name} damping cannot be distinguished from "
-            f"{' or '.join(fit.solution.laws_alike)} damping. K and D are those under {fit.law.name}; their intervals "
+            f"{' or '.join(fit.solution.laws_alike)} damping. K and D are those under {fit.law.name}; their "
+            f"intervals "
             "include what the others would change."
         )
         notices.append(Notice("law_ambiguous", text))
@@ -338,8 +362,10 @@ def _inputs(fit: KDFit) -> list[Notice]:
     others = ", ".join(data.measured[place] for place in data.columns)
     if data.columns and not data.loads_known and fit.options.inplane != IGNORE:
         text = (
-            f"The measured motion {others} loads the structure too, but the mass matrix lacks these degrees of freedom: "
-            "K and D err by what the load comes to. Give mass.json, which has all six, or say by --inplane ignore that "
+            f"The measured motion {others} loads the structure too, but the mass matrix lacks these degrees "
+            f"of freedom: "
+            "K and D err by what the load comes to. Give mass.json, which has all six, or say by --inplane "
+            "ignore that "
             "the load is small."
         )
         notices.append(Notice("inplane_mass_not_given", text))
@@ -354,8 +380,10 @@ def _inputs(fit: KDFit) -> list[Notice]:
     if plane is not None and not plane.determined:
         share = np.diag(fit.budget["inplane_stiffness"]) / np.maximum(np.diag(fit.covariance), 1e-300)
         text = (
-            "The in-plane motion does not determine the stiffness in the plane of the ligament; 2.2 ± 1.5 times the "
-            f"piston stiffness was assumed, which is up to {100.0 * share.max():.0f} % of a variance of K and D."
+            "The in-plane motion does not determine the stiffness in the plane of the ligament; 2.2 ± 1.5 "
+            "times the "
+            f"piston stiffness was assumed, which is up to {100.0 * share.max():.0f} % of a variance of K "
+            f"and D."
         )
         notices.append(Notice("inplane_assumed", text))
     return notices
@@ -381,8 +409,10 @@ def _plausibility(fit: KDFit) -> list[Notice]:
         mass_kg = float(fit.mass[moving[0], moving[0]])
         if not _MASS_RANGE_KG[0] <= mass_kg <= _MASS_RANGE_KG[1]:
             text = (
-                f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones weigh "
-                f"{MASS.of(_HUMAN_KG[0]):g} to {MASS.text(_HUMAN_KG[1])}. K and D grow in proportion to it: check that M "
+                f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones "
+                f"weigh "
+                f"{MASS.of(_HUMAN_KG[0]):g} to {MASS.text(_HUMAN_KG[1])}. K and D grow in proportion to it: "
+                f"check that M "
                 "is in SI units (kg, kg m, kg m2), or name the body by --structure if it is no stapes."
             )
             notices.append(Notice("implausible_mass", text))
@@ -402,7 +432,8 @@ def _plausibility(fit: KDFit) -> list[Notice]:
             radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[place, place]))
             if not _GYRATION_RANGE_MM[0] <= radius <= _GYRATION_RANGE_MM[1]:
                 text = (
-                    f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human stapes; check the units "
+                    f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human stapes; check "
+                    f"the units "
                     "of M."
                 )
                 notices.append(Notice("implausible_inertia", text))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,11 @@ from stapeskit.command import Outcome, progress_line, run
 
 if TYPE_CHECKING:
     from fitting.options import KDFiles, KDOptions
+
+# Matrices are small: threads of BLAS cost more than they save, most of all on a busy machine. Before numpy is
+# loaded.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 
 _TEXT = "Stiffness and damping of the annular ligament from motion (points2dof) and mass (ct2mass)."
 _EXAMPLES = """examples:

@@ -1,8 +1,8 @@
 """The data of a fit: lines of both bodies without units, and the errors that all of them share, as maps.
 
 A shared error z of unit variance moves the motion of a body by z (i w)^p T y and the mass matrix by z dM.
-Maps, unlike derivatives at the noisy motion, can be applied to the fitted motion: with derivatives of the noisy
-motion an estimate is overconfident (7.5 % of entries outside 95 % intervals instead of 4.6 %).
+Maps, unlike derivatives at the noisy motion, can be applied to the fitted motion: with derivatives of the
+noisy motion an estimate is overconfident (7.5 % of entries outside 95 % intervals instead of 4.6 %).
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class Data:
         return replace(self, mass_changes=self.mass_changes[:0], maps=(), sources=())
 
     def corrected(self, errors: Array, factors: tuple[ComplexArray, ComplexArray], mass: Array) -> Data:
-        """Return the lines with shared errors (k,) and factors of both bodies removed, and none left unknown."""
+        """Return the lines with shared errors (k,) and factors of both bodies removed, none left unknown."""
         m, turn = len(self.measured), self.turns(errors)
         whole = np.zeros((self.count, 2 * m, 2 * m), dtype=complex)
         for body, factor in enumerate(factors):
@@ -209,30 +209,32 @@ def data_of(
         covariance.append(joint[keep])
         freq.append(motion.freq_hz[keep])
         run.append(np.full(int(keep.sum()), place))
-    lines, noise = np.concatenate(q), np.concatenate(covariance)
+    lines: ComplexArray = np.concatenate(q)
+    noise: ComplexArray = np.concatenate(covariance).astype(complex)
     dropped = sum(int(np.sum(inside & ~keep)) for keep in keeps)
     freq_hz = np.concatenate(freq)
     _check_lines(motion, freq_hz, dof, band_hz, exclude_hz, dropped)
     rows = [motion.dof.index(name) for name in dof]
     _check_sizes(motion, lines, noise, freq_hz, rows, (structure, base))
-    mass, root = _scaled_mass(inertia, motion.dof, dof)
+    mass, root = _scaled_mass(inertia, motion.dof)
     deflection = (lines[:, rows] - lines[:, [m + row for row in rows]]) * root[rows]
-    amplitude = float(np.sqrt(np.mean(np.abs(deflection) ** 2))) or 1.0
+    amplitude = float(np.sqrt(np.mean(np.abs(deflection) ** 2)))
+    amplitude = amplitude if amplitude > 0.0 else 1.0
     reference = float(np.exp(np.mean(np.log(2.0 * np.pi * freq_hz))))
     unit = np.tile(root, 2) / amplitude
     y, noise = lines * unit, noise * np.outer(unit, unit)
     floor = NOISE_FLOOR**2 * np.mean(np.abs(y) ** 2, axis=0)
     floor = np.maximum(floor, 1e-6 * floor.max())
-    low = np.any(np.einsum("lii->li", noise).real[:, rows] < floor[rows])
-    noise = noise + np.diag(floor) if low else noise
+    floored = bool(np.any(np.einsum("lii->li", noise).real[:, rows] < floor[rows]))
+    noise = noise + np.diag(floor) if floored else noise
     data = Data(
-        dof, motion.dof, freq_hz, np.concatenate(run), motion.runs, reference, amplitude, root, y, noise,
-        mass, np.zeros((0, m, m)), (), (), inertia.dof, dropped, bool(low),
+        dof, motion.dof, freq_hz, np.concatenate(run), motion.runs, reference, amplitude, root, y,
+        noise, mass, np.zeros((0, m, m)), (), (), inertia.dof, dropped, floored,
     )  # fmt: skip
     return _with_shared_errors(data, motion, inertia, (first, second), keeps, unit)
 
 
-def _scaled_mass(inertia: Inertia, measured: tuple[str, ...], dof: tuple[str, ...]) -> tuple[Array, Array]:
+def _scaled_mass(inertia: Inertia, measured: tuple[str, ...]) -> tuple[Array, Array]:
     """Return the scaled mass matrix (m, m) of the measured degrees of freedom, and the roots of its diagonal.
 
     What a matrix of fewer degrees of freedom lacks is zero, and scaled as if it were of 1 mm.
@@ -266,12 +268,11 @@ def _with_shared_errors(
     shared, root, m = motion.shared, np.outer(data.root_mass, data.root_mass), len(data.measured)
     sources, changes, maps = list[str](), [np.zeros((0, m, m))], tuple[Maps, ...]()
     places = [DOF_NAMES.index(name) for name in data.measured]
-    block = np.ix_(places, places)
     if shared is not None and shared.names:
         columns, sources = _unit_errors(shared.covariance, shared.names)
         along = np.zeros((len(shared.names), m, m))
         if inertia.complete:
-            slopes = frame_slopes(inertia.matrix)[(slice(None), *block)]
+            slopes = frame_slopes(inertia.matrix)[:, places][:, :, places]
             for place, name in enumerate(shared.names):
                 source, _, axis = name.partition(".")
                 if source == "footplate_frame" and axis in DOF_NAMES:
@@ -286,13 +287,13 @@ def _with_shared_errors(
             key: part for key, part in inertia.contributions.items() if key != FRAME_SOURCE or not joined
         }
         for source, part in parameter_changes(parts).items():
-            changes.append(part[(slice(None), *block)] / root)
+            changes.append(part[:, places][:, :, places] / root)
             sources += [f"mass.{source}"] * len(part)
     return replace(data, mass_changes=np.concatenate(changes), maps=maps, sources=tuple(sources))
 
 
 def _unit_errors(covariance: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
-    """Return rows (k, p) of a root of a covariance, by blocks of correlated parameters, with their sources."""
+    """Return rows (k, p) of a root of a covariance, by blocks of correlated parameters, and their sources."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -330,7 +331,7 @@ def _recorded_maps(
 ) -> tuple[Maps, ...]:
     """Return the maps that were recorded with the motion, for errors of unit variance; none: empty."""
     recorded, powers = getattr(shared, "maps", None), getattr(shared, "powers", None)
-    if recorded is None or powers is None:
+    if recorded is None or powers is None or not np.all(np.isfinite(recorded)):
         return ()
     places = [DOF_NAMES.index(name) for name in data.measured]
     if np.shape(recorded)[-1] == len(data.measured):
@@ -344,7 +345,7 @@ def _recorded_maps(
         values = np.tensordot(columns[:, own], whole[own], 1) * scale * data.reference**power
         used = np.flatnonzero(np.any(values != 0.0, axis=(1, 2, 3)))
         if len(used):
-            found.append(Maps(power, used, np.moveaxis(values[used], 0, 3)))
+            found.append(Maps(power, used, np.moveaxis(values[used], 0, 3).astype(complex)))
     return tuple(found)
 
 
@@ -352,7 +353,8 @@ def _regressed_maps(data: Data, changes: ComplexArray) -> tuple[Maps, ...]:
     """Find the maps that make recorded changes (k, lines, 2 m) of the motion.
 
     Most are constant; those as of a delay grow with the frequency, and are found by a constant map and one
-    times i w together: a constant map alone would be laid on columns of the motion that are nothing but noise.
+    times i w together: a constant map alone would be laid on columns of the motion that are nothing but
+    noise.
     """
     k, lines, m = len(changes), data.count, len(data.measured)
     growth = 1j * data.omega
@@ -376,7 +378,7 @@ def _regressed_maps(data: Data, changes: ComplexArray) -> tuple[Maps, ...]:
     freed = max(lines - 2 * m, 1) / max(lines - m, 1)
     grows = (lines > 2 * m) & (left[1] < _GROWS * freed * left[0]) & (left[0] > 1e-12 * size)
     constant = np.where(grows, growing[0], constant)
-    maps = (Maps(0, np.arange(k), constant),)
+    maps: tuple[Maps, ...] = (Maps(0, np.arange(k), constant),)
     if np.any(grows):
         maps += (Maps(1, np.flatnonzero(grows), growing[1][..., grows]),)
     return maps if k else ()

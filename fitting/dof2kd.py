@@ -1,4 +1,4 @@
-"""From motion and mass to stiffness and damping: the function `stapeskit.dof2kd` and the work of the command."""
+"""From motion and mass to stiffness and damping: the function `stapeskit.dof2kd`."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def dof2kd(
     ----------
     motion : path, RigidMotion or result of points2dof
     mass : path or result of ct2mass, MassMatrix, or array_like, (n, n)
-        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: the mass.json
-        beside the file of the motion.
+        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: the
+        mass.json beside the file of the motion.
     force : bool
         Use a mass that is not the one whose frames the motion was computed with, with a warning.
     confirmed : sequence of str
@@ -161,7 +161,8 @@ def _plain(matrix: Array, options: KDOptions) -> MassSource:
         sign = "tensor" if options.mass_sign == "assumed" else options.mass_sign
         return MassSource(with_tensor_signs(matrix, options.dof, sign) if matrix.ndim == 2 else matrix)
     text = (
-        "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z dm; with "
+        "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z "
+        "dm; with "
         "products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
     )
     return MassSource(matrix, notices=(Notice("mass_sign_assumed", text),))
@@ -170,7 +171,7 @@ def _plain(matrix: Array, options: KDOptions) -> MassSource:
 def check_chain(
     motion: RigidMotion, motion_name: str, source: MassSource, force: bool = False
 ) -> list[Notice]:
-    """Compare the mass.json that a motion was computed with to the given one; return the warnings that travel.
+    """Compare the mass.json that a motion was computed with to the given one; return what travels.
 
     Raises
     ------
@@ -215,7 +216,7 @@ def fit_of(
     confirmed: Sequence[str] = (),
     report: Progress = no_progress,
 ) -> KDFit:
-    """Fit, and keep with the fit what its record and its page need: the one way of command, study and notebook.
+    """Fit, and keep with the fit what its record and page need: the one way of command, study, notebook.
 
     Raises
     ------
@@ -229,9 +230,15 @@ def fit_of(
     whole = {**provenance, **_measured_files(motion), "motion_provenance": dict(motion.provenance)}
     notices = (*chain, *source.notices, *motion.notices, *doubts)
     fit = KDFit(
-        options, solution, unique(notices), whole, footplate_outline(source.record), gap_of(source.record), files,
+        options,
+        solution,
+        unique(notices),
+        whole,
+        footplate_outline(source.record),
+        gap_of(source.record),
+        files,
         confirmed=tuple(confirmed),
-    )  # fmt: skip
+    )
     fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
     if options.monte_carlo:
         from fitting.montecarlo import scatter

@@ -5,19 +5,22 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_UNITS
 
+Indices = NDArray[np.intp]
+
 
 @cache
-def upper(n: int) -> tuple[Array, Array]:
+def upper(n: int) -> tuple[Indices, Indices]:
     """Return rows and columns of the independent entries of a symmetric n x n matrix."""
     return np.triu_indices(n)
 
 
 @cache
-def _places(n: int) -> Array:
+def _places(n: int) -> Indices:
     square = np.empty((n, n), dtype=np.intp)
     rows, columns = upper(n)
     square[rows, columns] = square[columns, rows] = np.arange(len(rows))

@@ -1,8 +1,9 @@
-"""Which unknown of the table the data call for: scores, refits of a few, odds against none, and what they change.
+"""Which unknown of the table the data call for: scores, refits of a few, odds against none.
 
-Odds are Laplace's (MacKay 1992, doi:10.1162/neco.1992.4.3.415): fall of chi2, less what the prior width of the
-unknown costs, times its chance. Unknowns that are one error at different places share the chance, and their odds
-are summed. Between damping laws, whose D have different units, the criterion of Schwarz (1978) is used.
+Odds are Laplace's (MacKay 1992, doi:10.1162/neco.1992.4.3.415): fall of chi2, less what the prior width of
+the unknown costs, times its chance. Unknowns that are one error at different places share the chance, and
+their odds are summed. Between damping laws, whose D have different units, the criterion of Schwarz (1978) is
+used.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class Search:
 
 
 def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
-    """Return unknowns that are not in the model to first order, likeliest first: the efficient score of each alone."""
+    """Return unknowns outside the model to first order, likeliest first: the efficient score of each."""
     likelihood, theta = found.likelihood, found.theta
     _, whitening, _, fitted = likelihood.look(theta)
     columns = whitening @ likelihood.slopes_of(theta, table, fitted[:, :, None])
@@ -127,7 +128,7 @@ def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
 
 
 def log_odds(value: float, sd: float, unknown: Unknown) -> float:
-    """Return the log odds of an unknown with a likelihood (value, sd) against none: normal prior, its chance."""
+    """Return the log odds of an unknown with the likelihood (value, sd) against none: prior and chance."""
     wide, chance = sd**2 + unknown.sd**2, np.log(unknown.chance)
     if unknown.only is not None:
         return float(0.5 * (value**2 - (value - unknown.only) ** 2) / sd**2 + chance)
@@ -275,7 +276,7 @@ def search(found: Fit, laws: bool = True) -> Search:
 
 
 def _may_be_large(unknown: Unknown) -> bool:
-    """Return whether an unknown may be as large as the body itself: its score, a linear test, says little then."""
+    """Return whether an unknown may be as large as the body itself: a linear test says little then."""
     return bool(unknown.starts) or unknown.name in ("inertia", "mirrored")
 
 

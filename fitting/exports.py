@@ -126,7 +126,7 @@ def ansys(fit: KDFit) -> str:
 
 
 def abaqus(fit: KDFit) -> str:
-    """Return *USER ELEMENT, LINEAR definitions with stiffness, damping and mass matrices (Abaqus Keywords Guide)."""
+    """Return a *USER ELEMENT, LINEAR with stiffness, damping and mass matrices (Abaqus Keywords Guide)."""
     kind = _check_viscous(fit)
     names = {"K": "STIFFNESS", "D": "VISCOUS DAMPING" if kind == "C" else "STRUCTURAL DAMPING", "M": "MASS"}
     lines = [*(f"** {line}" for line in _HEAD), "*NODE", "1, 0., 0., 0.", "2, 0., 0., 0."]

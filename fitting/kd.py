@@ -1,4 +1,4 @@
-"""The one call from data to result: fit, choose the law, look for causes, draw K and D about the footplate centre."""
+"""The one call from motion and mass to a solution: fit, choose the law, look for causes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ class Solution:
     undetermined : tuple of str
         Compared laws that could not be fitted.
     neglected : (int, float) or None
-        Entry that measured motion outside the model moves most, and by which share, where that is significant.
+        Entry that measured motion outside the model moves most, and by which share, where that is
+        significant.
     """
 
     found: Fit
@@ -78,7 +79,8 @@ def solve(motion: RigidMotion, mass: RigidMass | ArrayLike, options: KDOptions) 
     motion : RigidMotion
         Of structure and base about the footplate centre, in footplate axes.
     mass : RigidMass or array_like
-        About the same point in the same axes; an array is (n, n) in the order of the degrees of freedom, or (6, 6).
+        About the same point in the same axes; an array is (n, n) in the order of the degrees of freedom, or
+        (6, 6).
 
     Raises
     ------
@@ -130,7 +132,7 @@ def solve_data(data: Data, inertia: Inertia, options: KDOptions) -> Solution:
     if options.estimator != "ml":
         return _solve_by_textbook(data, inertia, model, options)
     robust, compared = options.robust != "none", options.damping == COMPARE
-    laws = compare_laws(data, model, LAWS, robust) if compared else {}
+    laws = compare_laws(data, model, tuple(LAWS), robust) if compared else {}
     physical = {name: one for name, one in laws.items() if one.law.physical}
     if compared and not physical:
         raise np.linalg.LinAlgError
@@ -157,7 +159,7 @@ def solve_data(data: Data, inertia: Inertia, options: KDOptions) -> Solution:
 
 
 def _neglected(found: Fit) -> tuple[int, float] | None:
-    """Return the entry that moves most when other measured motion is a load, where its effect is significant."""
+    """Return the entry that moves most when other measured motion is a load, where that is significant."""
     from scipy.special import chdtri
 
     other = fit(found.data, replace(found.likelihood.model, motion=LOAD), found.theta, found.noise)

@@ -22,7 +22,8 @@ class LawKind:
     Attributes
     ----------
     factor : callable
-        s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is one.
+        s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is
+        one.
     formula : str
         The dynamic stiffness as text, with {a} for the unknown.
     meaning : str

@@ -1,4 +1,4 @@
-"""Vibrometer points of one body, each seen along three axes: what they make of its motion, its noise and its errors."""
+"""Vibrometer points of one body, each seen along three axes: its motion, noise and errors."""
 
 from __future__ import annotations
 

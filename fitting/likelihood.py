@@ -1,10 +1,10 @@
 """One likelihood of everything that a fit of K and D leaves open.
 
-Per line the equations are B(theta) y = 0, y the motion of both bodies with the covariance C. Minimised is
-2 sum e^H (B C B^H)^-1 e + priors with e = B y: errors in all variables. Only `Likelihood.act`, B times a motion, is
-written down; derivatives are central differences of it (for K, D and shared errors, in which B is linear, its own
-terms), taken at the fitted motion yhat = y - C B^H (B C B^H)^-1 e, where J^T r is the exact gradient (Pintelon and
-Schoukens 2012, System Identification, ch. 9).
+Per line the equations are B(theta) y = 0, y the motion of both bodies with the covariance C. Minimised is 2
+sum e^H (B C B^H)^-1 e + priors with e = B y: errors in all variables. Only `Likelihood.act`, B times a
+motion, is written down; derivatives are central differences of it (for K, D and shared errors, in which B is
+linear, its own terms), taken at the fitted motion yhat = y - C B^H (B C B^H)^-1 e, where J^T r is the exact
+gradient (Pintelon and Schoukens 2012, System Identification, ch. 9).
 """
 
 from __future__ import annotations
@@ -149,11 +149,9 @@ class Likelihood:
     def shapes(self, theta: Array) -> tuple[Array, Array]:
         """Return what deflects the suspension (n, m) and what loads its rows (n, m).
 
-        With Z_rc = Y Z_cc the motion of the columns is eliminated: Z' (q_s - q_b)_r = w2 (M_r - Y M_c) q_s with
-        Z' = Z_rr - Y Z_cc Y^T; in the plane, Z_cc (q_c + Y^T q_r) = w2 M_c q.
+        With Z_rc = Y Z_cc the motion of the columns is eliminated: Z' (q_s - q_b)_r = w2 (M_r - Y M_c) q_s
+        with Z' = Z_rr - Y Z_cc Y^T; in the plane, Z_cc (q_c + Y^T q_r) = w2 M_c q.
         """
-        if self.model.motion == PLAIN:
-            return self.row_units, self.row_units
         if self.model.coupling is None:
             return self.row_units, self.row_units
         coupling = theta[self.at["coupling"]]
@@ -188,7 +186,7 @@ class Likelihood:
         return np.asarray(own @ mass @ own)
 
     def look(self, theta: Array) -> tuple[ComplexArray, ...]:
-        """Return white residuals (lines, n), what whitens, C B^H W^H and the fitted motion; the last is kept."""
+        """Return white residuals (lines, n), what whitens, C B^H W^H, fitted motion; the last is kept."""
         if self._known is not None and np.array_equal(self._known[0], theta):
             return self._known[1]
         data = self.data
@@ -200,8 +198,9 @@ class Likelihood:
         white = (whitening @ (operator @ data.y[:, :, None]))[:, :, 0]
         back = gain @ whitening.conj().swapaxes(1, 2)
         fitted = data.y - (back @ white[:, :, None])[:, :, 0]
-        self._known = (theta.copy(), (white, whitening, back, fitted))
-        return self._known[1]
+        looked: tuple[ComplexArray, ...] = (white, whitening, np.asarray(back), np.asarray(fitted))
+        self._known = (theta.copy(), looked)
+        return looked
 
     def residuals(self, theta: Array) -> Array:
         """Return the rows of the least-squares problem: their squares sum to chi2 with priors."""
@@ -216,7 +215,7 @@ class Likelihood:
             self.act(theta + h, motion) - self.act(theta - h, motion)
             for h in _STEP * np.eye(self.count)[free]
         ]
-        deflecting, loading = self.shapes(theta)
+        deflecting, _ = self.shapes(theta)
         turn = data.turns(theta[self.at["shared"]])
         structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
         base = parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
@@ -256,7 +255,7 @@ class Likelihood:
         return columns
 
     def slopes_of(self, theta: Array, unknowns: Sequence[Unknown], motion: ComplexArray) -> ComplexArray:
-        """Return dB/dvalue at zero times motions, (unknowns, lines, n, c), of unknowns that are not in the model."""
+        """Return dB/dvalue at zero times motions, (unknowns, lines, n, c), of unknowns outside the model."""
         parts, columns = self.parts(theta), []
         for unknown in unknowns:
             ends = []
@@ -280,7 +279,7 @@ class Likelihood:
         Value, gradient and Gauss-Newton matrix are those of the whole problem; what follows takes no time.
         """
         whole = np.column_stack([self.jacobian(theta), self.residuals(theta)])
-        triangle = np.linalg.qr(whole, mode="r")
+        triangle: Array = np.asarray(np.linalg.qr(whole, mode="r"))
         return triangle[:, -1], triangle[:, :-1]
 
     def information(self, theta: Array) -> Array:
@@ -291,8 +290,9 @@ class Likelihood:
     def covariance(self, theta: Array, level: float = 1.0) -> tuple[Array, Array]:
         """Return the covariance of theta and the inverse of what it is known by.
 
-        What the noise of the fitted motion adds to J^T J is spread, but no information (Pintelon and Schoukens
-        2012, section 9.11); of directions that are nearly all noise a twentieth of the information is kept.
+        What the noise of the fitted motion adds to J^T J is spread, but no information (Pintelon and
+        Schoukens 2012, section 9.11); of directions that are nearly all noise a twentieth of the information
+        is kept.
         """
         _, whitening, back, _ = self.look(theta)
         hessian = self.information(theta)

@@ -100,7 +100,8 @@ def inertia_of(mass: RigidMass | ArrayLike, dof: tuple[str, ...]) -> Inertia:
     Parameters
     ----------
     mass : RigidMass or array_like
-        About the footplate centre in footplate axes; an array (SI) is (n, n) in the order of ``dof``, or (6, 6).
+        About the footplate centre in footplate axes; an array (SI) is (n, n) in the order of ``dof``, or (6,
+        6).
     dof : tuple of str, (n,)
 
     Raises

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import eigh
 
 from fitting.laws import VISCOUS, Law
 from stapeskit.arrays import Array, ComplexArray
@@ -63,7 +64,8 @@ class Modes:
     overdamped_roots_1_s : tuple of float
         Real eigenvalues, ascending.
     max_real_1_s : float
-        Largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make it so.
+        Largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make
+        it so.
     """
 
     pairs: tuple[Mode, ...]
@@ -132,7 +134,7 @@ def state_matrix(mass: Array, stiffness: Array, damping: Array) -> Array:
 
 
 def passive(matrix: ArrayLike) -> bool:
-    """Return whether a symmetric matrix is positive semidefinite, in any units: such a K stores, such a D loses energy."""
+    """Return whether a symmetric matrix of any units is positive semidefinite: no energy comes from it."""
     values = np.asarray(matrix, dtype=float)
     diagonal = np.diag(values)
     if not np.all(np.isfinite(values)) or np.any(diagonal < 0.0):
@@ -149,8 +151,9 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = 
 
     Notes
     -----
-    The viscous law has a state matrix; for others lambda^2 M + s(lambda) D + K = 0 is iterated from the undamped
-    eigenvalues. With M > 0, K >= 0, D >= 0 no real part is positive; where one is zero, rounding decides its sign.
+    The viscous law has a state matrix; for others lambda^2 M + s(lambda) D + K = 0 is iterated from the
+    undamped eigenvalues. With M > 0, K >= 0, D >= 0 no real part is positive; where one is zero, rounding
+    decides its sign.
     """
     m, k, d = (np.asarray(part, dtype=float) for part in (mass, stiffness, damping))
     root = np.sqrt(np.diag(m))
@@ -160,8 +163,12 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = 
         values, vectors = np.linalg.eig(state_matrix(unit[0], unit[1] * time**2, unit[2] * time))
         values, shapes = values / time, vectors[: len(m)].T / root
     else:
-        values, shapes = _iterated(*unit, law)
-        shapes = shapes / root
+        squares, undamped = eigh(unit[1], unit[0])
+        roots = [complex(0.0, np.sqrt(max(square, 0.0))) for square in squares]
+        start = tuple(Mode(value, shape + 0j) for value, shape in zip(roots, undamped.T, strict=True))
+        one = [part[None] for part in unit]
+        moved = moved_eigenvalues(Modes(start, (), 0.0), one[0], one[1], one[2], law, _MOST_STEPS)
+        values, shapes = moved[0][0], moved[1][0] / root
     tiny = 1e-9 * float(np.max(np.abs(values)))
     pairs = [
         Mode(complex(value), _normalised(shape, complex(value), m))
@@ -173,32 +180,6 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = 
     if largest > 0.0 and passive(k) and passive(d):
         largest, real = 0.0, [min(value, 0.0) for value in real]
     return Modes(tuple(sorted(pairs, key=lambda mode: mode.frequency_hz)), tuple(real), largest)
-
-
-def _iterated(mass: Array, stiffness: Array, damping: Array, law: Law) -> tuple[ComplexArray, ComplexArray]:
-    """Iterate lambda^2 M phi = -(K + s(lambda) D) phi for each mode of the undamped model."""
-    squares, vectors = np.linalg.eig(np.linalg.solve(mass, stiffness.astype(complex)))
-    values, shapes = [], []
-    for square, vector in zip(squares, vectors.T, strict=True):
-        now, shape = 1j * np.sqrt(max(square.real, 0.0)), vector
-        for _ in range(_MOST_STEPS):
-            factor = complex(law.factor(np.array([-1j * now]))[0])
-            squares_now, candidates = np.linalg.eig(np.linalg.solve(mass, stiffness + factor * damping))
-            overlap = np.abs(candidates.conj().T @ mass @ shape)
-            best = int(
-                np.argmax(
-                    overlap / np.sqrt(np.einsum("ij,ik,kj->j", candidates.conj(), mass, candidates).real)
-                )
-            )
-            root = np.sqrt(-squares_now[best] + 0j)
-            root, shape = (-root if root.imag < 0.0 else root), candidates[:, best]
-            done = abs(root - now) < 1e-13 * abs(root) + 1e-300
-            now = complex(root)
-            if done:
-                break
-        values.append(now)
-        shapes.append(shape)
-    return np.array(values), np.array(shapes)
 
 
 def moved_eigenvalues(
@@ -216,8 +197,8 @@ def moved_eigenvalues(
 
     Notes
     -----
-    Each eigenvalue is followed from the middle: lambda^2 M + s(lambda) D + K is linear in M, D and K, so that it is
-    solved with s frozen at the eigenvalue of the step before, all draws at once.
+    Each eigenvalue is followed from the middle: lambda^2 M + s(lambda) D + K is linear in M, D and K, so that
+    it is solved with s frozen at the eigenvalue of the step before, all draws at once.
     """
     n = mass.shape[-1]
     values = np.zeros((len(mass), len(found.pairs)), dtype=complex)

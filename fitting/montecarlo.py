@@ -12,7 +12,7 @@ import numpy as np
 from fitting.likelihood import Likelihood, Prior
 from fitting.plane import in_plane, posterior, root_of
 from fitting.solve import fit
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
@@ -62,8 +62,9 @@ def scatter(
 
     Notes
     -----
-    A repetition has new shared errors; its true motion is that nearest to the fitted one on the equations with
-    them, and channel noise is added. What is known of the ligament's plane is drawn about the fitted plane.
+    A repetition has new shared errors; its true motion is that nearest to the fitted one on the equations
+    with them, and channel noise is added. What is known of the ligament's plane is drawn about the fitted
+    plane.
     """
     found, rng, started = result.found, np.random.default_rng(seed), time.monotonic()
     data, model, at = found.data, found.likelihood.model, found.at
@@ -95,7 +96,7 @@ def scatter(
     return Scatter(np.array(errors).reshape(-1, len(result.values)), failed)
 
 
-def root_of_lines(covariance: Array) -> Array:
+def root_of_lines(covariance: ComplexArray) -> ComplexArray:
     """Return R (lines, m, m) with R R^H the covariance of each line, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

@@ -71,7 +71,8 @@ class KDOptions(Options):
     estimator: Annotated[
         Literal["ml", "pinv", "constrained"],
         Opt(
-            "ml: maximum likelihood, errors in all variables; pinv: least squares (paper, Eq. 5); constrained: with "
+            "ml: maximum likelihood, errors in all variables; pinv: least squares (paper, Eq. 5); "
+            "constrained: with "
             "signs, ranges and stability",
             recommended=True,
         ),
@@ -86,14 +87,16 @@ class KDOptions(Options):
     inplane: Annotated[
         Literal["auto", "load", "ignore"],
         Opt(
-            "measured motion outside --dof; auto: the plane of the ligament is estimated with K and D where motion and "
+            "measured motion outside --dof; auto: the plane of the ligament is estimated with K and D where "
+            "motion and "
             "mass have six degrees of freedom, else a load; load: a known inertial load; ignore: left out"
         ),
     ] = "auto"
     unknowns: Annotated[
         Words,
         Opt(
-            f"what is estimated with K and D whatever the data say, out of {_UNKNOWN_NAMES}; name=VALUE fixes one; "
+            f"what is estimated with K and D whatever the data say, out of {_UNKNOWN_NAMES}; name=VALUE "
+            f"fixes one; "
             "none: nothing is added by evidence",
             example=["fluid"],
         ),

@@ -1,7 +1,7 @@
 """Before a measurement: the standard deviations to expect, and what would make them smaller.
 
-The planned experiment is simulated in six degrees of freedom without noise and fitted by the engine that will fit
-the real one; what that fit states is what the plan promises.
+The planned experiment is simulated in six degrees of freedom without noise and fitted by the engine that will
+fit the real one; what that fit states is what the plan promises.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import PlainValidator
 
 from fitting.dof2kd import MassSource, fit_of, mass_source
@@ -38,7 +39,7 @@ PAPER_DAMPING = (
     (6.142e-6, 3.015e-8, -6.756e-12),
     (-3.679e-6, -6.756e-12, 5.646e-8),
 )
-"""K and D of the study of CURAC 2019 (p. 98), D with its misprinted exponents corrected; y, alpha, gamma, SI."""
+"""K and D of the study of CURAC 2019 (p. 98), D with its exponents corrected; y, alpha, gamma, SI."""
 
 _STAPES = (3.2e-6, 1.43e-10, 4.16e-9, 4.349e-10, 9.77e-12, 2.2e-12, 1.07e-11, -3.0e-13, 8.0e-14, -3.0e-14)
 # Ten inertial parameters of a human stapes whose centre of mass is 1.3 mm above the footplate.
@@ -189,7 +190,7 @@ def six_dof_matrices(plan: Plan) -> tuple[Array, Array]:
 
 
 def planned_motion(plan: Plan, mass: Array, rng: np.random.Generator | None = None) -> RigidMotion:
-    """Return the motion of a plan, its covariance and shared errors stated; with ``rng`` all of them are drawn."""
+    """Return the motion of a plan with covariance and shared errors; with ``rng`` all of them are drawn."""
     from fitting.model import simulate
 
     freq = np.linspace(*plan.band_hz, plan.lines)
@@ -234,7 +235,7 @@ def _errors(plan: Plan) -> tuple[list[str], list[float], ComplexArray, list[int]
     """Return names, sd, maps (p, body, 6, 6) and powers of i w of what all lines share."""
     names, sds, maps, powers = list[str](), list[float](), list[ComplexArray](), list[int]()
 
-    def add(name: str, sd: float, both: ComplexArray, power: int = 0) -> None:
+    def add(name: str, sd: float, both: NDArray[Any], power: int = 0) -> None:
         if sd > 0.0:
             names.append(name)
             sds.append(sd)

@@ -1,9 +1,9 @@
-"""The plane of the ligament: what is known of it beforehand, its stiffness in the plane, K and D about the footplate centre.
+"""The plane of the ligament: its prior, the stiffness in it, K and D about the footplate centre.
 
-A ligament in a plane of its own couples piston and rocking to the motion in that plane: Z_rc = Y Z_cc with a real
-Y, for a ring at the height h above the footplate centre Y[alpha, z] = h = -Y[gamma, x]. The piston equations
-determine Y and Z' = Z_rr - Y Z_cc Y^T (K', D' about the ligament's own plane); the equations of x, z and beta give
-Z_cc, and K = K' + Y K_cc Y^T follows by draws, since the height enters squared.
+A ligament in a plane of its own couples piston and rocking to the motion in that plane: Z_rc = Y Z_cc with a
+real Y, for a ring at the height h above the footplate centre Y[alpha, z] = h = -Y[gamma, x]. The piston
+equations determine Y and Z' = Z_rr - Y Z_cc Y^T (K', D' about the ligament's own plane); the equations of x,
+z and beta give Z_cc, and K = K' + Y K_cc Y^T follows by draws, since the height enters squared.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MM = 1e-3
 
 
 def applies(data: Data) -> bool:
-    """Return whether the plane of the ligament can be estimated: six degrees of freedom of motion and mass."""
+    """Return whether the plane of the ligament can be estimated: motion and mass have six degrees."""
     return data.dof == PISTON_DOF and data.measured == DOF_NAMES and data.mass_known == DOF_NAMES
 
 
@@ -36,7 +36,7 @@ def coupling_scale(data: Data) -> Array:
 
 
 def coupling_prior(data: Data) -> Prior:
-    """Return what is known of Y beforehand: a plane at .15 +- .15 mm, tilted by 3 degrees, of an uneven ring."""
+    """Return what is known of Y: a plane at .15 +- .15 mm, tilted by 3 degrees, of an uneven ring."""
     height, spread = calibrated("ligament.height_mm"), calibrated("ligament.height_sd_mm")
     apart = calibrated("ligament.height_difference_sd_mm")
     tilt, turned = calibrated("ligament.tilt_sd"), calibrated("ligament.torsion_sd")
@@ -161,7 +161,8 @@ class Posterior:
 def standard_draws(count: int, size: int, seed: int = 0) -> Array:
     """Return normal draws (count, size) of exactly zero mean and unit covariance, in mirrored pairs.
 
-    Odd moments vanish: what is linear in the draws has the covariance that was asked for, without sampling error.
+    Odd moments vanish: what is linear in the draws has the covariance that was asked for, without sampling
+    error.
     """
     rng = np.random.default_rng(seed)
     half = rng.standard_normal((count // 2, size))

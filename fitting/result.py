@@ -1,4 +1,4 @@
-"""The result of a fit: K and D with their uncertainty, budget, modes, principal axes; it prints, draws and writes itself."""
+"""The result of a fit: K and D with uncertainty, budget, modes, axes; it prints, draws and writes itself."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class KDFit(Result):
     def _to_centre(self) -> Array:
         """Derivative of K and D about the footplate centre by theta, (p, t), from the draws."""
         off = self.draws.draws - self.draws.estimate
-        return np.linalg.lstsq(self.draws.spread, off, rcond=1e-12)[0].T
+        return np.asarray(np.linalg.lstsq(self.draws.spread, off, rcond=1e-12)[0].T)
 
     @cached_property
     def model_error(self) -> Array:
@@ -189,8 +189,9 @@ class KDFit(Result):
     def _unexplained(self) -> Array:
         """Return columns of the error where nothing explains the misfit: sandwich over parts of the lines.
 
-        Residuals of neighbouring lines are alike in a misfit; how much the scores of parts of the band differ is
-        how far the estimate moves when another part is measured (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
+        Residuals of neighbouring lines are alike in a misfit; how much the scores of parts of the band differ
+        is how far the estimate moves when another part is measured (Liang and Zeger 1986,
+        doi:10.1093/biomet/73.1.13).
         """
         found, likelihood = self.found, self.found.likelihood
         rows = 2 * likelihood.n * found.data.count
@@ -222,7 +223,7 @@ class KDFit(Result):
 
     @cached_property
     def budget(self) -> dict[str, Array]:
-        """Covariance (p, p) by source: of the shared errors what goes away where a source is known exactly."""
+        """Covariance (p, p) by source: of shared errors what goes away where one is known exactly."""
         found, start = self.found, self.found.at["shared"].start
         whole = self._about_centre(found.covariance)
         sources = {NOISE: self.noise_covariance}
@@ -305,7 +306,7 @@ class KDFit(Result):
 
     @cached_property
     def bound(self) -> Array:
-        """Smallest sd that an unbiased estimator of this model can reach, (p,): Cramer-Rao, with every prior."""
+        """Smallest sd of an unbiased estimator of this model, (p,): Cramer-Rao, with every prior."""
         information = np.linalg.inv(self.found.inverse)
         if self.solution.textbook is None:
             information = self.found.likelihood.information(self.found.theta) / max(1.0, self.found.level)
@@ -336,8 +337,7 @@ class KDFit(Result):
         drawn = drawn + extra @ self.model_error.T
         stiffness, damping = entries.split(drawn, n)
         shared = self.draws.spread[:, self.found.at["shared"]]
-        rows = np.ix_(data.rows, data.rows)
-        changes = np.tensordot(shared, data.mass_changes, 1)[(slice(None), *rows)]
+        changes = np.tensordot(shared, data.mass_changes, 1)[:, data.rows][:, :, data.rows]
         root = data.root_mass[data.rows]
         mass = self.mass + changes * np.outer(root, root)
         values, shapes = moved_eigenvalues(self.modes, mass, stiffness, damping, law)
@@ -423,7 +423,7 @@ class KDFit(Result):
 
 
 def _known_exactly(found: Fit, keep: Array) -> Array:
-    """Return the covariance of some unknowns where all others are known: sub-block of information and spread."""
+    """Return the covariance of some unknowns where all others are known: blocks of information and spread."""
     if len(keep) == len(found.theta):
         return found.covariance
     size = np.sqrt(np.diag(found.inverse)) if len(found.inverse) == len(found.theta) else None
@@ -444,5 +444,5 @@ def _with_rough_covariance(found: Fit) -> Fit:
     """Return a refit with the inverse of its information as covariance: only Y's is needed of it."""
     from dataclasses import replace
 
-    inverse = np.linalg.inv(found.likelihood.information(found.theta))
+    inverse: Array = np.asarray(np.linalg.inv(found.likelihood.information(found.theta)))
     return replace(found, covariance=inverse, inverse=inverse)

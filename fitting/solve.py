@@ -148,8 +148,8 @@ def minimise(
 ) -> tuple[Array, float, int, bool]:
     """Return the minimum from a start, with its value (chi2), evaluations and whether it settled.
 
-    K and D are kept positive semidefinite by their Cholesky factors. The problem is handed over in its QR form,
-    of which value, gradient and Gauss-Newton matrix are those of the whole one.
+    K and D are kept positive semidefinite by their Cholesky factors. The problem is handed over in its QR
+    form, of which value, gradient and Gauss-Newton matrix are those of the whole one.
     """
     from scipy.optimize import least_squares
 
@@ -214,8 +214,9 @@ def fit(
 
     Notes
     -----
-    The equations have a trivial solution, K, D and load zero, which a large misfit makes cheap. The noise comes
-    down from that of a fit without shared errors until chi2 agrees with it (discrepancy principle, Morozov 1966).
+    The equations have a trivial solution, K, D and load zero, which a large misfit makes cheap. The noise
+    comes down from that of a fit without shared errors until chi2 agrees with it (discrepancy principle,
+    Morozov 1966).
     """
     likelihood = Likelihood(data, model)
     n_dof = degrees(likelihood)
@@ -243,7 +244,7 @@ def fit(
 
 
 def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, float]:
-    """Return the fit with weights (nu + d) / (nu + squared distance) of each line, and a factor on variances."""
+    """Return the fit with weights (nu + d) / (nu + squared distance), and a factor on variances."""
     weights, used = np.ones(data.count), 0
     for _ in range(12):
         likelihood = Likelihood(data, model, 1.0, weights)
@@ -275,7 +276,7 @@ def _with_covariance(found: Fit, factor: float, wanted: bool) -> Fit:
 
 
 def best_start(likelihood: Likelihood) -> Array:
-    """Return the best of a few starts for K and D: linear least squares, and an undamped guess where data are weak."""
+    """Return the best of a few starts for K and D: linear least squares, and guesses for many unknowns."""
     linear = start_of(likelihood)
     if likelihood.n <= 3:
         return linear
@@ -302,12 +303,12 @@ def entry_scale(found: Fit) -> Array:
 
 
 def weak_spread(found: Fit) -> Array:
-    """Return columns E (p, k): E E^T is by how much the mean square error of weak entries exceeds the covariance.
+    """Return columns E (p, k): by E E^T the mean square error of weak entries exceeds the covariance.
 
-    Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than noise
-    does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where it has risen
-    by that of a 95 % interval, at what noise feigns of information on the way (where the entry is larger it is
-    more); all unknowns move along.
+    Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than
+    noise does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where
+    it has risen by that of a 95 % interval, at what noise feigns of information on the way (where the entry
+    is larger it is more); all unknowns move along.
     """
     places = diagonal(found.likelihood.n)
     sd = np.sqrt(np.diag(found.covariance)[places])

@@ -1,4 +1,4 @@
-"""Is the motion what its file says? Conjugated, bodies exchanged, rotations in degrees: each by a quick fit or a ratio."""
+"""Is the motion what its file says? Conjugated, bodies exchanged, rotations in degrees: quick checks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from fitting.solve import best_start, degrees, minimise
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
-# Chi2 per degree of freedom of K, D >= 0 without shared errors from which another reading is tried, and the share of
-# it below which that reading is reported: a right reading explains a hundred times more.
+# Chi2 per degree of freedom of K, D >= 0 without shared errors from which another reading is tried, and the
+# share of it below which that reading is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
-# Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in radians
-# (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
+# Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
+# radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
 _DEGREES = 6.0
 
 
@@ -70,13 +70,14 @@ def _degrees(data: Data) -> list[Notice]:
         return []
     ratios = [
         1e-3 * np.linalg.norm(size[[body * m + place for place in turns]])
-        / max(np.linalg.norm(size[[body * m + place for place in moves]]), 1e-300)
+        / max(float(np.linalg.norm(size[[body * m + place for place in moves]])), 1e-300)
         for body in (0, 1)
     ]  # fmt: skip
     if np.sqrt(ratios[0] * ratios[1]) < _DEGREES:
         return []
     text = (
-        f"Rotations times 1 mm are {ratios[0]:.3g} (structure) and {ratios[1]:.3g} (base) times the displacements: they "
+        f"Rotations times 1 mm are {ratios[0]:.3g} (structure) and {ratios[1]:.3g} (base) times the "
+        f"displacements: they "
         "look like degrees. Write them in radians."
     )
     return [Notice("rotations_in_degrees", text)]

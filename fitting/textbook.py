@@ -1,7 +1,8 @@
 """Estimators of textbooks, as the paper has them: pinv (Eq. 5) and least squares with constraints.
 
-Both minimise the equation error |A p - b|, p the entries of K and D: the noise of the regressor pulls them towards
-zero however many lines there are. What that does is estimated and reported; maximum likelihood has none of it.
+Both minimise the equation error |A p - b|, p the entries of K and D: the noise of the regressor pulls them
+towards zero however many lines there are. What that does is estimated and reported; maximum likelihood has
+none of it.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def estimate(
     lower: Mapping[str, float] | None = None,
     upper: Mapping[str, float] | None = None,
 ) -> Textbook:
-    """Estimate K and D by least squares of the equations: rows in SI (pinv), or balanced by mass (constrained).
+    """Estimate K and D by least squares: rows in SI (pinv), or balanced by mass (constrained).
 
     Parameters
     ----------
@@ -92,7 +93,8 @@ def estimate(
     size = np.linalg.norm(equations.matrix, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     free = np.linalg.lstsq(equations.matrix / size, equations.wanted, rcond=1e-13)[0] / size
-    active, notes = (), ()
+    active: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if constrained:
         free, active, notes = _constrained(equations, free, likelihood, constraint, lower or {}, upper or {})
     theta[entries] = free
@@ -102,8 +104,8 @@ def estimate(
 def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights: Array) -> tuple[Fit, Array]:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
-    Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs. The bias
-    is -(A^T A)^-1 sum of Re tr(B C dB_k^H): the expectation of dA^H de.
+    Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs. The
+    bias is -(A^T A)^-1 sum of Re tr(B C dB_k^H): the expectation of dA^H de.
     """
     data, entries = likelihood.data, likelihood.at["entries"]
     inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
@@ -204,7 +206,7 @@ def _constrained(
 
 
 def _semidefinite(equations: Equations, free: Array, n: int, low: Array, high: Array) -> Array:
-    """Return the minimum with K, D >= 0 by their Cholesky factors, from two starts; bounds by a stiff penalty."""
+    """Return the minimum with K, D >= 0 by Cholesky factors, from two starts; bounds by a penalty."""
     weight = 1e3 * np.linalg.norm(equations.wanted)
 
     def residual(roots: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Figures of a fit: responses (paper, Figs. 4 and 5), mode shapes, principal axes (Fig. 6), residuals, budget."""
+"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals, budget."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting import entries
 from fitting.axes import principal_axes
-from fitting.likelihood import PLANE
-from fitting.model import dynamic_stiffness
 from fitting.report.kd_json import shown_sources
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, lighten
@@ -47,7 +46,7 @@ class Responses:
 
 
 def responses(fit: KDFit, run: int = 0) -> Responses:
-    """Simulate the structure from the measured base motion and the load of other measured motion (paper, Eq. 8)."""
+    """Simulate the structure from measured base motion and load (paper, Eq. 8)."""
     found = fit.found
     data, likelihood, theta = found.data, found.likelihood, found.theta
     chosen = data.run == run
@@ -82,7 +81,7 @@ def responses(fit: KDFit, run: int = 0) -> Responses:
     return Responses(
         data.freq_hz[chosen],
         structure[:, rows] * scale,
-        simulated * scale,
+        np.asarray(simulated * scale, dtype=complex),
         base[:, rows] * scale,
         np.sqrt(np.maximum(noise, 0.0)) * scale,
         np.sqrt(np.maximum(variance, 0.0)) * scale,
@@ -106,7 +105,9 @@ def response_figure(fit: KDFit, run: int = 0) -> Figure:
     return drawing
 
 
-def _amplitudes(axes: Axes, shown: Responses, order: Array, place: int, unit: tuple[float, str]) -> None:
+def _amplitudes(
+    axes: Axes, shown: Responses, order: NDArray[np.intp], place: int, unit: tuple[float, str]
+) -> None:
     scale, symbol = unit
     freq = shown.freq_hz[order] / 1e3
     measured, simulated, base = (
@@ -128,7 +129,7 @@ def _amplitudes(axes: Axes, shown: Responses, order: Array, place: int, unit: tu
     )
 
 
-def _phases(axes: Axes, shown: Responses, order: Array, place: int) -> None:
+def _phases(axes: Axes, shown: Responses, order: NDArray[np.intp], place: int) -> None:
     freq = shown.freq_hz[order] / 1e3
     simulated, noise = shown.simulated[order, place], shown.measured_sd[order, place]
     phase = np.angle(simulated)
@@ -169,7 +170,7 @@ def residual_figure(fit: KDFit) -> Figure:
 
 @style()
 def axes_figure(fit: KDFit) -> Figure | None:
-    """Draw the footplate with the origin and principal axes of the stiffness (paper, Fig. 6), with 95 % of them."""
+    """Draw the footplate with origin and principal axes of the stiffness (paper, Fig. 6) and their draws."""
     values = fit.derived.axes
     if values is None:
         return None
@@ -228,42 +229,6 @@ def budget_figure(fit: KDFit) -> Figure:
     return drawing
 
 
-@style()
-def bands_figure(fit: KDFit) -> Figure | None:
-    """Draw the factors of K and D over the band."""
-    bands = fit.solution.bands
-    if bands is None:
-        return None
-    drawing, panel = panels(1, 1, width=7.0, height=2.8)
-    axes = panel[0, 0]
-    middle = bands.ends_hz.mean(axis=1) / 1e3
-    for place, (name, colour) in enumerate((("K", MEASURED), ("D", FITTED))):
-        axes.errorbar(
-            middle, bands.factors[place], 1.96 * bands.sd[place], fmt="o", color=colour, label=name, capsize=3
-        )
-    axes.axhline(1.0, color=MEASURED, lw=0.7, ls=":")
-    axes.set_xlabel("frequency (kHz)")
-    axes.set_ylabel("over that of the whole band, 95 %")
-    axes.legend()
-    return drawing
-
-
-@style()
-def impedance_figure(fit: KDFit) -> Figure:
-    """Draw real and imaginary part of the dynamic stiffness of each diagonal entry."""
-    freq = np.sort(np.unique(fit.found.data.freq_hz))
-    z = dynamic_stiffness(fit.stiffness, fit.damping, 2.0 * np.pi * freq, fit.law)
-    drawing, panel = panels(1, len(fit.dof), height=2.4, width=max(10.4, 3.3 * len(fit.dof)))
-    for place, name in enumerate(fit.dof):
-        axes = panel[0, place]
-        axes.plot(freq / 1e3, z[:, place, place].real, color=MEASURED, label="Re Z (stiffness)")
-        axes.plot(freq / 1e3, z[:, place, place].imag, color=FITTED, label="Im Z (loss)")
-        frequency_axis(axes, freq)
-        axes.set_title(f"{name}, {'N/m' if name in 'xyz' else 'N m/rad'}")
-    panel[0, 0].legend()
-    return drawing
-
-
 def all_figures(fit: KDFit) -> dict[str, Figure]:
     """Return every figure of the page by its file name."""
     makers: dict[str, Any] = {
@@ -271,8 +236,6 @@ def all_figures(fit: KDFit) -> dict[str, Figure]:
             f"responses_run_{run + 1}": lambda run=run: response_figure(fit, run) for run in range(_runs(fit))
         },
         "principal_axes": lambda: axes_figure(fit),
-        "dynamic_stiffness": lambda: impedance_figure(fit),
-        "bands": lambda: bands_figure(fit),
         "residuals": lambda: residual_figure(fit),
         "budget": lambda: budget_figure(fit),
     }
@@ -283,6 +246,3 @@ def all_figures(fit: KDFit) -> dict[str, Figure]:
 def _runs(fit: KDFit) -> int:
     """Return the number of runs that are drawn: up to four."""
     return min(len(np.unique(fit.found.data.run)), 4)
-
-
-__all__ = ["PLANE", "all_figures", "responses"]

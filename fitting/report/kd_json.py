@@ -153,7 +153,7 @@ def principal_axes_json(fit: KDFit) -> dict[str, Any] | None:
     values, sd = fit.derived.axes, fit.derived.axes_sd
     if values is None or sd is None:
         return None
-    content = {}
+    content: dict[str, Any] = {}
     for place, name in enumerate(("origin_x", "origin_z")):
         content |= {f"{name}_mm": 1e3 * values[place], f"{name}_sd_mm": 1e3 * sd[place]}
     content |= {"angle_deg": np.degrees(values[2]), "angle_sd_deg": np.degrees(sd[2])}
@@ -289,7 +289,7 @@ def _causes(fit: KDFit) -> dict[str, Any] | None:
 
 
 def found_from(sd: float, prior_sd: float, chance: float) -> float:
-    """Return the size from which an unknown is the better explanation in four of five measurements, in its unit.
+    """Return the size from which an unknown is found in four of five measurements, in its unit.
 
     Its log odds are above zero for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
     """

@@ -1,4 +1,4 @@
-"""kd.html: the verdict, K and D, responses, modes, axes, causes, budget; sections that other reports take over."""
+"""kd.html: verdict, K and D, responses, modes, axes, causes, budget; other reports take sections over."""
 
 from __future__ import annotations
 
@@ -104,9 +104,12 @@ def _drawn(figures: Mapping[str, Figure], name: str, caption: str, alt: str) -> 
 
 def _responses(figures: Mapping[str, Figure]) -> list[Markup]:
     text = (
-        "The structure's motion at the footplate centre (dots) against the response of the fitted model (line) to the "
-        "measured base motion at the same point and to the load of other measured motion: paper Eq. 8, Figs. 4 and 5. "
-        "The band is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise of the base."
+        "The structure's motion at the footplate centre (dots) against the response of the fitted model "
+        "(line) to the "
+        "measured base motion at the same point and to the load of other measured motion: paper Eq. 8, "
+        "Figs. 4 and 5. "
+        "The band is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise of "
+        "the base."
     )
     blocks = [page.text(text)]
     for name in figures:
@@ -157,16 +160,22 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         (name, Quantity(float(value), float(spread), unit))
         for name, value, spread, unit in zip(names, values, sd, units, strict=True)
     ]
-    caption = "The point and the rotation about y that uncouple piston and rocking (paper, Fig. 6); this is not eig(K)."
+    caption = (
+        "The point and the rotation about y that uncouple piston and rocking (paper, Fig. 6); this is not "
+        "eig(K)."
+    )
     blocks = [page.table(("", "principal axes of K"), rows, caption, file="principal_axes")]
     blocks += _drawn(figures, "principal_axes", "Origin and axes on the footplate.", "principal axes")
     ring = ring_of(fit)
     if ring is not None:
         about_x, about_z = ring.rocking_ratio
         text = (
-            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} (near x) and "
-            f"{about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. Its shear "
-            f"modulus times thickness over width is {plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, its loss "
+            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} "
+            f"(near x) and "
+            f"{about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. "
+            f"Its shear "
+            f"modulus times thickness over width is {plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, "
+            f"its loss "
             f"factor {plus_minus(ring.loss_factor.value, ring.loss_factor.sd)} in the middle of the band."
         )
         blocks.append(page.text(text))
@@ -174,7 +183,8 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         rise = causal_rise(fit.law, ring.loss_factor.value, band)
         if rise is not None:
             text = (
-                f"{fit.law.name} damping with a constant K is not causal: with this loss factor K of a real ligament "
+                f"{fit.law.name} damping with a constant K is not causal: with this loss factor K of a real "
+                f"ligament "
                 f"rises by {100.0 * rise:.0f} % over the band (Kramers and Kronig)."
             )
             blocks.append(page.text(text))
@@ -192,9 +202,11 @@ def _plane(fit: KDFit) -> list[Markup]:
     inside = entries.split(plane.entries, 3)[0]
     inside_sd = entries.split(np.sqrt(np.diag(plane.covariance)), 3)[0]
     text = (
-        f"The ligament's plane is {plus_minus(height, sd)} mm above the footplate centre. In this plane the stiffness "
+        f"The ligament's plane is {plus_minus(height, sd)} mm above the footplate centre. In this plane the "
+        f"stiffness "
         f"along x is {plus_minus(inside[0, 0], inside_sd[0, 0])} N/m, along z "
-        f"{plus_minus(inside[1, 1], inside_sd[1, 1])} N/m ({source}). K and D about that plane are in kd.json."
+        f"{plus_minus(inside[1, 1], inside_sd[1, 1])} N/m ({source}). K and D about that plane are in "
+        f"kd.json."
     )
     return [page.text(text), page.text(f"Equations of motion: {equation(fit)}.")]
 
@@ -212,8 +224,9 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     blocks = [page.text(text)]
     if search.alternatives:
         rows = [
-            (other.title, f"{plus_minus(other.value, other.sd)} {other.unit}".strip() if other.sd else f"{other.value:g}",
-             f"e^{other.log_odds:.0f}", "yes" if other.found.explained else "no", Quantity(float(weight), None, PERCENT))
+            (other.title, _size(other.value, other.sd, other.unit),
+             f"e^{other.log_odds:.0f}", "yes" if other.found.explained else "no",
+             Quantity(float(weight), None, PERCENT))
             for other, weight in zip(search.alternatives, search.weights, strict=True)
         ]  # fmt: skip
         head = ("explanation", "size", "odds against none", "explains the data", "weight")
@@ -229,10 +242,8 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
             for score in search.scores
             if not score.unknown.family and score.unknown.only is None
         ]
-        head = ("error that these data can reveal", "from", "")
-        blocks.append(
-            page.folded("From which size errors are found", page.table(head, least, file="found_from"))
-        )
+        table = page.table(("error that these data can reveal", "from", ""), least, file="found_from")
+        blocks.append(page.folded("From which size errors are found", table))
     blocks += _drawn(
         figures,
         "residuals",
@@ -247,14 +258,20 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
             figures, "bands", "Local K and D over those of the whole band.", "factors of K and D"
         )
     if fit.solution.laws:
-        rows = [
+        compared = [
             (name, one.law.formula, float(one.chi2), "yes" if one.explained else "no")
             for name, one in fit.solution.laws.items()
         ]
         blocks.append(
-            page.table(("damping law", "dynamic stiffness", "chi2", "explains the data"), rows, words=True)
+            page.table(
+                ("damping law", "dynamic stiffness", "chi2", "explains the data"), compared, words=True
+            )
         )
     return blocks
+
+
+def _size(value: float, sd: float, unit: str) -> str:
+    return f"{plus_minus(value, sd)} {unit}".strip() if sd else f"{value:g}"
 
 
 def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
@@ -290,7 +307,10 @@ def _identifiability(fit: KDFit) -> list[Markup]:
 def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
     """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
     fit = ways[0].fit
-    lead = f"{plan.lines} lines of {plan.band_hz[0]:g} to {plan.band_hz[1]:g} Hz, driven along {', '.join(plan.directions)}."
+    lead = (
+        f"{plan.lines} lines of {plan.band_hz[0]:g} to {plan.band_hz[1]:g} Hz, driven along "
+        f"{', '.join(plan.directions)}."
+    )
     made = page.Page("What a planned measurement can reach", lead)
     made.add(page.table(("", ""), plan_rows(ways), words=True), *matrices(fit))
     rows = [

@@ -11,6 +11,7 @@ from stapeskit.report.quantities import diagonal_unit, plus_minus
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
+    from fitting.unknowns import Unknown
 
 # Principal axes are found to a right angle: a standard deviation of half of it says nothing.
 _ANY_TURN_DEG = 45.0
@@ -54,7 +55,7 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     return rows
 
 
-def _unknowns(fit: KDFit) -> list[tuple[object, int]]:
+def _unknowns(fit: KDFit) -> list[tuple[Unknown, int]]:
     extras = fit.found.likelihood.model.extras
     return list(zip(extras, range(fit.found.at["extra"].start, fit.found.at["extra"].stop), strict=True))
 
