@@ -163,7 +163,7 @@ def with_bodies(
         return assigned, unmeasured(assigned, points)
     listed = list_some((f"{old} as {new}" for old, new in respelled.items()), 3)
     text = f"names were read as {points.file if points else ''} spells them: {listed}."
-    return assigned, [Notice("names_respelled", text), *unmeasured(assigned, points)]
+    return assigned, [Notice("names_alike", text), *unmeasured(assigned, points)]
 
 
 def unmeasured(entries: Sequence[Entry], points: Points | None) -> list[Notice]:

@@ -108,7 +108,7 @@ def recording_of_tree(tree: Names[str, Any], path: Path, facts: FileFacts) -> Re
         text = (
             f"{path.name}: {', '.join(strings)} are MATLAB string arrays and were not read. {_STRING_STEP}."
         )
-        notices = (Notice("variables_ignored", text),)
+        notices = (Notice("content_ignored", text),)
     used = [layout for _, layout, _ in blocks]
     return recording_of(
         path.name,

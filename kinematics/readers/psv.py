@@ -197,7 +197,7 @@ def _per_point(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Noti
         text = (
             f"{name} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
         )
-        notices.append(Notice("sources_joined", text))
+        notices.append(Notice("runs_by_file", text))
     if not again:
         return [row for row, _ in rows], notices, stated
     runs = [(row, Path(source.replace("\\", "/")).stem) for row, source in rows]
@@ -233,7 +233,7 @@ def _one_unit(units: Iterable[_Unit], name: str) -> tuple[_Unit, list[Notice]]:
         raise StapeskitError.of("the unit of the values", "one in all blocks", got, name, "Export it again")
     if references and len(pers) > 1:
         text = f"{name} holds spectra and frequency responses: the responses are used."
-        notices.append(Notice("function_chosen", text))
+        notices.append(Notice("quantity_chosen", text))
     return (orders[0], references[0] if references else ""), notices
 
 

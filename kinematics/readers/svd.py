@@ -138,7 +138,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     if not np.all(scan.measured):
         lost = int(np.sum(~scan.measured))
         notices.append(
-            Notice("missing_point", f"{lost} points of {path.name} were not measured and are left out.")
+            Notice("zero_rows", f"{lost} points of {path.name} were not measured and are left out.")
         )
     direction = np.array(DIRECTIONS.get(scan.direction_code, unknown_vector()), dtype=float)
     if scan.direction_code not in CHECKED_DIRECTIONS and scan.direction_code in DIRECTIONS:
@@ -149,7 +149,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
             "compare it with "
             "the direction that the PSV program shows."
         )
-        notices.append(Notice("direction_code", text))
+        notices.append(Notice("direction_assumed", text))
     per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")
     # the ratio of powers of an empty line is no number: a missing value
     with np.errstate(divide="ignore", invalid="ignore"):

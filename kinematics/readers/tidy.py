@@ -306,7 +306,7 @@ class _Rows:
                 "have no "
                 f"row in {file} at lines that other channels of the body have; they count as missing.{end}"
             )
-            notices.append(Notice("rows_missing", text))
+            notices.append(Notice("values_missing", text))
         empty = int(np.sum(np.isnan(value.ravel()[at])))
         if empty:
             text = f"{empty} rows of {file} have no value, or one of its two numbers; they count as missing."
@@ -325,10 +325,10 @@ class _Rows:
             notices.append(Notice("names_alike", text))
         if self.columns.ignored:
             listed = list_some((with_meant(name) for name in self.columns.ignored), 6)
-            notices.append(Notice("columns_ignored", f"columns of {file} that are not used: {listed}."))
+            notices.append(Notice("content_ignored", f"columns of {file} that are not used: {listed}."))
         if self.table.comments:
             text = f"{self.table.comments} lines of {file} begin with # and were skipped."
-            notices.append(Notice("comments_skipped", text))
+            notices.append(Notice("content_ignored", text))
         return notices
 
 

@@ -255,7 +255,7 @@ def _choose(
     chosen = [one for one in motions if one.data["func_type"] != SPECTRUM] or motions
     if len(chosen) < len(motions):
         text = f"{file} holds spectra and frequency responses: the responses are used."
-        notices.append(Notice("function_chosen", text))
+        notices.append(Notice("quantity_chosen", text))
     elif chosen[0].data["func_type"] == SPECTRUM:
         text = (
             f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
@@ -277,11 +277,11 @@ def _choose(
         )
     if others:
         listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
-        notices.append(Notice("functions_left_out", f"{file}: left out: {listed}."))
+        notices.append(Notice("content_ignored", f"{file}: left out: {listed}."))
     silent = any(is_none(str(one.data.get("ordinate_axis_units_lab", ""))) for one in chosen)
     if geometry.length_factor is None and silent:
         text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
-        notices.append(Notice("unit_assumed", text))
+        notices.append(Notice("length_unit_assumed", text))
     return chosen, notices
 
 

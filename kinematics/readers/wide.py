@@ -163,7 +163,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
     notices: tuple[Notice, ...] = ()
     if unused:
         text = f"{path.name}: columns that name no part of a signal were left out: {', '.join(unused[:12])}."
-        notices = (Notice("columns_ignored", text),)
+        notices = (Notice("content_ignored", text),)
     statement, stated = "columns by their names", "" not in amplitudes
     return recording_of(path.name, rows, notices=notices, statement=statement, amplitude_stated=stated)
 

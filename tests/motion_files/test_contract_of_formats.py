@@ -1,11 +1,15 @@
 """The contract of every format: what is written is read, what is cut is refused, nothing crashes."""
 
+import re
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import kinematics
 from kinematics.readers.formats import FORMATS, format_of, read_file
+from stapeskit import warnings
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, WRITERS
 
@@ -98,3 +102,14 @@ def test_a_workbook_is_refused_with_the_cure(tmp_path):
         format_of(path)
     assert caught.value.faults[0].got == "a workbook"
     assert "CSV" in caught.value.faults[0].next_step
+
+
+def test_every_warning_of_the_readers_has_its_entry():
+    """Codes in the source of readers and signals are those of the table."""
+    folder = Path(kinematics.__file__).parent
+    sources = [
+        path.read_text("utf-8") for name in ("readers", "signals") for path in (folder / name).glob("*.py")
+    ]
+    codes = {code for source in sources for code in re.findall(r'Notice\(\s*"([a-z_]+)"', source)}
+    assert len(codes) > 20
+    assert codes <= set(warnings.table())

@@ -109,8 +109,9 @@ def test_a_mapping_names_the_columns(tmp_path):
     path = written(tmp_path, "f,A,B,C\n0.4,1,0.5,0.9\n0.5,2,0.25,0.8\n")
     written(
         tmp_path,
-        'frequency = "f"\nfrequency_unit = "kHz"\namplitude = "rms"\n[[signal]]\nmagnitude = "A"\nphase = "B"\n'
-        'phase_unit = "rad"\nunit = "mm/s"\ndirection = [0.0, 0.6, 0.8]\npoint = "7"\ncoherence = "C"\nn_avg = 10\n',
+        'frequency = "f"\nfrequency_unit = "kHz"\namplitude = "rms"\n[[signal]]\nmagnitude = "A"\n'
+        'phase = "B"\nphase_unit = "rad"\nunit = "mm/s"\ndirection = [0.0, 0.6, 0.8]\npoint = "7"\n'
+        'coherence = "C"\nn_avg = 10\n',
         "ldv.csv.toml",
     )
     recording = read_file(path, FileFacts())

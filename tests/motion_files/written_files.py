@@ -1,4 +1,4 @@
-"""Vibrometer files of every format, written byte for byte as the formats describe them, without the readers."""
+"""Vibrometer files of every format, written as the formats describe them, without the readers."""
 
 from __future__ import annotations
 
