@@ -18,7 +18,7 @@ from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
 from ct_inertia.scan.opened import Opened, ReadOptions, several_values, wrong_header
 from ct_inertia.scan.scan import Box
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
 
 _UNEVEN = 0.02  # share of the usual distance by which another one may differ: a missing slice doubles it
@@ -49,16 +49,23 @@ def open_file(path: Path, options: ReadOptions) -> Opened:
     series = defaultdict(list)
     for file, head in heads.items():
         series[str(head.get("SeriesInstanceUID", ""))].append(file)
-    if len(series) != 1:
-        listed = ", ".join(
-            f"{_title(heads[files[0]])} ({len(files)} files)" for files in list(series.values())[:6]
-        )
-        got = f"{len(series)} series{': ' if listed else ''}{listed}"
-        raise StapeskitError.of("the folder", "one DICOM series", got, path.name, _APART)
-    if len(heads) == 1:
+    stacks = [files for files in series.values() if len(files) > 1]
+    if len(series) == 1 and not stacks:
         ((file, head),) = heads.items()
         return _frames(file, head)
-    return _series(path, heads, options)
+    if len(stacks) != 1:
+        titles = [f"{_title(heads[files[0]])} ({len(files)} files)" for files in series.values()]
+        listed = list_some(titles, 6)
+        got = f"{len(series)} series{': ' if listed else ''}{listed}"
+        raise StapeskitError.of("the folder", "one DICOM series", got, path.name, _APART)
+    opened = _series(path, {file: heads[file] for file in stacks[0]}, options)
+    if len(heads) > len(stacks[0]):
+        text = (
+            f"{len(heads) - len(stacks[0])} DICOM files of {path.name} are single pictures of other series, such "
+            f"as scouts, and were left out."
+        )
+        opened.notices.append(Notice("files_ignored", text))
+    return opened
 
 
 def _head(file: Path) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions, wrong_header
+from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions, looks_like, wrong_header
 from ct_inertia.scan.place import place_scan, without_inversion
 from ct_inertia.scan.raw import header_beside, plane_reader
 from ct_inertia.scan.scan import Fetch, Scan
@@ -22,18 +22,6 @@ from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import Session, memory_limit, processor_limit_s
 
 Result = TypeVar("Result")
-
-_BEGINNINGS = {
-    b"\x1f\x8b": "a gzip file",
-    b"PK\x03\x04": "a ZIP archive",
-    b"\x89HDF": "an HDF5 file",
-    b"NRRD": "an NRRD file",
-    b"II*\0": "a TIFF file",
-    b"MM\0*": "a TIFF file",
-    b"ObjectType": "a MetaImage",
-    b"version http": "a pointer of Git LFS",
-    b"<": "a web page or XML",
-}
 
 _LEAST_LIMIT_S = 20.0  # processor time of a request: a small packed file can hold gigabytes of one value
 
@@ -194,18 +182,8 @@ def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
         raise
     except Exception as fault:
         library = entry.libraries[0].split(".")[0] if entry.libraries else "its reader"
-        got = f"one that {library} cannot read{_content(path)}"
+        got = f"one that {library} cannot read{looks_like(path, entry.title)}"
         raise wrong_header(path, f"{entry.title} file", got) from fault
-
-
-def _content(path: Path) -> str:
-    """Return what a file looks like by its first bytes, where they are known."""
-    if not path.is_file():
-        return ""
-    with path.open("rb") as stream:
-        start = stream.read(12)
-    found = next((name for begin, name in _BEGINNINGS.items() if start.startswith(begin)), "")
-    return f": it begins as {found}, whatever its name says" if found else ""
 
 
 def _fetch_of(opened: Opened) -> Fetch:

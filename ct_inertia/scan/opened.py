@@ -18,6 +18,19 @@ from stapeskit.warnings import Notice
 
 EXPORT_AGAIN = "The file is truncated or its header is wrong: copy or export it again"
 
+_BEGINNINGS = {
+    b"\x1f\x8b": "a gzip file",
+    b"PK\x03\x04": "a ZIP archive",
+    b"\x89HDF": "an HDF5 file",
+    b"NRRD": "an NRRD file",
+    b"II*\0": "a TIFF file",
+    b"MM\0*": "a TIFF file",
+    b"ObjectType": "a MetaImage (MHA, MHD)",
+    b"version http": "a pointer of Git LFS",
+    b"<": "a web page or XML",
+}
+"""First bytes of files that are given another name."""
+
 _MOST_FILES = 100_000
 _LONGEST_NAME = 255  # bytes of a file name in common file systems
 
@@ -232,6 +245,16 @@ def no_data_file(file: Path, header: str) -> StapeskitError:
 def wrong_header(path: Path, kind: str, got: str) -> StapeskitError:
     """Return the error for a header with an impossible value or without a needed one."""
     return StapeskitError.of("the scan", f"a readable {kind}", got, path.name, "Copy or export it again")
+
+
+def looks_like(path: Path, title: str) -> str:
+    """Return what a file of the format ``title`` looks like by its first bytes, where that is another one."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        start = stream.read(12)
+    found = next((name for begin, name in _BEGINNINGS.items() if start.startswith(begin)), title)
+    return "" if title in found else f": it begins as {found}, whatever its name says"
 
 
 def several_values(path: Path, got: str) -> StapeskitError:

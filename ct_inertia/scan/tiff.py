@@ -17,6 +17,8 @@ from ct_inertia.scan.opened import (
     RawPlanes,
     ReadOptions,
     beside,
+    looks_like,
+    no_data_file,
     several_values,
     too_short,
     wrong_header,
@@ -49,10 +51,11 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
     with listening(path):
         tif = tifffile.TiffFile(path)
         stated, held = _imagej_counts(tif, path)
+        xml = tif.ome_metadata if tif.is_ome else None
     if stated > held:
         raise _wrong_count(path, stated, held)
+    files = _ome_files(path, xml)
     with listening(path):
-        files = _ome_files(path, tif.ome_metadata if tif.is_ome else None)
         series = next((one for one in tif.series if sum(n > 1 for n in one.shape) > 2), tif.series[0])
         page: Any = series.keyframe
         _check_kind(series, page, path)
@@ -101,7 +104,7 @@ def listening(path: Path) -> Iterator[None]:
         logger.removeHandler(listener)
         logger.propagate = propagate
     if heard:
-        got = f"a truncated or damaged file of {path.stat().st_size} bytes"
+        got = f"a truncated or damaged file of {path.stat().st_size} bytes{looks_like(path, 'TIFF')}"
         raise StapeskitError.of("the TIFF", "complete", got, path.name, "Copy or export it again")
 
 
@@ -153,11 +156,20 @@ def _resolution(page: Any) -> Array | None:
 
 
 def _ome_files(path: Path, xml: str | None) -> tuple[Path, ...]:
-    """Return the files of an OME image, which lie in one folder."""
+    """Return the files of an OME image, which lie in one folder.
+
+    Raises
+    ------
+    StapeskitError
+        One of several is missing.
+    """
     import re
 
-    names = dict.fromkeys(re.findall(r'FileName="([^"]*)"', xml or ""))
-    return tuple(dict.fromkeys([path, *(file for name in names if (file := beside(path, name)).is_file())]))
+    named = [beside(path, name) for name in dict.fromkeys(re.findall(r'FileName="([^"]*)"', xml or ""))]
+    missing = [file for file in named if not file.is_file()]
+    if missing and len(named) > 1:  # one alone may have been renamed since
+        raise no_data_file(missing[0], path.name)
+    return tuple(dict.fromkeys([path, *(file for file in named if file.is_file())]))
 
 
 def _check_kind(series: Any, page: Any, path: Path) -> None:

@@ -179,6 +179,12 @@ def test_a_reconstruction_log_of_other_slices_is_refused_with_both_numbers(tmp_p
     assert open_scan(folder, SPACING).spacing_mm == pytest.approx(SPACING)
 
 
+def test_a_missing_file_of_an_ome_image_is_named(tmp_path):
+    path = w.ome_files(tmp_path / "a.ome.tif", picture())
+    (tmp_path / "b.ome.tif").unlink()
+    assert refused(path).got == "no b.ome.tif"
+
+
 def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
     folder = w.slices(tmp_path / "rec", picture("u1"), ending="bmp")
     right = w.skyscan_log(picture("u1"))
@@ -301,6 +307,10 @@ def test_dicom_folders(tmp_path):
     two = w.dicom(w.dicom(tmp_path / "two", picture("i2")), picture("i2"), series="2")
     assert "ear 1 (7 files), ear 2 (7 files)" in refused(two).got
     assert refused(two / "1_9.dcm").expected == "one of several frames"
+    scout = w.dicom(w.dicom(tmp_path / "scout", picture("i2")), picture("i2")[:1], series="9")
+    scan = open_scan(scout)
+    assert np.array_equal(scan.read(), picture("i2"))
+    assert {notice.code for notice in scan.notices} == {"files_ignored"}
     (two / "1_9.dcm").write_bytes((two / "1_9.dcm").read_bytes()[:-40])
     for file in two.glob("2_*"):
         file.unlink()
