@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
 from kinematics.readers.facts import FileFacts, unknown_files
-from kinematics.readers.formats import read_file
+from kinematics.readers.formats import format_of, read_file
 from kinematics.readers.identify import (
     Entry,
     assumptions,
@@ -73,6 +73,9 @@ def read_measurement(
     if points is not None:
         with collect_faults(faults):
             listed = read_points(points)
+    if facts.mapping is not None and not faults and not any(format_of(path, True).mapped for path in paths):
+        want = "left out: no MATLAB or HDF5 file and no wide table is read"
+        faults.append(Fault("--mapping", want, facts.mapping.name))
     if not faults and facts.series is not None and not any(recording.from_series for recording in recordings):
         faults.append(Fault("--channels", "left out: no file holds time series", facts.series.channels.name))
     raise_all(faults)

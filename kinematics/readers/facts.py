@@ -79,13 +79,6 @@ class FileFacts:
     mapping: Path | None = None
     series: SeriesFacts | None = None
 
-    @property
-    def given(self) -> tuple[str, ...]:
-        """Names of the options that were given, as on the command line."""
-        names = ("body", "run", "beam", "amplitude", "length_unit", "n_avg", "mapping")
-        given = [f"--{name.replace('_', '-')}" for name in names if getattr(self, name)]
-        return (*given, *(["--channels"] if self.series else []))
-
     @cached_property
     def direction(self) -> Array | None:
         """Unit vector (3,) of ``beam``; None without one.

@@ -26,6 +26,7 @@ TIDY = "tidy"
 TEXT_ENDINGS = (".txt", ".asc", ".csv", ".dat")
 WORKBOOKS = (".xls", ".xlsx", ".xlsm", ".ods")
 
+_LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6 s a byte of text
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _MOST_FILES = 100_000  # a point and axis each of 30 000 points; a home folder has more
 _ZIP, _COMPOUND = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
@@ -76,6 +77,8 @@ class Format:
         Whether a folder of such files is one measurement.
     series : bool
         Whether a table of channels makes it time series.
+    mapped : bool
+        Whether a mapping may say what is what in it.
     """
 
     name: str
@@ -87,6 +90,7 @@ class Format:
     libraries: tuple[str, ...] = ()
     in_folders: bool = False
     series: bool = False
+    mapped: bool = False
 
 
 def _is_fastscan(head: Head) -> bool:
@@ -127,13 +131,13 @@ FORMATS = (
         lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
         "matlab",
         "v4 to v7.3, as File Access scripts save them; other layouts by `--mapping`",
-        libraries=("scipy.io",), series=True,
+        libraries=("scipy.io",), series=True, mapped=True,
     ),
     Format(
         "hdf5", "HDF5 (.h5)", lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"), "hdf5",
         "data sets by their names (`freq_hz`, `re`, `im`, `direction`, `position_mm`, ...); others by "
         "`--mapping`",
-        libraries=("h5py",), series=True,
+        libraries=("h5py",), series=True, mapped=True,
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)), "uff",
@@ -160,7 +164,7 @@ FORMATS = (
         "wide", "a wide table (.csv)", _is_wide, "wide",
         "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
         "...`); "
-        "other names by `--mapping`",
+        "other names by `--mapping`", mapped=True,
     ),
     Format(
         TIDY, "a tidy table (.csv)", lambda _head: False, "tidy",
@@ -190,12 +194,11 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     try:
         if not entry.libraries or (entry.name == "time" and path.suffix.lower() in TEXT_ENDINGS):
             return read(path, facts)
-        from stapeskit.sandbox import memory_limit, read_apart
+        from stapeskit.sandbox import read_apart, size_on_disk
 
         modules = (f"kinematics.readers.{entry.module}", *entry.libraries)
-        return read_apart(
-            lambda: read(path, facts), path, entry.words, memory=memory_limit(path), modules=modules
-        )
+        limit_s = _LIMIT_S + _LIMIT_S_PER_BYTE * size_on_disk(path)
+        return read_apart(lambda: read(path, facts), path, entry.words, limit_s, modules=modules)
     except OSError as fault:
         got, step = fault.strerror or "an error of the system", "Check its name, folder and permissions"
         raise StapeskitError.of("the vibrometer file", "readable", got, path.name, step) from fault

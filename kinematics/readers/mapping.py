@@ -27,6 +27,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from kinematics.readers.units import PHASES
 from stapeskit.faults import Fault, StapeskitError, raise_all
 
 _CHOICES = {
@@ -117,6 +118,8 @@ def read_mapping(path: Path) -> Mapping:
         where = f"{path.name}, signal {number}"
         texts = {key: value for key, value in entry.items() if key not in ("direction", "n_avg")}
         faults += _text_faults(texts, [item.name for item in fields(Signal)], where)
+        if entry.get("phase_unit") and str(entry["phase_unit"]).lower() not in PHASES:
+            faults.append(Fault("phase_unit", "deg or rad", entry["phase_unit"], where))
         if not any(all(entry.get(key) for key in pair) for pair in _PAIRS):
             wanted = "given as " + ", or as ".join(" and ".join(pair) for pair in _PAIRS)
             faults.append(Fault("the values of a signal", wanted, ", ".join(entry) or "none", where))

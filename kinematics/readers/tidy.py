@@ -33,7 +33,7 @@ Index = NDArray[np.intp]
 _SAME_PLACE_MM = 1e-6  # rounding of written coordinates
 
 
-def read(path: Path, facts: FileFacts) -> Recording:
+def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     """Read a tidy table.
 
     Raises
@@ -54,13 +54,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
 
     table = read_table(Path(path), choose)
     columns = found[0]
-    unused = [name for name in facts.given if name != "--body"]
-    step = "Leave it out"
-    faults = [
-        Fault(name, "left out for a tidy table, whose columns say it", "it", table.file, step)
-        for name in unused
-    ]
-    return _Rows(table, columns, faults).recording()
+    return _Rows(table, columns).recording()
 
 
 @dataclass

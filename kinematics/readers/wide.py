@@ -159,6 +159,10 @@ def read(path: Path, facts: FileFacts) -> Recording:
     for label, names in without_unit.items():
         step = f'Write it behind the name, "{names[0]} [mm/s]", or as unit in {path.name}.toml'
         faults.append(unit_fault(label, names, sheet.where, step))
+    if len(amplitudes) > 1:
+        got = " and ".join(sorted(name or "neither" for name in amplitudes))
+        step = "Write peak or rms into all units, or into none"
+        faults.append(Fault("the units of the amplitudes", "all peak or all rms", got, sheet.where, step))
     raise_all(faults)
     notices: tuple[Notice, ...] = ()
     if unused:
@@ -246,6 +250,11 @@ def _mapped_beams(mapping: Mapping, sheet: Sheet) -> list[Beam]:
                 step = f"It has {', '.join(sheet.names[:12])}"
                 got = f"{sheet.names.count(name)} of that name"
                 faults.append(Fault(f"the column {name}", "in the table once", got, sheet.file, step))
+        if isinstance(signal.n_avg, bool) or not (
+            signal.n_avg == "" or isinstance(signal.n_avg, int | float)
+        ):
+            faults.append(Fault("n_avg", "a number of averages", signal.n_avg, f"{sheet.file}.toml"))
+            continue
         count = None if signal.n_avg == "" else float(signal.n_avg)
         beams.append(
             Beam(columns, signal.point, signal.direction, signal.unit, signal.phase_unit,

@@ -106,7 +106,7 @@ def test_what_is_not_recognised_is_refused_with_how_to_export(name, tmp_path):
     ("code", "direction"), [(2, (1, 0, 0)), (3, (-1, 0, 0)), (4, (0, 1, 0)), (6, (0, 0, 1))]
 )
 def test_directions_by_their_codes(code, direction, tmp_path):
-    """The direction of the first channel; codes beyond those of exports are said to be read by their order."""
+    """The direction of the first channel; codes beyond those of exports are reported as assumed."""
     recording = read_vibrometer(changed(tmp_path, "Info/DAQ_Settings_Fft/Channels", 20, bytes([code])))
     assert np.array_equal(recording.directions[0], direction)
     assert ("direction_assumed" in {notice.code for notice in recording.notices}) == (code == 6)

@@ -7,7 +7,6 @@ import pytest
 
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.formats import read_file
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, VELOCITY, tidy_table
 
@@ -195,7 +194,7 @@ def test_an_sd_column_without_numbers_is_refused(tmp_path):
 
 def test_options_that_columns_say_are_refused(tmp_path):
     with pytest.raises(StapeskitError) as caught:
-        read_file(table(tmp_path), FileFacts(beam="z", amplitude="rms"))
+        read_measurement([table(tmp_path)], facts=FileFacts(beam="z", amplitude="rms"))
     assert [fault.thing for fault in caught.value.faults] == ["--beam", "--amplitude"]
 
 

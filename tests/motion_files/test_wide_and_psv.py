@@ -105,6 +105,19 @@ def test_a_magnitude_without_phase_is_refused(tmp_path):
     assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the column P1 x Mag"]
 
 
+def test_peak_beside_rms_is_refused(tmp_path):
+    text = "f,P1 x Re [m/s rms],P1 x Im [m/s rms],P2 x Re [m/s],P2 x Im [m/s]\n100,1,1,1,1\n200,1,1,1,1\n"
+    text = text.replace("f,", "f [Hz],", 1)
+    assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the units of the amplitudes"]
+
+
+def test_a_mapping_for_nothing_is_refused(tmp_path):
+    path = written(tmp_path, fastscan(400, PLACES_M, VELOCITY[:, :, 0]), "a.txt")
+    with pytest.raises(StapeskitError) as caught:
+        read_measurement([path], facts=FileFacts(mapping=written(tmp_path, "", "names.toml")))
+    assert [fault.thing for fault in caught.value.faults] == ["--mapping"]
+
+
 def test_a_mapping_names_the_columns(tmp_path):
     path = written(tmp_path, "f,A,B,C\n0.4,1,0.5,0.9\n0.5,2,0.25,0.8\n")
     written(
@@ -126,9 +139,10 @@ def test_a_mapping_names_the_columns(tmp_path):
 def test_mistakes_of_a_mapping_come_together(tmp_path):
     path = written(tmp_path, "f,A,B\n1,2,3\n4,5,6\n")
     text = 'frequenzy = "f"\namplitude = "half"\n[[signal]]\nmagnitude = "A"\nshape = "B"\n'
+    text += 'phase_unit = "turns"\n'
     written(tmp_path, text, "ldv.csv.toml")
     things = {fault.thing for fault in faults(path)}
-    assert things == {"a key", "amplitude", "frequency", "the values of a signal"}
+    assert things == {"a key", "amplitude", "frequency", "the values of a signal", "phase_unit"}
 
 
 def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
