@@ -14,7 +14,7 @@ from kinematics.joint.tangents import Geometry
 
 @dataclass(frozen=True)
 class Exchange:
-    """Channels that changed places: what is exchanged, in the order (first, second), and the true geometry."""
+    """Channels that changed places: what is exchanged, (first, second), and the true geometry."""
 
     what: str
     first: tuple[int, ...]

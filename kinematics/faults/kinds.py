@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.joint.expected import Layout
 from kinematics.joint.tangents import (
@@ -74,7 +73,7 @@ class Finding:
         ``channel``, ``point``, ``laser``, ``body``; of exchanged names ``points``, ``beams``, ``lasers``.
     channels : tuple of int
     values, sd : ndarray, (k,)
-        Size, by the tangents of the kind; of noise its factor.
+        Size, by the tangents of the kind (a delay in s); of noise its factor.
     log_p : float
         Natural logarithm of the probability of data like these without it.
     share : float
@@ -97,15 +96,6 @@ class Finding:
         if self.kind == "elsewhere":
             return "flexible"
         return KINDS[self.kind].verdict if self.kind in KINDS else self.kind
-
-    @property
-    def parameters(self) -> NDArray[np.intp]:
-        """Tangents of ``values``."""
-        return np.array(KINDS[self.kind].tangents if self.kind in KINDS else (), dtype=np.intp)
-
-    def as_parameters(self, channels: int) -> Parameters:
-        """Return the free parameters of the finding, for `kinematics.joint`."""
-        return free(self.kind, self.channels, channels)
 
 
 def is_reversed(values: Array) -> bool:

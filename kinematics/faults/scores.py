@@ -67,16 +67,32 @@ def log_tail(statistic: Array, freedom: Array, level_freedom: float = np.inf) ->
         return np.where(tail > 1e-290, np.log(np.maximum(tail, 1e-300)), np.minimum(far, -660.0))
 
 
-def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> list[Test]:
-    """Test every kind at every place.
+@dataclass(frozen=True)
+class Owned:
+    """Places of one owner, with the score (s, 13) and information (s, 13, 13) of all tangents there."""
+
+    places: list[Place]
+    score: Array
+    information: Array
+
+    def with_kind(self, kind: str, state: State) -> list[int]:
+        """Return the places that can have a kind."""
+        directions = state.geometry.directions
+        parallel = bool(np.all(np.abs(directions @ directions[0]) > 0.999))
+        groups = len(state.packed.tau)
+        return [k for k, place in enumerate(self.places) if kind in place.kinds(groups, parallel)]
+
+
+def informations(state: State, expected: Parameters, places: Sequence[Place]) -> list[Owned]:
+    """Return score and information of all tangents at every place, by owner.
 
     Notes
     -----
-    Rao's score test: b^T N^-1 b with the score b and the information N of the kind, of which the parts along
-    the motion and along the expected errors (with their priors) are subtracted.
+    The parts of the information along the motion and along the expected errors (with their priors) are
+    subtracted (Schur complement).
     """
-    channels = np.array(sorted({channel for place in places for channel in place.channels}), dtype=np.intp)
-    where = {int(channel): row for row, channel in enumerate(channels)}
+    channels = sorted({channel for place in places for channel in place.channels})
+    where = {channel: row for row, channel in enumerate(channels)}
     projected = state.projected(channels)
     root, known, cross = None, np.zeros((0, 0)), np.zeros((0, 0, 0))
     if len(expected):
@@ -84,9 +100,7 @@ def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> 
         root = np.linalg.inv(np.linalg.cholesky(information + np.diag(expected.prior)))
         mask = expected.mask[:, channels].T
         cross = state.m[channels][:, :, expected.tangent] * mask[:, None, :]
-    parallel = bool(np.all(np.abs(state.geometry.directions @ state.geometry.directions[0]) > 0.999))
-    groups = len(state.packed.tau)
-    tests: list[Test] = []
+    found = []
     for owner in SHARE:
         own = [place for place in places if place.owner == owner]
         if not own:
@@ -100,15 +114,25 @@ def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> 
             along = np.stack([cross[row].sum(axis=0) for row in rows]) - p @ known.T
             half = 2.0 * along @ root.T
             n -= half @ half.swapaxes(1, 2)
+        found.append(Owned(own, b, n))
+    return found
+
+
+def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> list[Test]:
+    """Test every kind at every place by Rao's score test: b^T N^-1 b of the score b and the information N."""
+    tests: list[Test] = []
+    for owned in informations(state, expected, places):
         for kind in KINDS:
-            chosen = [k for k, place in enumerate(own) if kind in place.kinds(groups, parallel)]
-            if chosen:
-                statistic, freedom = _statistics(b[chosen], n[chosen], KINDS[kind].tangents)
-                tests += [
-                    Test(own[k], kind, float(value), int(free))
-                    for k, value, free in zip(chosen, statistic, freedom, strict=True)
-                    if free > 0
-                ]
+            chosen = owned.with_kind(kind, state)
+            if not chosen:
+                continue
+            parts = owned.score[chosen], owned.information[chosen]
+            statistic, freedom = _statistics(*parts, KINDS[kind].tangents)
+            tests += [
+                Test(owned.places[k], kind, float(value), int(free))
+                for k, value, free in zip(chosen, statistic, freedom, strict=True)
+                if free > 0
+            ]
     return tests
 
 

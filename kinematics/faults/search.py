@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from kinematics.faults.elsewhere import Cause
 from kinematics.faults.exchanges import Exchange, distinct, exchanges
 from kinematics.faults.kinds import KINDS, SHARE, Finding, Place, free, places
 from kinematics.faults.scores import Noise, Test, score_tests, structure
@@ -32,7 +33,10 @@ _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
 _ONE_PATTERN = 0.5  # of the misfit: two points that move on their own hold half each
-_CONTENDERS, _CLOSE = 4, 0.02  # candidates whose evidence is alike: fits to part of the columns differ so much
+_CONTENDERS, _CLOSE = (
+    4,
+    0.02,
+)  # candidates whose evidence is alike: fits to part of the columns differ so much
 _CANDIDATES = {"channel": 3, "point": 2, "laser": 2, "body": 1}
 
 
@@ -143,6 +147,8 @@ class Diagnosis:
         Noise over the stated one where it is louder (or quieter) everywhere; 1 otherwise.
     first, last : Round
         Before and after what was found.
+    causes : tuple of Cause
+        What many channels share, where no fault of single ones explains the misfit.
     """
 
     findings: tuple[Finding, ...]
@@ -150,6 +156,7 @@ class Diagnosis:
     noise_level: float
     first: Round
     last: Round
+    causes: tuple[Cause, ...] = ()
 
 
 def null_fit(
@@ -294,7 +301,9 @@ def fit_candidates(now: Round) -> list[Candidate]:
                 suspects += place.channels
                 unlike.append(_unlike_others(place, leave[place], now, flat.state))
     candidates = [one for one in candidates if one.kind in KINDS and _explains(one, unlike, now.noise.level)]
-    candidates += [one for one in unlike if not any(_replaces(named, one, now.noise.level) for named in candidates)]
+    candidates += [
+        one for one in unlike if not any(_replaces(named, one, now.noise.level) for named in candidates)
+    ]
     candidates += _exchanged(now, flat, static, suspects)
     candidates += _louder(now, number)
     candidates.sort(key=lambda candidate: -candidate.evidence)
@@ -374,7 +383,9 @@ def _fitted(
         start = reverse if State(packed, moved).energy < State(packed).energy else start
     fit = joint(packed, parameters + expected, start)
     fall = null.chi2 - fit.chi2
-    return Candidate(0.5 * fall / now.noise.level - 0.5 * count * number, fall, kind, place, fit.values[:count])
+    return Candidate(
+        0.5 * fall / now.noise.level - 0.5 * count * number, fall, kind, place, fit.values[:count]
+    )
 
 
 def _exchanged(now: Round, flat: Estimate, static: Parameters, suspects: Sequence[int]) -> list[Candidate]:
@@ -414,7 +425,10 @@ def _finding(now: Round, best: Candidate) -> Finding:
     if best.kind in KINDS:
         fit = _whole_fit(now, best)
         values = fit.values[: len(values)]
-        sd = np.sqrt(np.diag(fit.covariance)[: len(values)] * now.noise.level)
+        sd = np.sqrt(np.maximum(np.diag(fit.covariance)[: len(values)] * now.noise.level, 0.0))
+        if best.kind == "delay":
+            omega = 2.0 * np.pi * float(np.mean(now.readings.freq_hz))
+            values, sd = values / omega, sd / omega
     elif best.kind == "noise":
         log_p = float(now.channel_noise[own[0]])
         sd = values / np.sqrt(2.0 * now.state.channel_energy[1][own[0]])
@@ -427,9 +441,7 @@ def _believed(now: Round, best: Candidate) -> Readings:
     readings = now.readings
     if best.exchange is not None:
         changed = best.exchange.geometry
-        geometry = replace(
-            readings.geometry, positions_m=changed.positions_m, directions=changed.directions
-        )
+        geometry = replace(readings.geometry, positions_m=changed.positions_m, directions=changed.directions)
         return replace(readings, geometry=geometry)
     if best.kind == "noise":
         return readings.louder(best.place.channels[0], float(best.values[0]))

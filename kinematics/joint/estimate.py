@@ -93,7 +93,9 @@ class State:
         """The motion in the visible coordinates, (G, r, n)."""
         if self._turn is not None:
             return np.asarray(self._turn @ self.seen)
-        return np.asarray(np.linalg.solve(np.broadcast_to(self._r, (len(self.seen), *self._r.shape[1:])), self.seen))
+        return np.asarray(
+            np.linalg.solve(np.broadcast_to(self._r, (len(self.seen), *self._r.shape[1:])), self.seen)
+        )
 
     @cached_property
     def rest(self) -> ComplexArray:

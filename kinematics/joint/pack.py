@@ -123,6 +123,10 @@ class Packed:
     visible : ndarray, (6, r)
         Motions (about the centroid, dimensionless by ``scale``) that the beams see.
     scale : ndarray, (6,)
+    live : ndarray, int
+        Channels in use.
+    lines : ndarray, (G,), int
+        Lines of each group.
     """
 
     y: ComplexArray
@@ -136,6 +140,7 @@ class Packed:
     visible: Array
     scale: Array
     live: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    lines: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     @property
     def turned(self) -> bool:
@@ -158,7 +163,9 @@ class Packed:
         same = np.array_equal(self.w, np.broadcast_to(self.w[:1], self.w.shape))
         if len(self.y) == 1 or not same or len(self.geometry.factor) > 1:
             return self
-        vectors = np.linalg.svd(motion.transpose(1, 0, 2).reshape(motion.shape[1], -1), full_matrices=False)[2]
+        vectors = np.linalg.svd(motion.transpose(1, 0, 2).reshape(motion.shape[1], -1), full_matrices=False)[
+            2
+        ]
         y = self.y.transpose(1, 0, 2).reshape(self.y.shape[1], -1) @ vectors.conj().T
         number = np.array([y.shape[1]])
         empty = np.zeros((1, len(y), 0), dtype=complex)
@@ -187,7 +194,9 @@ def pack(readings: Readings) -> Packed:
     scale = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     live = np.isfinite(readings.noise_factor)
     used = np.isfinite(readings.value) & live[:, None]
-    spread = np.where(used, np.sqrt(2.0) * readings.sd * np.where(live, readings.noise_factor, 1.0)[:, None], 1.0)
+    spread = np.where(
+        used, np.sqrt(2.0) * readings.sd * np.where(live, readings.noise_factor, 1.0)[:, None], 1.0
+    )
     root = used / spread
     value = np.where(used, readings.value, 0.0) * root
     rows = geometry.rows() / scale
@@ -215,6 +224,7 @@ def pack(readings: Readings) -> Packed:
         visible,
         scale,
         np.flatnonzero(root.any(axis=1)),
+        np.array([len(part.lines) for part in parts]),
     )
 
 

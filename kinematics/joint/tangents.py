@@ -1,8 +1,8 @@
 """The thirteen ways in which a channel can differ from what is stated of it, and sets of such parameters.
 
-A channel reads ``f_c b_c . z`` at every line: a factor f_c, a row b_c = [d, p x d] of its position p and beam d,
-and the motion z. Everything that can be wrong with it, or is known with an error only, is a parameter: a mask
-of channels, one of these tangents, and a standard deviation that is finite where something is known of it.
+A channel reads ``f_c b_c . z`` at every line: a factor f_c, a row b_c = [d, p x d] of its position p and beam
+d, and the motion z. Everything that can be wrong with it, or is known with an error only, is a parameter: a
+mask of channels, one of these tangents, and a standard deviation that is finite where something is known.
 
 Shapes: c channels, p parameters, G groups of lines.
 """
@@ -55,9 +55,7 @@ class Parameters:
     sd: Array
 
     @classmethod
-    def of(
-        cls, channels: int, entries: Sequence[tuple[Sequence[int], int, float]] = ()
-    ) -> Parameters:
+    def of(cls, channels: int, entries: Sequence[tuple[Sequence[int], int, float]] = ()) -> Parameters:
         """Build parameters of (channels, tangent, sd) out of so many channels."""
         mask = np.zeros((len(entries), channels))
         for row, (own, _, _) in enumerate(entries):

@@ -1,0 +1,74 @@
+"""How large a fault must be to be found: what a clean verdict is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinematics.faults.kinds import KINDS, SHARE, Place, places
+from kinematics.faults.scores import Noise, informations
+from kinematics.faults.search import ALARM, Round
+
+POWER = 0.9
+"""Probability with which a fault of the reported size is found."""
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest fault that is found with a probability of 90 %.
+
+    Attributes
+    ----------
+    place : Place
+    kind : str
+    size : float
+        1, rad, s or m, along the least visible direction of the kind; infinite where one never shows.
+    """
+
+    place: Place
+    kind: str
+    size: float
+
+
+def detectable(now: Round) -> list[Detectable]:
+    """Return the smallest fault of every kind at every place that would be found.
+
+    Notes
+    -----
+    The score test has the non-centrality x^T N x for a fault x with information N (motion and expected errors
+    free). It is found where that is as large as the alarm level and the power ask for (Neyman and Pearson; the
+    level of noise that is not stated counts with its own degrees of freedom).
+    """
+    live = now.live
+    owned = informations(
+        now.state, now.expected, places(now.layout, live, len(live) == len(now.layout.points))
+    )
+    number = {one.places[0].owner: 0.0 for one in owned}
+    for test in now.tests:
+        number[test.place.owner] += 1.0 / SHARE[test.place.owner]
+    mean_omega = 2.0 * np.pi * float(np.mean(now.readings.freq_hz))
+    found = []
+    for one in owned:
+        chance = ALARM / max(number[one.places[0].owner], 1.0)
+        for kind, entry in KINDS.items():
+            tangents = np.array(entry.tangents)
+            need = noncentrality(len(tangents), chance, now.noise) * now.noise.level
+            for k in one.with_kind(kind, now.state):
+                value = np.linalg.eigvalsh(one.information[k][np.ix_(tangents, tangents)])
+                seen = value[0] > 1e-9 * max(value[-1], 1e-300)
+                size = float(np.sqrt(need / value[0])) if seen else float("inf")
+                found.append(Detectable(one.places[k], kind, size / (mean_omega if kind == "delay" else 1.0)))
+    return found
+
+
+def noncentrality(freedom: int, chance: float, noise: Noise) -> float:
+    """Return the non-centrality at which a test of level ``chance`` has the power `POWER`."""
+    from scipy.optimize import brentq
+    from scipy.special import chdtri, chndtr, fdtri, ncfdtr
+
+    if np.isfinite(noise.freedom):
+        level = fdtri(freedom, noise.freedom, 1.0 - chance)
+        return float(brentq(lambda x: ncfdtr(freedom, noise.freedom, x, level) - 1.0 + POWER, 1e-6, 1e6))
+    level = chdtri(freedom, chance)
+    return float(brentq(lambda x: chndtr(level, freedom, x) - 1.0 + POWER, 1e-6, 1e6))

@@ -1,0 +1,149 @@
+"""The verdict on every channel, the warnings, and the table ``dof.channels.csv``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinematics.faults.search import Diagnosis
+from kinematics.faults.sentences import STEPS, culprit, describe
+from kinematics.measurement import BodyChannels, LeftOut
+from stapeskit.arrays import Array
+from stapeskit.warnings import Notice
+
+WORDS = (
+    "ok",
+    "gain",
+    "sign",
+    "direction",
+    "position",
+    "noise",
+    "label_swap",
+    "drift",
+    "flexible",
+    "zeros",
+    "unused",
+)
+
+
+@dataclass(frozen=True)
+class ChannelVerdict:
+    """What was found on one channel in one run.
+
+    Attributes
+    ----------
+    run, body, point : str
+    direction : ndarray, (3,)
+        Beam as in the file.
+    residual_rms_m : float
+        Root mean square of |measured - fitted| over the lines, m; NaN when unused.
+    weight : float
+        Mean weight in the fit, relative to the strongest channel of the body; 0 when unused.
+    verdict : str
+        Of `WORDS`.
+    estimate : str
+        The size of the fault in words; empty when ok.
+    p_value : float
+        Probability of such values without a fault, by the tests of this channel; NaN when unused.
+    """
+
+    run: str
+    body: str
+    point: str
+    direction: Array
+    residual_rms_m: float
+    weight: float
+    verdict: str
+    estimate: str
+    p_value: float
+
+
+def channel_verdicts(
+    run: str,
+    body: BodyChannels,
+    diagnosis: Diagnosis,
+    residual_rms_m: Array,
+    weight: Array,
+    unused: Mapping[int, str],
+) -> list[ChannelVerdict]:
+    """Return the verdict of every channel of a body in one run.
+
+    Parameters
+    ----------
+    run : str
+    body : BodyChannels
+    diagnosis : Diagnosis
+    residual_rms_m, weight : ndarray, (c,)
+        Of the fit.
+    unused : mapping of int to str
+        ``zeros`` or ``unused`` by channel.
+    """
+    found: dict[int, tuple[str, str]] = {}
+    for finding in reversed(diagnosis.findings):  # the first of two on one channel counts
+        found |= dict.fromkeys(finding.channels, (finding.verdict, describe(finding, body)))
+    found |= {channel: (verdict, "") for channel, verdict in unused.items()}
+    chances = np.exp(diagnosis.channel_log_p)
+    return [
+        ChannelVerdict(
+            run,
+            body.body,
+            point,
+            body.file_directions[channel],
+            float(residual_rms_m[channel]),
+            float(weight[channel]),
+            *found.get(channel, ("ok", "")),
+            float("nan") if channel in unused else float(chances[channel]),
+        )
+        for channel, point in enumerate(body.points)
+    ]
+
+
+def left_out_verdicts(runs: Sequence[str], left_out: Sequence[LeftOut]) -> list[ChannelVerdict]:
+    """Return ``unused`` for every channel that the user left out, in every run."""
+    nan = float("nan")
+    return [
+        ChannelVerdict(run, beam.body, beam.point, beam.direction, nan, 0.0, "unused", "left out", nan)
+        for run in runs
+        for beam in left_out
+    ]
+
+
+def fault_notices(body: BodyChannels, diagnosis: Diagnosis) -> list[Notice]:
+    """Return one warning for each finding and each cause that many channels share."""
+    notices = []
+    for finding in diagnosis.findings:
+        verdict = finding.verdict
+        code = "flexible" if verdict == "flexible" else f"channel_{verdict}"
+        text = f"{culprit(finding, body)}: {verdict}, {describe(finding, body)}. {STEPS[verdict]}."
+        notices.append(Notice(code, text))
+    for cause in diagnosis.causes:
+        names = {str(channel): body.channel_name(channel) for channel in range(len(body.points))}
+        text = cause.text
+        for number, name in names.items():
+            text = text.replace(f"{{{number}}}", name)
+        notices.append(Notice(cause.code, f"body {body.body}: {text}. {cause.step}."))
+    if diagnosis.noise_level != 1.0:
+        text = (
+            f"the noise of body {body.body} is {diagnosis.noise_level:.2g} times the stated one on all "
+            "channels alike: standard deviations of the motion are off by the same factor. Check the sd or "
+            "the number of averages."
+        )
+        notices.append(Notice("noise_level", text))
+    return notices
+
+
+def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
+    """Write ``dof.channels.csv``."""
+    import pandas as pd
+
+    table: dict[str, list[object]] = {
+        name: [getattr(verdict, name) for verdict in verdicts] for name in ("run", "body", "point")
+    }
+    for k, axis in enumerate("xyz"):
+        table[f"dir_{axis}"] = [round(float(verdict.direction[k]), 9) + 0.0 for verdict in verdicts]
+    for name in ("residual_rms_m", "weight", "verdict", "estimate", "p_value"):
+        table[name] = [getattr(verdict, name) for verdict in verdicts]
+    pd.DataFrame(table).to_csv(path, index=False, lineterminator="\n", float_format="%.9g")
