@@ -229,6 +229,9 @@ def _quality(fit: KDFit) -> list[Notice]:
     found, notices = fit.found, list[Notice]()
     if not found.converged and not fit.solution.weak.shape[1]:
         notices.append(Notice("not_converged", "The fit stopped before it settled; do not trust the result."))
+    if found.data.floored:
+        text = "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that allows."
+        notices.append(Notice("noise_free", text))
     if found.n_dof > 0 and found.weights is None:
         if chdtrc(found.n_dof, found.chi2) < MISFIT_P:
             widened = np.sqrt(max(found.level, 1.0))
@@ -240,19 +243,13 @@ def _quality(fit: KDFit) -> list[Notice]:
                 f"widened by {widened:.3g}, which does not cover a wrong model."
             )
             notices.append(Notice("misfit", text))
-        elif found.data.floored:
-            text = (
-                "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that "
-                "allows."
-            )
-            notices.append(Notice("noise_free", text))
-        elif chdtr(found.n_dof, found.chi2) < MISFIT_P:
+        elif not found.data.floored and chdtr(found.n_dof, found.chi2) < MISFIT_P:
             text = (
                 f"Residuals are smaller than their stated noise: chi2 per degree of freedom is "
                 f"{found.level:.3g}."
             )
             notices.append(Notice("noise_overstated", text))
-    far = outlying_hz(fit)
+    far = outlying_hz(fit) if not found.data.floored else np.empty(0)
     if len(far):
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
         text = (

@@ -39,7 +39,10 @@ class Prior:
     @property
     def root(self) -> Array:
         """R with R^T R the inverse covariance."""
-        return np.asarray(np.linalg.cholesky(np.linalg.inv(self.covariance)).T)
+        size = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
+        values = np.maximum(values, 1e-12 * values[-1])
+        return np.asarray((vectors / np.sqrt(values)).T / size)
 
 
 @dataclass(frozen=True)

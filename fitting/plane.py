@@ -16,7 +16,7 @@ from fitting.calibrated import calibrated
 from fitting.data import Data
 from fitting.entries import split, symmetric, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
-from fitting.solve import Fit, entry_scale, minimise
+from fitting.solve import Fit, entry_scale, minimise, start_of
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 
@@ -99,10 +99,13 @@ def in_plane(found: Fit) -> InPlane:
     model = replace(model, entries=Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale)))
     likelihood = Likelihood(lines, model, weights=found.weights)
     p_value = None
-    for share in (1.0, 0.3):
+    for share in (None, 1.0, 0.3):
         start = likelihood.mean.copy()
-        start[:12] *= share
         try:
+            if share is None:
+                start = start_of(likelihood, start)
+            else:
+                start[:12] *= share
             theta, chi2, _, converged = minimise(likelihood, start, 1e-5, 40)
             covariance, _ = likelihood.covariance(theta, chi2 / (6 * lines.count))
         except np.linalg.LinAlgError:

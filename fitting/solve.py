@@ -232,7 +232,7 @@ def fit(
     evaluations = 0
     for _ in range(6):
         likelihood = Likelihood(data, model, noise)
-        theta, _, used, converged = minimise(likelihood, theta, 1e-8 if noise == 1.0 else 1e-6)
+        theta, _, used, converged = minimise(likelihood, theta, 1e-10 if noise == 1.0 else 1e-6)
         evaluations += used
         chi2 = float(np.sum(Likelihood(data, model).residuals(theta) ** 2))
         level = max(1.0, chi2 / max(n_dof, 1))
@@ -263,7 +263,7 @@ def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, fl
     factor = (_STUDENT + 2 * likelihood.n + 2.0) / (_STUDENT + 2 * likelihood.n)
     white = likelihood.look(theta)[0]
     spread = float(np.sum(np.abs(white) ** 2) * 2.0 / (2 * likelihood.n * data.count))
-    return Fit(likelihood, theta, chi2, n_dof, used, converged), factor * max(spread, 1e-3)
+    return Fit(likelihood, theta, chi2, n_dof, used, converged), factor * max(spread, 1.0)
 
 
 def _with_covariance(found: Fit, factor: float, wanted: bool) -> Fit:

@@ -1,0 +1,187 @@
+"""The likelihood: exact gradient, distance to the nearest consistent motion, invariances, bound and coverage."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting import entries
+from fitting.causes import chosen
+from fitting.data import data_of
+from fitting.layout import frame_maps
+from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
+from fitting.mass import inertia_of
+from fitting.plan import StatedMass
+from fitting.plane import plane_model
+from fitting.solve import fit as solve
+from stapeskit.records.motion import SharedErrors
+from tests.fit.fit_cases import (
+    BASE,
+    DOF,
+    STAPES,
+    TRUTH,
+    M,
+    agrees,
+    deviation,
+    fit,
+    paper_motion,
+    ring_ear,
+)
+
+
+def likelihood(motion=LOAD, seed=3, **more):
+    ear = ring_ear(seed, lines=20)
+    data = data_of(ear.motion, inertia_of(ear.mass, DOF), DOF)
+    model = plane_model(data, **more) if motion == "plane" else Model(motion=motion, **more)
+    own = Likelihood(data, model)
+    rng = np.random.default_rng(seed)
+    theta = own.mean + 0.1 * rng.standard_normal(own.count)
+    theta[own.at["entries"]] = np.concatenate(
+        [entries.vector(np.eye(3)), 0.2 * entries.vector(np.eye(3))]
+    ) + 0.02 * rng.standard_normal(12)
+    return own, theta
+
+
+@pytest.mark.parametrize("kind", [PLAIN, LOAD, "plane"])
+def test_gradient_is_that_of_the_objective(kind):
+    more = {"unknowns": chosen(("fluid", "delay", "gain"))} if kind == "plane" else {}
+    own, theta = likelihood(kind, **more)
+    gradient = own.jacobian(theta).T @ own.residuals(theta)
+    for place in range(0, own.count, 5):
+        step = 1e-5 * np.eye(own.count)[place]
+        ends = [np.sum(own.residuals(theta + sign * step) ** 2) for sign in (1.0, -1.0)]
+        assert (ends[0] - ends[1]) / 4e-5 == pytest.approx(
+            gradient[place], rel=1e-5, abs=1e-5 * np.abs(gradient).max()
+        )
+
+
+def test_qr_form_has_value_gradient_and_information_of_the_whole_problem():
+    own, theta = likelihood("plane")
+    residual, jacobian = own.reduced(theta)
+    whole, slopes = own.residuals(theta), own.jacobian(theta)
+    assert residual @ residual == pytest.approx(whole @ whole)
+    assert jacobian.T @ residual == pytest.approx(
+        slopes.T @ whole, rel=1e-8, abs=1e-8 * np.abs(slopes.T @ whole).max()
+    )
+    assert jacobian.T @ jacobian == pytest.approx(slopes.T @ slopes, rel=1e-8, abs=1e-7)
+
+
+def test_objective_is_the_distance_to_the_nearest_consistent_motion():
+    own, theta = likelihood(PLAIN)
+    white, _, _, fitted = own.look(theta)
+    assert np.abs(own.act(theta, fitted[:, :, None])).max() < 1e-9
+    off = own.data.y - fitted
+    inverse = np.linalg.pinv(own.data.covariance, hermitian=True, rcond=1e-14)
+    distance = np.einsum("li,lij,lj->", off.conj(), inverse, off).real
+    assert 2.0 * np.sum(np.abs(white) ** 2) == pytest.approx(2.0 * distance, rel=1e-6)
+
+
+def test_shared_errors_are_the_same_as_maps_and_as_derivatives():
+    ear = ring_ear(5)
+    shared = ear.motion.shared
+    maps = [np.stack([change, change]) for change in frame_maps()]
+    for body, layout in enumerate((STAPES, BASE)):
+        for change in layout.position_maps():
+            both = np.zeros((2, 6, 6))
+            both[body] = change
+            maps.append(both)
+    recorded = SharedErrors(
+        shared.names,
+        shared.covariance,
+        shared.derivatives,
+        np.array(maps, dtype=complex),
+        np.zeros(len(maps), int),
+    )
+    one = fit(ear.motion, ear.mass)
+    other = fit(replace(ear.motion, shared=recorded), ear.mass)
+    assert other.values == pytest.approx(one.values, rel=1e-6)
+    assert np.diag(other.covariance) == pytest.approx(np.diag(one.covariance), rel=1e-3)
+
+
+def test_units_of_motion_do_not_matter():
+    motion, _ = paper_motion(0.02, 1)
+    louder = replace(motion, q=1e6 * motion.q, covariance=1e12 * motion.covariance)
+    one, other = fit(motion, M), fit(louder, M)
+    assert other.values == pytest.approx(one.values, rel=1e-9)
+    assert other.covariance == pytest.approx(one.covariance, rel=1e-6)
+
+
+def test_fixed_at_zero_is_the_fit_without():
+    ear = ring_ear(2)
+    plain, fixed = (
+        fit(ear.motion, ear.mass, unknowns="none"),
+        fit(ear.motion, ear.mass, unknowns=("delay=0", "none")),
+    )
+    assert np.abs(fixed.values - plain.values).max() < 1e-6 * np.abs(plain.values).max()
+    assert np.abs((fixed.values - plain.values) / np.sqrt(np.diag(plain.covariance))).max() < 0.01
+    assert np.diag(fixed.covariance) == pytest.approx(np.diag(plain.covariance), rel=0.1)
+
+
+def test_a_mirrored_ear_gives_the_mirrored_matrices():
+    ear = ring_ear(7, shared=False)
+    flip = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])  # z -> -z: z, alpha and beta change sign
+    mirrored = replace(
+        ear.motion, q=ear.motion.q * flip, covariance=ear.motion.covariance * np.outer(flip, flip)
+    )
+    odd = np.array([1, 1, 1, -1, 1, 1, 1, 1, -1, -1])
+    one, other = fit(ear.motion, ear.mass), fit(mirrored, StatedMass(ear.mass.parameters * odd, {}))
+    signs = np.array([1, -1, 1, 1, -1, 1] * 2)
+    assert other.values * signs == pytest.approx(one.values, rel=1e-4)
+
+
+def test_mass_scale_moves_k_and_d_alike_and_leaves_the_modes():
+    ear = ring_ear(4, shared=False)
+    one = fit(ear.motion, ear.mass)
+    other = fit(ear.motion, StatedMass(1.03 * ear.mass.parameters, {}))
+    assert other.values == pytest.approx(1.03 * one.values, rel=1e-5)
+    assert [mode.frequency_hz for mode in other.modes.pairs] == pytest.approx(
+        [mode.frequency_hz for mode in one.modes.pairs], rel=1e-6
+    )
+    scaled = fit(
+        ear.motion,
+        StatedMass(ear.mass.parameters, {"density": 0.05**2 * np.outer(*[ear.mass.parameters] * 2)}),
+    )
+    assert scaled.derived.frequency_sd_hz == pytest.approx(one.derived.frequency_sd_hz, rel=0.1)
+    assert np.sqrt(scaled.covariance[0, 0]) / scaled.stiffness[0, 0] == pytest.approx(0.05, rel=0.1)
+
+
+def test_estimates_reach_the_bound_with_honest_intervals():
+    errors, inside = [], []
+    for seed in range(40):
+        result = fit(paper_motion(0.05, seed, 60)[0], M)
+        errors.append((result.values - TRUTH) / result.bound)
+        inside.append(np.abs(deviation(result)) < 1.96)
+    assert np.median(np.sqrt(np.mean(np.square(errors), axis=0))) < 1.12  # 1 with 40 draws: sd 0.11 an entry
+    assert agrees(np.mean(inside), 0.95, 480, correlated=3.0)
+
+
+def test_robust_weights_keep_sd_where_nothing_is_off_and_find_lines_that_are():
+    motion, _ = paper_motion(0.02, 3)
+    plain, robust = fit(motion, M), fit(motion, M, robust="t4")
+    ratio = np.sqrt(np.diag(robust.covariance) / np.diag(plain.covariance))
+    assert np.all((ratio > 0.9) & (ratio < 1.3))
+    q = motion.q.copy()
+    rng = np.random.default_rng(1)
+    q[0, 0, [20, 90, 150]] *= 1.0 + 0.4 * rng.standard_normal((3, 1))
+    spoiled = fit(replace(motion, q=q), M, robust="t4")
+    assert np.abs(deviation(spoiled)).max() < 3.5
+    assert any(notice.code == "outliers" for notice in spoiled.notices)
+
+
+def test_noise_level_comes_from_above_where_noise_is_understated():
+    motion, _ = paper_motion(0.02, 5)
+    quiet = replace(motion, covariance=motion.covariance / 25.0)
+    one, other = fit(motion, M), fit(quiet, M)
+    ratio = np.sqrt(np.diag(other.noise_covariance) / np.diag(one.noise_covariance))
+    assert ratio == pytest.approx(np.ones(12), abs=0.05)
+    assert any(notice.code == "misfit" for notice in other.notices)
+
+
+def test_solver_settles_from_a_far_start():
+    motion, _ = paper_motion(0.02, 2)
+    data = data_of(motion, inertia_of(M, DOF), DOF)
+    model = Model()
+    near = solve(data, model)
+    far = solve(data, model, 10.0 * near.theta, 1.0)
+    assert far.chi2 == pytest.approx(near.chi2, rel=1e-8)
+    assert far.theta == pytest.approx(near.theta, rel=1e-4, abs=1e-6)
