@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,9 @@ REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
+_BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
+_PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
+_FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
 _IN_TEXT = re.compile(r"(?:^|[\s_])[+-]?[xyz]\b", re.IGNORECASE)
 
 
@@ -136,15 +140,30 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 
 
 def _read_sets(path: Path) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault]]:
-    """Return the datasets of a file with their places from 1, and what is wrong with them."""
+    """Return the datasets of a file with their places from 1, and what is wrong with them.
+
+    Where pyuff fails, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten.
+    """
+    content = path.read_bytes()
+    sets, faults = _datasets(path, content, path.name)
+    if (sets and not faults) or _BINARY.search(content) is not None:
+        return sets, faults
+    plain_text = _PADDED_RULE.sub(rb"    -1\1", _FORTRAN_EXPONENT.sub(rb"\1E\2", content))
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "plain.uff"
+        copy.write_bytes(plain_text)
+        return _datasets(copy, plain_text, path.name)
+
+
+def _datasets(path: Path, content: bytes, name: str) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault]]:
+    """Return the datasets that pyuff reads, and what is wrong with the others."""
     import pyuff
 
-    content = path.read_bytes()
     faults: list[Fault] = []
     whole = content.rstrip(b" \t\r\n\0\x1a")
     if not whole.endswith(b" -1"):
         got = shown(whole.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"
-        faults.append(Fault("the last line of a universal file", "-1", got, path.name, CUT))
+        faults.append(Fault("the last line of a universal file", "-1", got, name, CUT))
     file = pyuff.UFF(str(path))
     sets: list[tuple[int, dict[str, Any]]] = []
     damaged: list[int] = []
@@ -155,10 +174,10 @@ def _read_sets(path: Path) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault
             damaged.append(place)
             continue
         if one.get("type") == 58:
-            faults += _function_faults(one, place, path.name)
+            faults += _function_faults(one, place, name)
         sets.append((place, one))
     if damaged:
-        where = Place(path.name, "dataset", tuple(damaged))
+        where = Place(name, "dataset", tuple(damaged))
         faults.append(Fault("a dataset", "as the format describes it", "another layout", where, CUT))
     return sets, faults
 

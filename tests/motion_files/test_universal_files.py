@@ -51,6 +51,22 @@ def test_every_form_of_numbers(form, even, binary, tmp_path):
     assert np.allclose(recording.freq_hz, FREQ_HZ)
 
 
+WRITINGS = {
+    "windows": lambda text: text.replace(b"\n", b"\r\n"),
+    "padded": lambda text: b"\n".join(line.ljust(80) for line in text.split(b"\n")),
+    "fortran": lambda text: text.replace(b"E-0", b"D-0"),
+    "end mark": lambda text: text + b"\x1a",
+    "byte order mark": lambda text: b"\xef\xbb\xbf" + text,
+    "a blank line first": lambda text: b"\n" + text,
+}
+
+
+@pytest.mark.parametrize("name", WRITINGS)
+def test_writings_of_other_programs(name, tmp_path):
+    recording = read(tmp_path, WRITINGS[name](universal_file()))
+    assert np.allclose(recording.value, VELOCITY.reshape(9, -1), rtol=1e-11)
+
+
 def test_units_of_positions_and_values(tmp_path):
     """Dataset 164: SI = file value / factor, also for values without a unit of their own."""
     millimetres = read(tmp_path, units(1e3), nodes_15({1: (5e2, 0.0, 0.0)}), function(FREQ_HZ, VALUE))
