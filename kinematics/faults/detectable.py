@@ -37,8 +37,8 @@ def detectable(now: Round) -> list[Detectable]:
     Notes
     -----
     The score test has the non-centrality x^T N x for a fault x with information N (motion and expected errors
-    free). It is found where that is as large as the alarm level and the power ask for (Neyman and Pearson; the
-    level of noise that is not stated counts with its own degrees of freedom).
+    free). It is found where that is as large as the alarm level and the power ask for; the level of noise
+    that is not stated counts with its own degrees of freedom.
     """
     live = now.live
     owned = informations(

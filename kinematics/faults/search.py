@@ -28,6 +28,10 @@ ALARM = 0.01
 WHOLE_SHARE = 0.25
 """Share of it that goes to the sum of all squares, which has no kind and no place."""
 
+_LEAST_CHANNELS = 6  # for quartiles of their noise
+_QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
+_QUARTILE_NOISE = 5.4  # relative variance of the square of that distance, times the number
+_SPREAD_SD = 4.0  # standard deviations from which on channels differ in noise
 _NO_PATTERN = np.log(1e-3)
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
@@ -42,7 +46,11 @@ _CANDIDATES = {"channel": 3, "point": 2, "laser": 2, "body": 1}
 
 @dataclass(frozen=True)
 class Round:
-    """The readings under what is believed so far, and the tests of what else may be wrong."""
+    """The readings under what is believed so far, and the tests of what else may be wrong.
+
+    ``noise_spread`` is the standard deviation over channels of the logarithm of their noise, where it is not
+    stated.
+    """
 
     readings: Readings
     layout: Layout
@@ -52,6 +60,7 @@ class Round:
     noise: Noise
     stated: bool
     tests: tuple[Test, ...]
+    noise_spread: float = 0.0
 
     @property
     def state(self) -> State:
@@ -78,12 +87,16 @@ class Round:
     @cached_property
     def channel_noise(self) -> Array:
         """Logarithm of the probability that a channel is as loud as it is by chance, (c,); 0 if unknown."""
+        from scipy.special import log_ndtr
+
         energy, freedom = self.state.channel_energy
-        out = np.zeros(len(energy))
-        for channel in self.live:
-            if freedom[channel] > 8.0:
-                out[channel] = float(self.noise.log_tail(energy[channel], freedom[channel]))
-        return out
+        some = freedom > 8.0
+        tail = self.noise.log_tail(energy, np.where(some, freedom, 1.0))
+        if self.noise_spread > 0.0:
+            ratio = np.maximum(energy, 1e-300) / np.maximum(freedom, 1.0) / self.noise.level
+            width = np.sqrt(self.noise_spread**2 + 0.5 / np.maximum(freedom, 1.0))
+            tail = log_ndtr(-0.5 * np.log(ratio) / width)
+        return np.where(some, tail, 0.0)
 
     @cached_property
     def log_whole(self) -> float:
@@ -164,18 +177,22 @@ def null_fit(
 ) -> Round:
     """Fit motion and expected errors, find the level of the noise, and test everything."""
     packed = pack(readings)
+    spread = 0.0
     live = packed.live.tolist()
     expected = expected_errors(layout, live, priors, float(np.mean(readings.freq_hz)))
     estimate = joint(packed, expected)
     if not stated and packed.turned:
-        levels = _levels(estimate.state)
-        packed = packed.scaled(levels)
+        packed = packed.scaled(_levels(estimate.state))
         estimate = joint(packed, expected, estimate.values)
+        levels, spread = channel_levels(estimate.state)
+        if spread > 0.0:
+            packed = packed.scaled(np.broadcast_to(levels, packed.w.shape))
+            estimate = joint(packed, expected, estimate.values)
     complete = len(live) == len(layout.points)
     tests = score_tests(estimate.state, expected, places(layout, live, complete))
     if noise is None:
         noise = Noise() if stated else _unknown_noise(estimate, tests)
-    return Round(readings, layout, packed, expected, estimate, noise, stated, tuple(tests))
+    return Round(readings, layout, packed, expected, estimate, noise, stated, tuple(tests), spread)
 
 
 def _levels(state: State) -> Array:
@@ -190,6 +207,32 @@ def _levels(state: State) -> Array:
     root = np.sqrt(freedom[some])
     course = np.linalg.lstsq(base[some] * root[:, None], logs * root, rcond=None)[0]
     return np.asarray(np.exp(0.5 * base @ course))
+
+
+def channel_levels(state: State) -> tuple[Array, float]:
+    """Return the noise of channels over the mean, (c,), and the standard deviation of its logarithm.
+
+    Notes
+    -----
+    Logarithms of levels scatter by sqrt(1 / (2 f)) by chance, f their degrees of freedom. Where most channels
+    differ by more, each has its own, shrunk towards the mean (Efron and Morris 1975,
+    doi:10.1080/01621459.1975.10479864); the scatter is that of the middle half of channels, which a faulty one
+    does not move.
+    """
+    energy, freedom = (part.sum(axis=0) for part in state.noise_energy)
+    some = freedom > 8.0
+    levels = np.ones(len(freedom))
+    if np.count_nonzero(some) < _LEAST_CHANNELS:
+        return levels, 0.0
+    logs = 0.5 * np.log(np.maximum(energy[some], 1e-300) / freedom[some])
+    logs -= np.median(logs)
+    chance = 0.5 / freedom[some]
+    width = float(np.diff(np.quantile(logs, [0.25, 0.75]))[0]) / _QUARTILES
+    excess = width**2 - float(np.median(chance))
+    if excess < _SPREAD_SD * float(np.median(chance)) * np.sqrt(_QUARTILE_NOISE / len(logs)):
+        return levels, 0.0
+    levels[some] = np.exp(logs * excess / (excess + chance))
+    return levels, float(np.sqrt(excess))
 
 
 def _unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
@@ -243,7 +286,11 @@ def search(
         every = tuple(range(len(layout.points)))
         log_p = min(first.log_whole, float(np.min(first.log_p, initial=0.0)))
         found = [Finding("flexible", "body", every, np.zeros(0), np.zeros(0), log_p)]
-    return Diagnosis(tuple(found), _channel_log_p(first), level, first, now)
+    log_p = _channel_log_p(first)
+    at_fault = [channel for one in found for channel in one.channels]
+    sound = np.setdiff1d(now.live, at_fault)
+    log_p[sound] = _channel_log_p(now)[sound]
+    return Diagnosis(tuple(found), log_p, level, first, now)
 
 
 def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:
@@ -455,13 +502,13 @@ def _solvable(readings: Readings) -> bool:
     return int(np.count_nonzero(np.isfinite(readings.noise_factor))) > 7
 
 
-def _channel_log_p(first: Round) -> Array:
+def _channel_log_p(now: Round) -> Array:
     """Return the logarithm of the smallest p-value of each channel's own tests, all of them one test."""
-    out = np.minimum(first.channel_noise, 0.0)
+    out = np.minimum(now.channel_noise, 0.0)
     count = np.ones(len(out))
-    for test in first.tests:
+    for test in now.tests:
         if test.place.owner == "channel":
             channel = test.place.channels[0]
-            out[channel] = min(out[channel], float(first.noise.log_tail(test.statistic, test.freedom)))
+            out[channel] = min(out[channel], float(now.noise.log_tail(test.statistic, test.freedom)))
             count[channel] += 1.0
     return np.minimum(out + np.log(count), 0.0)

@@ -1,0 +1,283 @@
+"""Cheap checks of a whole measurement: rows of zeros, units, names of bodies, sign of the phase.
+
+Each check of `CHECKS` takes a measurement and yields warnings; what is wrong is named, nothing is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinematics.fit.beams import observability
+from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, list_some
+from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.warnings import Notice
+
+_NEAREST_M, _FARTHEST_M = 0.03e-3, 0.3  # a laser spot; larger than any bone or holder under a microscope
+_LOWEST_TOP_HZ, _HIGHEST_HZ = 40.0, 3e5  # a sweep that ends below is not of hearing; no ear hears beyond
+SLOWEST, FASTEST = 1e-6, 20e-3
+"""Velocity amplitudes of ears in experiments, m/s: 0.05 to 0.2 mm/s for each Pa at the stapes (Chien et al.
+2009, doi:10.1016/j.heares.2008.11.011), at 50 to 130 dB (SPL)."""
+_LARGEST_RATIO = (
+    100.0  # a resonance makes a factor of ten between bodies, in the median of a band not hundreds
+)
+_LEAST_VALUES, _WIDE_BAND = (
+    50,
+    2.0,
+)  # values and octaves in which damping turns the phase by more than pi degrees
+_DECIBELS = (20.0, 200.0)
+_SAMPLE = 100_000  # values looked at
+_SURE = 4.0  # standard deviations of a lag, or of a likelihood ratio
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A body whose values that hold nothing are NaN, and by run why: ``zeros`` or ``unused`` by channel."""
+
+    body: BodyChannels
+    unused: tuple[dict[int, str], ...]
+    notices: tuple[Notice, ...]
+
+
+def empty_faults(measurement: Measurement) -> list[Fault]:
+    """List the bodies that hold nothing to fit: no value, or zeros throughout and no sd."""
+    faults = []
+    file = ", ".join(path.name for role, path in measurement.inputs.items() if role.startswith("ldv"))
+    for body in measurement.bodies:
+        thing = f"the values of body {body.body}"
+        usable = (
+            np.isfinite(body.value) if body.sd is None else np.isfinite(body.value) & np.isfinite(body.sd)
+        )
+        if not np.any(usable):
+            step = "Check the export, or leave the rows of this body out"
+            faults.append(Fault(thing, "numbers in at least one row", "empty or NaN cells", file, step))
+        elif (body.sd is None or body.relative) and not np.any(body.value[usable]):
+            step = "Give an sd column if the body stood still, or leave its rows out"
+            faults.append(Fault(thing, "other than zero, or given with sd", "zeros throughout", file, step))
+    return faults
+
+
+def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
+    """Set aside values that are exactly zero although the body moves there.
+
+    A channel of zeros is believed when the other channels say that nothing moves along its beam, or when
+    they cannot tell without it.
+    """
+    value = body.value
+    drop = np.zeros(value.shape, dtype=bool)
+    unused: list[dict[int, str]] = []
+    texts: list[str] = []
+    for run, name in enumerate(runs):
+        where = f" in run {name}" if len(runs) > 1 else ""
+        first = np.isfinite(value[run, :, 0]) & (value[run, :, 0] != 0.0)
+        doubtful = np.flatnonzero(~first)
+        empty = [int(c) for c in doubtful if not np.any(np.isfinite(value[run, c]))]
+        dead = [int(c) for c in doubtful if c not in empty and not np.any(np.nan_to_num(value[run, c]))]
+        marks = dict.fromkeys(empty, "unused")
+        if dead and len(dead) < len(value[run]) and _moves(body, run, dead, dof):
+            drop[run, dead] = True
+            marks |= dict.fromkeys(dead, "zeros")
+            names = list_some((body.channel_name(c) for c in dead), most=6)
+            texts.append(f"{names}{where} read zero throughout while the body moves")
+        some = (value[run] == 0.0) & ~drop[run]
+        some[dead] = False
+        if np.any(some) and not np.any(np.all(some, axis=1)):
+            drop[run] |= some
+            texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
+        unused.append(marks)
+    if not texts:
+        return Screened(body, tuple(unused), ())
+    step = "these values were not used (missing points are often exported as zero)"
+    body = replace(body, value=np.where(drop, np.nan, value))
+    return Screened(body, tuple(unused), (Notice("zero_rows", f"{'; '.join(texts)}; {step}."),))
+
+
+def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:
+    """Return whether the other channels see a motion along the beams of channels that read zero."""
+    others = np.setdiff1d(np.arange(len(body.points)), dead)
+    arms, beams = body.arms_m, body.directions
+    if len(others) < len(dof) or observability(arms[others], beams[others], dof)[-1] < 1e-3:
+        return True
+    rows = point_rows(arms, beams)[:, dof_indices(dof)]
+    y = np.nan_to_num(body.value[run, others])
+    y = y[:, np.any(y != 0.0, axis=0)]
+    if y.shape[1] == 0:
+        return False
+    q = np.linalg.lstsq(rows[others], y, rcond=None)[0]
+    left = np.sqrt(np.mean(np.abs(y - rows[others] @ q) ** 2))
+    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q) ** 2))
+    return bool(expected > 3.0 * left + 1e-9 * float(np.max(np.abs(y))))
+
+
+def check_measurement(measurement: Measurement) -> list[Notice]:
+    """Return the warnings of all checks."""
+    return [notice for check in CHECKS for notice in check(measurement)]
+
+
+def _some(body: BodyChannels) -> tuple[ComplexArray, slice]:
+    """Return values (r, c, n) of some lines of large data, NaN where zero or missing, and these lines."""
+    lines = slice(0, None, max(1, body.value.size // _SAMPLE))
+    part = body.value[:, :, lines]
+    return np.where(np.isfinite(part) & (part != 0.0), part, np.nan), lines
+
+
+def distances(measurement: Measurement) -> Iterator[Notice]:
+    """Look at the distances of the points of each body: m under a header in mm, or the reverse."""
+    for body in measurement.bodies:
+        size = 0.0 if body.positions_m is None else float(np.max(np.ptp(body.positions_m, axis=0)))
+        if size > 0.0 and not _NEAREST_M < size < _FARTHEST_M:
+            unit = "m" if size <= _NEAREST_M else "um"
+            text = f"the points of body {body.body} span {1e3 * size:.3g} mm: they look like {unit}"
+            yield Notice("unit_slip", f"{text} in columns of mm. Check the unit of the coordinates.")
+
+
+def frequencies(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether the frequencies are those of hearing."""
+    top = float(measurement.freq_hz[-1])
+    if top > _HIGHEST_HZ or top < _LOWEST_TOP_HZ:
+        found = "a thousand times too large" if top > _HIGHEST_HZ else "like kHz in a column of Hz"
+        yield Notice("unit_slip", f"the highest frequency is {top:.4g} Hz: the frequencies look {found}.")
+
+
+def velocities(measurement: Measurement) -> Iterator[Notice]:
+    """Compare velocities with those of ears: a factor that all values have leaves no other trace."""
+    rate = 2.0 * np.pi * measurement.freq_hz
+    sizes = {}
+    for body in measurement.bodies:
+        part, lines = _some(body)
+        speed = np.abs(part) * rate[lines] ** (1.0 - measurement.order)
+        if np.any(np.isfinite(speed)):
+            sizes[body.body] = float(np.nanmedian(speed))
+    size = max(sizes.values(), default=np.sqrt(SLOWEST * FASTEST))
+    if not SLOWEST < size < FASTEST:
+        guess = "decibels, or " if _DECIBELS[0] < size < _DECIBELS[1] else ""
+        text = (
+            f"the velocities of {', '.join(sizes)} are {size:.2g} m/s in the median; ears move by "
+            f"{SLOWEST:g} to {FASTEST:g} m/s in experiments: the values look like {guess}another unit. "
+            "Check the unit of the file."
+        )
+        yield Notice("unit_slip", text)
+
+
+def ratios(measurement: Measurement) -> Iterator[Notice]:
+    """Compare the bodies with the first, line by line."""
+    sizes = []
+    for body in measurement.bodies:
+        part = np.abs(body.value[:, :, :: max(1, measurement.bodies[0].value.size // _SAMPLE)]) ** 2
+        count = np.maximum(np.sum(np.isfinite(part), axis=(0, 1)), 1)
+        sizes.append(np.sqrt(np.nansum(part, axis=(0, 1)) / count))
+    for body, size in zip(measurement.bodies[1:], sizes[1:], strict=True):
+        both = (size > 0.0) & (sizes[0] > 0.0)
+        ratio = float(np.median(size[both] / sizes[0][both])) if np.any(both) else 1.0
+        if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
+            text = f"body {body.body} moves {ratio:.3g} times as much as {measurement.bodies[0].body}"
+            yield Notice("unit_slip", f"{text}: one of them has another unit. Check the units of both.")
+
+
+def radians(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether all phases lie within pi degrees: radians in a column of degrees."""
+    if measurement.freq_hz[-1] < _WIDE_BAND * measurement.freq_hz[0]:
+        return
+    for body in measurement.bodies:
+        part, _ = _some(body)
+        phase = np.abs(np.rad2deg(np.angle(part[np.isfinite(part)])))
+        if phase.size > _LEAST_VALUES and 1.0 < float(np.max(phase)) <= np.pi * (1 + 1e-6):
+            text = f"all phases of body {body.body} lie within 3.1416 degrees: they look like radians"
+            yield Notice("unit_slip", f"{text} in a column of degrees.")
+
+
+def decibels(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether amplitudes are all decibels: all within 20 to 200, in any unit of a header."""
+    for body in measurement.bodies:
+        part, _ = _some(body)
+        size = np.abs(part[np.isfinite(part)])
+        for unit in (1.0, 1e-3, 1e-6, 1e-9) if size.size > _LEAST_VALUES else ():
+            low, high = float(np.min(size)) / unit, float(np.max(size)) / unit
+            if _DECIBELS[0] < low and high < _DECIBELS[1] and high < 3.0 * low:
+                text = f"all amplitudes of body {body.body} lie between {low:.3g} and {high:.3g} of one unit"
+                yield Notice("unit_slip", f"{text}: they look like decibels. Give them as linear amplitudes.")
+
+
+def phase_convention(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether phases fall with frequency, as those of a passive structure do under e^{+iwt}.
+
+    The stapes lags the base that drives it; a single body lags its excitation: the phase of its motion falls
+    by half a turn at each resonance, so that the sum of its steps is negative.
+    """
+    along = np.mean(measurement.bodies[0].directions, axis=0)
+    motions = [_strongest(body, along) for body in measurement.bodies]
+    if len(motions) == 2:
+        names = [body.body for body in measurement.bodies]
+        first = 1 if names[1] == "stapes" else 0
+        angle = np.angle(motions[first] * motions[1 - first].conj())
+        what = f"{names[first]} leads {names[1 - first]}"
+    else:
+        angle = np.cumsum(np.angle(motions[0][1:] * motions[0][:-1].conj()))
+        what = f"the phase of {measurement.bodies[0].body} rises with frequency"
+    angle = angle[np.isfinite(angle)]
+    if len(angle) < 20:
+        return
+    leads = np.count_nonzero(angle > 0.0)
+    if len(motions) == 2:
+        score = (leads - 0.5 * len(angle)) / np.sqrt(0.25 * len(angle))
+        wrong = score > _SURE and float(np.mean(np.sin(angle))) > 0.1
+    else:
+        wrong = float(angle[-1]) > 1.5 * np.pi and leads > 0.9 * len(angle)
+    if wrong:
+        text = f"{what}: these look like amplitudes of e^{{-iwt}}. Conjugate the data (reverse the phases)."
+        yield Notice("phase_convention", text)
+
+
+def _strongest(body: BodyChannels, along: Array) -> ComplexArray:
+    """Return the course (n,) of the strongest common motion of the first run, positive along a direction."""
+    part, _ = _some(body)
+    value = np.nan_to_num(part[0])
+    left = np.linalg.svd(value, full_matrices=False)[0][:, 0]
+    course = left.conj() @ value
+    sign = complex(np.sum(left * np.sign(body.directions @ along)))
+    return np.asarray(np.where(course != 0.0, course * sign / max(abs(sign), 1e-300), np.nan))
+
+
+def exchanged_bodies(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether two bodies fit the positions of each other better than their own."""
+    if len(measurement.bodies) != 2 or any(body.positions_m is None for body in measurement.bodies):
+        return
+    one, other = measurement.bodies
+    if len(one.points) != len(other.points):
+        return
+    own = _misfit(one, one) + _misfit(other, other)
+    crossed = _misfit(one, other) + _misfit(other, one)
+    if own > 0.0 and crossed < 0.1 * own:
+        text = f"the values of {one.body} fit the points of {other.body}, and the reverse"
+        yield Notice("label_swap", f"{text}: the names of the bodies are exchanged.")
+
+
+def _misfit(values: BodyChannels, places: BodyChannels) -> float:
+    """Return the share of the squares of values that no rigid motion at the places of a body makes."""
+    part, _ = _some(values)
+    y = part[0][:, np.all(np.isfinite(part[0]), axis=0)]
+    if not y.size:
+        return 0.0
+    arms = places.arms_m - places.arms_m.mean(axis=0)
+    rows = point_rows(arms / max(float(np.max(np.abs(arms))), 1e-12), places.directions)
+    u, s, _ = np.linalg.svd(rows, full_matrices=False)
+    u = u[:, s > 1e-6 * s[0]]
+    left = y - u @ (u.T @ y)
+    return float(np.sum(np.abs(left) ** 2) / np.sum(np.abs(y) ** 2))
+
+
+CHECKS: tuple[Callable[[Measurement], Iterator[Notice]], ...] = (
+    distances,
+    frequencies,
+    velocities,
+    ratios,
+    radians,
+    decibels,
+    phase_convention,
+    exchanged_bodies,
+)
+"""All checks. A new one is one function and one entry."""
