@@ -1,0 +1,153 @@
+"""Checks of a measurement and of its motion as a whole: common lines, determined motions, phase convention."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kinematics.fit.neglected import neglected_notice
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, raise_all
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.rigid_motion import RigidMotion
+from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.warnings import Notice
+
+_LEVER_M = 1.5e-3  # half a footplate, which makes rotations comparable with translations
+_RISE, _ALIKE = 0.75 * np.pi, 0.7  # rise of the phase that no response shows; likeness of neighbouring lines
+_LEAST_LINES = 8
+_SURE = 6.0  # standard deviations by which the power has the wrong sign
+_LEAST_LEAD = 0.02  # sine of a lead, twice the phase error of a laser
+
+
+def uncommon_lines(placed: Measurement) -> list[Notice]:
+    """Return the warning that bodies were not measured at all lines of the others."""
+    measured = [np.any(np.isfinite(body.value.real), axis=(0, 1)) for body in placed.bodies]
+    counts = [int(np.sum(lines)) for lines in measured]
+    if all(count == len(placed.freq_hz) for count in counts):
+        return []
+    listed = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
+    common = int(np.sum(np.all(measured, axis=0)))
+    text = (
+        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; lines are "
+        "matched within 1e-6."
+    )
+    return [Notice("frequencies_differ", text)]
+
+
+def check_determined(motion: RigidMotion) -> None:
+    """Refuse a body whose motion is determined at no line.
+
+    Raises
+    ------
+    StapeskitError
+        Its channels are too few at every line.
+    """
+    faults = []
+    for number, body in enumerate(motion.bodies):
+        if not np.any(np.isfinite(motion.q[:, number].real)):
+            step = "Measure more channels at the same frequencies, or fit fewer degrees of freedom with --dof"
+            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line or more"
+            faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
+    raise_all(faults)
+
+
+def fit_notices(placed: Measurement, fits: Mapping[tuple[int, int], LineFit]) -> list[Notice]:
+    """Return what the fits of all bodies and runs call for."""
+    notices = []
+    for (run, number), fit in fits.items():
+        body = placed.bodies[number]
+        where = f" in run {placed.runs[run]}" if len(placed.runs) > 1 else ""
+        notices += neglected_notice(fit, body, where)
+        measured = np.any(np.isfinite(body.value[run].real), axis=0)
+        lost = int(np.sum(~fit.solution.good & measured))
+        if lost:
+            text = f"body {body.body}{where}: {lost} lines have too few channels to determine the motion."
+            notices.append(Notice("lines_undetermined", text))
+        if fit.beams.weak:
+            text = f"body {body.body}: hardly observable from these beams: {fit.beams.weak}."
+            notices.append(Notice("unobservable", text))
+    return notices
+
+
+def phase_notices(
+    motion: RigidMotion, mass: MassRecord | None = None, structure: str = "stapes", base: str = "base"
+) -> list[Notice]:
+    """Warn of amplitudes of e^{-iwt}: the structure leads its base, or the phase of a single body rises.
+
+    Notes
+    -----
+    The force that accelerates the structure, -w^2 M q, passes through a ligament that can only dissipate: the power
+    of the base, in proportion to -Im(b^H M q), is positive at every line whatever stiffness and damping are.
+    Without a mass matrix the piston motion alone is looked at.
+    """
+    if structure in motion.bodies and base in motion.bodies:
+        return _lead(motion, mass, structure, base)
+    return _rise(motion) if len(motion.bodies) == 1 else []
+
+
+def _lead(motion: RigidMotion, mass: MassRecord | None, structure: str, base: str) -> list[Notice]:
+    first, second = motion.body(structure), motion.body(base)
+    places = dof_indices(motion.dof)
+    inertia = np.diag([float(name == "y") for name in motion.dof])
+    if mass is not None:
+        inertia = mass.mass_matrix.matrix[np.ix_(places, places)]
+    total = size = weight = 0.0
+    lines = 0
+    sd = motion.standard_deviation
+    for run in range(len(motion.runs)):
+        q, b = motion.q[run, first], motion.q[run, second]
+        good = np.all(np.isfinite(q) & np.isfinite(b), axis=1)
+        q, b = q[good], b[good]
+        power = np.einsum("li,ij,lj->l", b.conj(), inertia, q)
+        variance = np.sum((np.abs(b @ inertia) * sd[run, first][good]) ** 2, axis=1)
+        variance += np.sum((np.abs(q @ inertia) * sd[run, second][good]) ** 2, axis=1)
+        total += float(np.sum(power.imag))
+        size += float(np.sum(np.abs(power)))
+        weight += float(np.sum(variance))
+        lines += int(good.sum())
+    if lines < _LEAST_LINES or not total > max(_SURE * np.sqrt(weight), _LEAST_LEAD * size):
+        return []
+    text = (
+        f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / size, 1.0))):.2g} degrees in the mean, where a "
+        "passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate them), or the two bodies "
+        "are exchanged."
+    )
+    return [Notice("phase_convention", text)]
+
+
+def _even(motion: RigidMotion, run: int, body: int) -> tuple[ComplexArray, Array]:
+    """Return the motion of a body and its sd as lengths, (L, n)."""
+    lever = np.array([1.0 if name in DOF_NAMES[:3] else _LEVER_M for name in motion.dof])
+    return motion.q[run, body] * lever, motion.standard_deviation[run, body] * lever
+
+
+def _rise(motion: RigidMotion) -> list[Notice]:
+    """Warn when the phase of a single body rises over the band, which a response to its reference does not."""
+    turns, sure = [], []
+    for run in range(len(motion.runs)):
+        q, sd = _even(motion, run, 0)
+        good = np.all(np.isfinite(q) & np.isfinite(sd), axis=1)
+        if np.sum(good) < _LEAST_LINES:
+            return []
+        q, sd = q[good], sd[good]
+        size = np.sqrt(np.mean(np.abs(q) ** 2, axis=0))
+        places = np.flatnonzero(size > 3.0 * np.sqrt(2.0 * np.mean(sd**2, axis=0)))
+        if not places.size:
+            return []
+        even = q[:, places]
+        steps = np.sum(even[:-1].conj() * even[1:], axis=1)
+        turns.append(float(np.sum(np.angle(steps))))
+        power = np.maximum(np.sum(np.abs(even) ** 2, axis=1), 1e-300)
+        sure.append(float(np.quantile(np.abs(steps) / np.sqrt(power[1:] * power[:-1]), 0.1)))
+    if min(turns) < _RISE or min(sure) < _ALIKE:
+        return []
+    text = (
+        f"the phase of body {motion.bodies[0]} rises by {np.rad2deg(np.mean(turns)):.0f} degrees over the band, where a "
+        "response lags its reference more and more: either these are amplitudes of e^{-iwt} (conjugate them), or the "
+        "reference signal comes late."
+    )
+    return [Notice("phase_convention", text)]

@@ -1,0 +1,295 @@
+"""The options of ``points2dof``, each declared once: command line, study file and Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import PlainValidator, ValidationInfo
+
+from stapeskit.faults import Fault
+from stapeskit.option_types import (
+    Count,
+    DofList,
+    Flag,
+    Percent,
+    Positive,
+    Range,
+    ReadFile,
+    ReadFiles,
+    Says,
+    Text,
+    entries,
+    number_where,
+    output_file,
+    require,
+)
+from stapeskit.options import Opt, Options, Rule
+from stapeskit.spatial import DOF_NAMES
+
+NONE = "none"
+"""Word that turns a file off which would be looked for beside the measurement."""
+
+_TIES = "from the vibrometer to the footplate"
+_LASERS = "how well the lasers agree: shared errors of the motion, of K and of D"
+_FILES = "what files do not say themselves"
+_SERIES = "time series"
+
+
+def _file_or_none(value: Any, info: ValidationInfo) -> Path | str:
+    require(isinstance(value, Path) or (isinstance(value, str) and value.strip() and "\0" not in value))
+    path = Path((info.context or {}).get("folder", "")) / Path(value).expanduser()
+    if path.is_file() or path.is_dir():
+        return path
+    require(path.name == NONE)
+    return NONE
+
+
+def _rules(value: Any) -> tuple[str, ...]:
+    """Return rules ``NAME=ITEMS`` from texts or from a table of names."""
+    if isinstance(value, Mapping):
+        value = [f"{name}={','.join(entries(items))}" for name, items in value.items()]
+    found = tuple(entries(value))
+    require(all(isinstance(rule, str) and 0 < rule.find("=") < len(rule.strip()) - 1 for rule in found))
+    return found
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    found = tuple(entries(value))
+    require(all(isinstance(text, str) and text.strip() for text in found))
+    return found
+
+
+FileOrNone = Annotated[
+    Path | str,
+    PlainValidator(_file_or_none),
+    Says("an existing file, or none", "FILE|none", "Check its name and folder", is_path=True),
+]
+Rules = Annotated[tuple[str, ...], PlainValidator(_rules), Says("NAME=ITEMS", "NAME=ITEMS")]
+Texts = Annotated[tuple[str, ...], PlainValidator(_texts), Says("BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
+Share = Annotated[
+    float, number_where(lambda value: 0.0 <= value <= 0.9), Says("a number from 0 to 0.9", "SHARE")
+]
+Small = Annotated[
+    float, number_where(lambda value: 0.0 <= value <= 1000.0), Says("a number from 0 to 1000", "NUMBER")
+]
+CsvFile = Annotated[Path, *output_file(".csv")]
+
+
+class MotionOptions(Options):
+    """What is measured, how it is tied to the footplate, and how the motion is fitted: ``[ldv]``."""
+
+    table: ClassVar[str] = "ldv"
+    rules: ClassVar[tuple[Rule, ...]] = (
+        Rule(
+            lambda v: not v.file,
+            Fault("LDV", "given", "nothing", "", "points2dof --help lists the formats"),
+        ),
+        Rule(
+            lambda v: v.frame and isinstance(v.fiducials, Path),
+            Fault(
+                "--frame",
+                "left out with --fiducials, which name their frame themselves",
+                "both",
+                "",
+                "Write the frame into the column frame of the fiducials file",
+            ),
+        ),
+        Rule(
+            lambda v: v.plate_points and not isinstance(v.fiducials, Path),
+            Fault(
+                "--plate-points",
+                "given with --fiducials, at least three rough ones",
+                "no fiducials",
+                "",
+                "Add --fiducials FILE: the points are laid on the plate from there",
+            ),
+        ),
+        Rule(
+            lambda v: v.correct and v.calibrate,
+            Fault(
+                "--correct",
+                "left out with --calibrate, which takes faults for errors of the geometry",
+                "both",
+                "",
+                "Correct the file by what --correct reports, and calibrate then",
+            ),
+        ),
+        Rule(
+            lambda v: v.steps and v.period_s,
+            Fault("--steps", "left out with --period: an excitation is periodic or stepped", "both"),
+        ),
+    )
+
+    file: Annotated[
+        ReadFiles | tuple[()],
+        Opt(
+            "vibrometer file or folder; several are parts of one measurement, or runs when they measure the "
+            "same points",
+            example="ldv.csv",
+            name="ldv",
+            positional=True,
+            repeats=True,
+            recommended=True,
+        ),
+    ] = ()
+    points: Annotated[
+        FileOrNone | None,
+        Opt(
+            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm] (points.csv beside LDV)",
+            example="points.csv",
+            recommended=True,
+        ),
+    ] = None
+    dof: Annotated[DofList, Opt("degrees of freedom of each body", example="all")] = DOF_NAMES
+    reference: Annotated[Text, Opt("responses per unit of this motion, BODY:DOF", example="base:y")] = ""
+    robust: Annotated[Literal["none", "huber", "t4"], Opt("resist outliers")] = "none"
+    leave_out: Annotated[
+        Texts,
+        Opt(
+            "leave a point out, or one of its beams (x, -z ... or X,Y,Z); once for each",
+            example=["stapes:3", "base:7:z"],
+            repeats=True,
+        ),
+    ] = ()
+    correct: Annotated[
+        Flag, Opt("correct the faults that are found by their estimates, or leave their channels out")
+    ] = False
+
+    fiducials: Annotated[
+        FileOrNone | None,
+        Opt(
+            "points that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm "
+            "[, frame] [, sd_mm] (fiducials.csv beside LDV)",
+            _TIES,
+            "fiducials.csv",
+            recommended=True,
+        ),
+    ] = None
+    frame: Annotated[
+        Literal["footplate", "plate", "scan"] | None,
+        Opt("frame of positions and directions without fiducials (footplate)", _TIES, "footplate"),
+    ] = None
+    mirror: Annotated[
+        Literal["x", "y", "z"] | None,
+        Opt("reverse this axis (coordinates of the scanner are left-handed)", _TIES, "x"),
+    ] = None
+    plate_points: Annotated[
+        ReadFile | None,
+        Opt(
+            "points measured on the plate, laid on its surface in the scan: [name,] x_mm, y_mm, z_mm [, sd_mm]",
+            _TIES,
+            "plate_points.csv",
+        ),
+    ] = None
+
+    calibrate: Annotated[
+        Flag,
+        Opt("estimate axes, laser directions, gains and positions with the motion, within their sd", _LASERS),
+    ] = False
+    gain_sd_percent: Annotated[
+        Percent, Opt("sd of the gain of each laser against the others, percent (0: exact)", _LASERS)
+    ] = 1.0
+    phase_sd_deg: Annotated[
+        Percent, Opt("sd of the phase of each laser against the others, degrees (0: exact)", _LASERS)
+    ] = 0.5
+    delay_sd_us: Annotated[
+        Small, Opt("sd of the delay of each laser against the others, microseconds (0: exact)", _LASERS)
+    ] = 1.0
+
+    body: Annotated[
+        Rules,
+        Opt(
+            "points of a body: stapes=1-10,12 or base=FILE or base=FILE:1-10; once for each body",
+            _FILES,
+            {"stapes": "1-10", "base": "11-19"},
+            repeats=True,
+        ),
+    ] = ()
+    run: Annotated[
+        Rules,
+        Opt(
+            "the excitation that a file belongs to, push=FILE; once for each file",
+            _FILES,
+            {"push": "first.uff", "tilt": "second.uff"},
+            repeats=True,
+        ),
+    ] = ()
+    beam: Annotated[Text, Opt("direction towards the laser head: x, -z ... or X,Y,Z", _FILES, "z")] = ""
+    amplitude: Annotated[
+        Literal["peak", "rms"] | None, Opt("what amplitudes are (peak, with a warning)", _FILES, "peak")
+    ] = None
+    length_unit: Annotated[
+        Literal["m", "mm", "um"] | None, Opt("unit of positions (m, with a warning)", _FILES, "mm")
+    ] = None
+    n_avg: Annotated[
+        Positive | None, Opt("averages behind each value: with coherence they give its noise", _FILES, 20)
+    ] = None
+    mapping: Annotated[
+        ReadFile | None, Opt("which variable or column is what (TOML)", _FILES, "names.toml")
+    ] = None
+
+    channels: Annotated[
+        ReadFile | None,
+        Opt(
+            "files are time series; which channel is what: channel, role, body, point, dir, unit (CSV)",
+            _SERIES,
+            "channels.csv",
+        ),
+    ] = None
+    reference_channel: Annotated[Text, Opt("the reference among several", _SERIES, "force")] = ""
+    averages: Annotated[Count, Opt("segments of a record of random excitation", _SERIES)] = 30
+    period_s: Annotated[
+        Positive | None, Opt("period of a periodic excitation, s", _SERIES, 0.2, name="period")
+    ] = None
+    steps: Annotated[
+        ReadFile | None, Opt("stepped sine: start_s, stop_s, freq_hz (CSV)", _SERIES, "steps.csv")
+    ] = None
+    settle: Annotated[Share, Opt("share of each step left out at its start", _SERIES)] = 0.2
+    frf_band_hz: Annotated[Range | None, Opt("frequencies to keep, Hz", _SERIES, [400, 5000])] = None
+
+    @property
+    def points_file(self) -> Path | None:
+        """The points file, None where there is none."""
+        return self.points if isinstance(self.points, Path) else None
+
+    @property
+    def fiducials_file(self) -> Path | None:
+        """The fiducials file, None where there is none."""
+        return self.fiducials if isinstance(self.fiducials, Path) else None
+
+    @property
+    def source_frame(self) -> str:
+        """Frame of positions and directions in the files."""
+        return "vibrometer" if self.fiducials_file else self.frame or "footplate"
+
+    def inputs(self) -> dict[str, Path]:
+        """Return every file that is named, by its role."""
+        named = {
+            "points": self.points_file,
+            "fiducials": self.fiducials_file,
+            **{name: getattr(self, name) for name in ("plate_points", "mapping", "channels", "steps")},
+        }
+        files = {"ldv" if not number else f"ldv {number + 1}": path for number, path in enumerate(self.file)}
+        return files | {role: path for role, path in named.items() if path is not None}
+
+    def parameters(self) -> dict[str, Any]:
+        """Return what differs from the defaults, for the provenance; files are among its inputs."""
+        files = {"file", "points", "fiducials", "plate_points", "mapping", "channels", "steps"}
+        return {key: value for key, value in self.given().items() if key not in files}
+
+
+class MotionFiles(Options):
+    """What the command reads besides, and what it writes."""
+
+    mass: Annotated[
+        FileOrNone | None,
+        Opt("mass.json of ct2mass (mass.json or *_mass/mass.json beside LDV)", example="mass.json"),
+    ] = None
+    out: Annotated[CsvFile, Opt("table of the motion; X.h5, X.channels.csv and X.html beside it")] = Path(
+        "dof.csv"
+    )
+    force: Annotated[Flag, Opt("replace files that this command did not write")] = False
+    as_json: Annotated[Flag, Opt("print the whole result as JSON", name="json")] = False
+    quiet: Annotated[Flag, Opt("print nothing but errors")] = False

@@ -1,0 +1,423 @@
+"""From what the beams read to the motion of rigid bodies: the one way of command, study and notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinematics.faults.correct import Correction, corrected
+from kinematics.faults.diagnose import diagnose
+from kinematics.faults.search import Diagnosis
+from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
+from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
+from kinematics.fit.noise import fit_with_noise
+from kinematics.fit.reference import parse_reference, per_reference
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.joint.expected import Priors
+from kinematics.leave_out import without_channels
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
+from kinematics.options import MotionOptions
+from kinematics.place.calibration import Calibration, calibrate
+from kinematics.place.fiducials import Fiducials, read_fiducials
+from kinematics.place.handedness import check_axes
+from kinematics.place.lasers import LaserAgreement, laser_agreement
+from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
+from kinematics.place.on_surface import lay_on_surface, read_surface_points
+from kinematics.place.placement import Placement, check_frames, place
+from kinematics.place.shared_errors import Parameter, correction_parameters, shared_errors
+from kinematics.place.surfaces import Surface, surfaces_of
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.repeats import pool_repeats
+from kinematics.results import MotionResult
+from kinematics.screening import Screened, screen
+from stapeskit.arrays import Array
+from stapeskit.command import no_progress
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.provenance import frames_hash, record
+from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.rigid_motion import RigidMotion
+from stapeskit.registration import fit_rigid
+from stapeskit.warnings import Notice, unique
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from stapeskit.command import Progress
+
+_MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
+
+
+def measure_motion(
+    options: MotionOptions,
+    mass: MeasuredMass | None = None,
+    progress: Progress = no_progress,
+    command: Sequence[str] | None = None,
+    taken: Mapping[str, Path] | None = None,
+) -> MotionResult:
+    """Read a measurement, tie it to the footplate, fit the motion of its bodies, and look for faults.
+
+    Parameters
+    ----------
+    options : MotionOptions
+    mass : MeasuredMass, optional
+        Frames and surfaces of the scan.
+    progress : callable
+        Gets the stage at work.
+    command : sequence of str, optional
+        For the provenance.
+    taken : mapping of str to Path, optional
+        By role: files that were found beside the measurement, for the provenance and the page.
+
+    Raises
+    ------
+    StapeskitError
+        What is wrong with the files, all of it together; frames that nothing ties to the footplate; points that do
+        not lie on the bone; beams that cannot observe the degrees of freedom; positions and beams in different
+        axes; a body without a usable value.
+    """
+    progress("reading the measurement")
+    read = _read(options, mass)
+    progress("fitting the motion")
+    measurement, repeats = pool_repeats(read.measurement)
+    check_extent(measurement)
+    placement = read.placement(mass)
+    surfaces = {} if mass is None else surfaces_of(mass)
+    checks, notices = _on_bone(measurement, placement, mass, surfaces)
+    placed = measurement.mapped(placement.transform)
+    if options.reference:
+        parse_reference(options.reference, tuple(body.body for body in placed.bodies), options.dof)
+    screened = screen(placed, options.dof)
+    notices += [*far_away(placed), *uncommon_lines(placed), *screened.notices]
+    fitted = _fit(screened.measurement, options)
+    progress("looking for faults")
+    diagnoses = _search(fitted, options)
+    found = fitted.placed.bodies
+    notices += check_axes(diagnoses, placement.transform)
+    calibration = None
+    if options.calibrate:
+        readings = [diagnoses[number].last.readings for number in sorted(diagnoses)]
+        calibration = calibrate(fitted.placed, readings, _laser_sd(options))
+        fitted = _fit(calibration.measurement, options)
+        notices += calibration.notices()
+    notices += [notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])]
+    corrections: list[Correction] = []
+    if options.correct:
+        fitted, corrections = _correct(fitted, diagnoses, options)
+        notices += [notice for one in corrections for notice in one.notices]
+    notices += [*fitted.notices, *fit_notices(fitted.placed, fitted.fits)]
+    lasers = None if calibration is not None else laser_agreement(fitted.placed, diagnoses, _laser_sd(options))
+    motion = _motion(fitted, placement, lasers, calibration, corrections)
+    check_determined(motion)
+    notices += [] if lasers is None else lasers.notices()
+    notices += phase_notices(motion, None if mass is None else mass.record)
+    if options.reference:
+        motion = per_reference(motion, options.reference)
+        notices += motion.notices
+    elif measurement.common_sd is not None:
+        motion = motion.with_common_noise(measurement.common_sd)
+    before = () if mass is None else mass.record.notices
+    every = unique([*before, *placement.notices, *measurement.notices, *notices])
+    motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
+    bodies = fitted.placed.bodies
+    return MotionResult(
+        motion=motion,
+        measurement=fitted.placed,
+        placement=placement,
+        channels=_verdicts(fitted, found, diagnoses, screened),
+        fits=fitted.fits,
+        diagnoses=diagnoses,
+        options=options,
+        unseen={body.body: tuple(unseen_motions(body.arms_m, body.directions)) for body in bodies},
+        checks=checks,
+        lasers=lasers,
+        calibration=calibration,
+        repeats=repeats,
+        mass=mass,
+        surfaces=surfaces,
+        files=tuple(read.files(mass).values()),
+        taken=dict(taken or {}),
+    )
+
+
+def check_inputs(options: MotionOptions) -> None:
+    """Look at everything that is cheap to look at, without a fit: files, columns, units, names, fiducials.
+
+    Raises
+    ------
+    StapeskitError
+        Every fault that shows.
+    """
+    from kinematics.readers.formats import TEXT_ENDINGS, format_of
+    from kinematics.readers.points import read_points
+
+    faults: list[Fault] = []
+    with collect_faults(faults):
+        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
+        if fiducials is not None and len(set(fiducials.frames)) == 1:
+            frame = fiducials.frames[0]
+            fit_rigid(
+                fiducials.vibrometer_mm,
+                fiducials.reference_mm,
+                fiducials.sd_mm,
+                to=frame,
+                source="vibrometer",
+                names=fiducials.names,
+            )
+    if options.plate_points is not None:
+        with collect_faults(faults):
+            read_surface_points(options.plate_points)
+    facts = file_facts(options)
+    small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
+    size = sum(path.stat().st_size for path in small)
+    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.series is None:
+        with collect_faults(faults):
+            measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
+            without_channels(measurement, options.leave_out)
+            if options.reference:
+                parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
+    else:
+        for path in options.file:
+            with collect_faults(faults):
+                format_of(path, options.mapping is not None)
+        if options.points_file is not None:
+            with collect_faults(faults):
+                read_points(options.points_file)
+    raise_all(faults)
+
+
+def file_facts(options: MotionOptions) -> FileFacts:
+    """Return what the options say about the files."""
+    series = None
+    if options.channels is not None:
+        series = SeriesFacts(
+            options.channels,
+            options.reference_channel,
+            options.averages,
+            options.period_s,
+            options.steps,
+            options.settle,
+            options.frf_band_hz,
+        )
+    return FileFacts(
+        options.body,
+        options.run,
+        options.beam,
+        options.amplitude or "",
+        options.length_unit or "",
+        options.n_avg,
+        options.mapping,
+        series,
+    )
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Everything that was read."""
+
+    options: MotionOptions
+    measurement: Measurement
+    fiducials: Fiducials | None = None
+    plate_points: Any = None
+
+    def placement(self, mass: MeasuredMass | None) -> Placement:
+        """Return the pose of the measurement in the footplate frame."""
+        known = None if mass is None else mass.record
+        placement = place(self.fiducials, self.options.frame or "footplate", known)
+        if self.plate_points is None:
+            return placement
+        plate = None if mass is None else surfaces_of(mass).get("plate")
+        if mass is None or plate is None:
+            expected = "given with a mass.json that has a plate.ply beside it"
+            step = "Scan stapes and plate together with ct2mass, or use fiducials in frame scan"
+            raise StapeskitError.of("--plate-points", expected, "no plate.ply", "", step)
+        return lay_on_surface(placement, self.plate_points, plate, mass.record)
+
+    def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
+        """Return every file that was read, by its role."""
+        from kinematics.readers.formats import companion_files
+
+        roles = dict(self.options.inputs())
+        for path in self.options.file:
+            for other in companion_files(path, file_facts(self.options)):
+                if other not in roles.values():
+                    roles[other.name] = other
+        return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
+
+
+def _read(options: MotionOptions, mass: MeasuredMass | None) -> _Read:
+    """Read every file of a measurement; their faults come together."""
+    faults: list[Fault] = []
+    fiducials = points = None
+    known = None if mass is None else mass.record
+    with collect_faults(faults):
+        if options.fiducials_file is None:
+            check_frames((options.frame or "footplate",), known)
+        else:
+            fiducials = read_fiducials(options.fiducials_file)
+            check_frames(tuple(dict.fromkeys(fiducials.frames)), known, fiducials.file, True)
+    if options.plate_points is not None:
+        with collect_faults(faults):
+            points = read_surface_points(options.plate_points)
+    with collect_faults(faults):
+        measurement = read_measurement(
+            options.file, options.points_file, options.source_frame, file_facts(options)
+        )
+        measurement = without_channels(measurement, options.leave_out)
+        for body in measurement.bodies:
+            _ = body.arms_m
+    raise_all(faults)
+    if options.mirror is not None:
+        measurement = measurement.mirrored(options.mirror)
+        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
+        points = None if points is None else points.mirrored(options.mirror)
+    return _Read(options, measurement, fiducials, points)
+
+
+def _on_bone(
+    measurement: Measurement, placement: Placement, mass: MeasuredMass | None, surfaces: Mapping[str, Surface]
+) -> tuple[tuple[SurfaceCheck, ...], list[Notice]]:
+    if mass is None or not surfaces:
+        return (), []
+    return check_surfaces(measurement, placement, mass.record, surfaces)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The fits of a placed measurement, by (run, body)."""
+
+    placed: Measurement
+    fits: dict[tuple[int, int], LineFit]
+    stated: dict[tuple[int, int], bool]
+    notices: tuple[Notice, ...]
+
+
+def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
+    """Fit every body in every run; one error lists all motions that beams cannot observe."""
+    faults: list[Fault] = []
+    beams: list[BeamSet] = []
+    for body in placed.bodies:
+        with collect_faults(faults):
+            beams.append(beam_set(body.body, body.arms_m, body.directions, options.dof))
+    raise_all(faults)
+    fits: dict[tuple[int, int], LineFit] = {}
+    stated: dict[tuple[int, int], bool] = {}
+    notices: list[Notice] = []
+    for run, number in product(range(len(placed.runs)), range(len(placed.bodies))):
+        found = fit_with_noise(placed, run, placed.bodies[number], beams[number], options.robust)
+        fits[run, number], stated[run, number] = found[:2]
+        notices += found[2]
+    return _Fitted(placed, fits, stated, unique(notices))
+
+
+def _laser_sd(options: MotionOptions) -> dict[str, float]:
+    """Return how well the lasers agree, SI."""
+    return {
+        "laser_gain": options.gain_sd_percent / 100.0,
+        "laser_phase": float(np.deg2rad(options.phase_sd_deg)),
+        "laser_delay": options.delay_sd_us * 1e-6,
+    }
+
+
+def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
+    """Look for faults in every body, all of its runs together."""
+    placed = fitted.placed
+    sd = _laser_sd(options)
+    priors = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
+    runs = range(len(placed.runs))
+    return {
+        number: diagnose(
+            body,
+            [fitted.fits[run, number] for run in runs],
+            placed.freq_hz,
+            all(fitted.stated[run, number] for run in runs),
+            priors,
+            placed.line_spread,
+        )
+        for number, body in enumerate(placed.bodies)
+    }
+
+
+def _correct(
+    fitted: _Fitted, diagnoses: Mapping[int, Diagnosis], options: MotionOptions
+) -> tuple[_Fitted, list[Correction]]:
+    """Return the fits of bodies with what was found applied."""
+    placed = fitted.placed
+    done = [corrected(body, diagnoses[number], placed.freq_hz) for number, body in enumerate(placed.bodies)]
+    bodies = tuple(one.body for one in done)
+    return _fit(replace(placed, bodies=bodies), options), done
+
+
+def _verdicts(
+    fitted: _Fitted, bodies: Sequence[BodyChannels], diagnoses: Mapping[int, Diagnosis], screened: Screened
+) -> tuple[ChannelVerdict, ...]:
+    """Return the verdict of every channel in every run, then those that the user left out."""
+    placed = fitted.placed
+    verdicts: list[ChannelVerdict] = []
+    for run, name in enumerate(placed.runs):
+        for number, body in enumerate(bodies):
+            fit = fitted.fits[run, number]
+            weight = fit.solution.weight / max(float(np.max(fit.solution.weight)), 1e-300)
+            unused = {channel: word for (r, b, channel), word in screened.unused.items() if (r, b) == (run, number)}
+            verdicts += channel_verdicts(name, body, diagnoses[number], fit.channel_rms_m, weight, unused)
+    return (*verdicts, *left_out_verdicts(placed.runs, placed.left_out))
+
+
+def _motion(
+    fitted: _Fitted,
+    placement: Placement,
+    lasers: LaserAgreement | None,
+    calibration: Calibration | None,
+    corrections: Sequence[Correction],
+) -> RigidMotion:
+    """Return the motion of all bodies, corrected by what the lasers' beams show, with its shared errors."""
+    placed, fits = fitted.placed, fitted.fits
+    runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
+
+    def stacked(name: str) -> Any:
+        return np.stack([np.stack([getattr(fits[run, body], name) for body in bodies]) for run in runs])
+
+    more: list[tuple[Sequence[Parameter], Array]] = []
+    if calibration is not None:
+        more.append((calibration.parameters, calibration.covariance))
+    more += [correction_parameters(placed, number, one) for number, one in enumerate(corrections)]
+    shared = shared_errors(placed, fits, placement, lasers, more, positions=calibration is None)
+    q = stacked("q")
+    if lasers is not None and shared is not None:
+        q = q + np.tensordot(lasers.values, shared.derivatives[len(shared.names) - len(lasers.names) :], axes=1)
+    return RigidMotion(
+        placed.runs,
+        tuple(body.body for body in placed.bodies),
+        fits[0, 0].beams.dof,
+        placed.freq_hz,
+        q,
+        stacked("covariance").astype(complex),
+        stacked("chi2"),
+        stacked("n_dof"),
+        shared=shared,
+    )
+
+
+def _provenance(
+    options: MotionOptions,
+    read: _Read,
+    mass: MeasuredMass | None,
+    command: Sequence[str] | None,
+    taken: Mapping[str, Path] | None,
+) -> dict[str, Any]:
+    inputs: dict[str, Any] = {role: path for role, path in read.files(mass).items() if role != "mass"}
+    if mass is not None:
+        inputs["mass"] = mass.provenance_input
+    parameters = {**options.parameters(), "frame": options.source_frame}
+    if taken:
+        parameters["found_beside"] = sorted(taken)
+    block = record(inputs, parameters, command)
+    return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
+
+
+__all__ = ["MotionResult", "Screened", "check_inputs", "file_facts", "measure_motion"]

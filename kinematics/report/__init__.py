@@ -1,0 +1,1 @@
+"""The page of a motion: tables, figures, the moving bodies."""

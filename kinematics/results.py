@@ -1,0 +1,165 @@
+"""The result of `stapeskit.points2dof`: a motion that prints, draws and writes itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinematics.faults.search import Diagnosis
+from kinematics.faults.verdicts import ChannelVerdict, write_channels
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
+from kinematics.options import MotionOptions
+from kinematics.place.calibration import Calibration
+from kinematics.place.lasers import LaserAgreement
+from kinematics.place.moved import SurfaceCheck
+from kinematics.place.placement import Placement
+from kinematics.place.surfaces import Surface
+from kinematics.repeats import RepeatedRun
+from stapeskit.outputs import Outputs
+from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.motion import motion_columns, write_motion
+from stapeskit.records.rigid_motion import RigidMotion
+from stapeskit.results import Result
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+ENDINGS = (".csv", ".h5", ".channels.csv", ".html")
+NEXT_TO_MASS = ("stapes.ply", "plate.ply", "labels.seg.nrrd")
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class MotionResult(Result):
+    """Motion of rigid bodies about the footplate centre, in footplate axes.
+
+    Attributes
+    ----------
+    motion : RigidMotion
+        With covariance, shared errors and all notices.
+    measurement : Measurement
+        In the footplate frame, as fitted.
+    placement : Placement
+        The registration, and how its errors move the coordinates.
+    channels : tuple of ChannelVerdict
+    fits : mapping of (run, body) to LineFit
+    diagnoses : mapping of int to Diagnosis
+        By body.
+    options : MotionOptions
+    unseen : mapping of str to tuple of str
+        By body: the rigid motions that its beams cannot see, in words.
+    checks : tuple of SurfaceCheck
+        Measured points against the surfaces of the scan.
+    lasers : LaserAgreement or None
+    calibration : Calibration or None
+    repeats : tuple of RepeatedRun
+    mass : MeasuredMass or None
+    surfaces : mapping of str to Surface
+    files : tuple of Path
+        Every file that was read; `write` never replaces one of them.
+    taken : mapping of str to Path
+        By role: files that were found beside the measurement.
+    """
+
+    motion: RigidMotion
+    measurement: Measurement
+    placement: Placement
+    channels: tuple[ChannelVerdict, ...]
+    fits: Mapping[tuple[int, int], LineFit]
+    diagnoses: Mapping[int, Diagnosis]
+    options: MotionOptions
+    unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    checks: tuple[SurfaceCheck, ...] = ()
+    lasers: LaserAgreement | None = None
+    calibration: Calibration | None = None
+    repeats: tuple[RepeatedRun, ...] = ()
+    mass: MeasuredMass | None = None
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
+    taken: Mapping[str, Path] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What this is."""
+        return f"Motion of {', '.join(self.motion.bodies[:6])} about the footplate centre"
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Every warning."""
+        return self.motion.notices
+
+    def summary(self) -> Sequence[tuple[str, str]]:
+        """Return files taken, degrees of freedom, lines, fit of every body, verdicts and registration."""
+        from kinematics.report.tables import summary_rows
+
+        return summary_rows(self)
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows and columns of dof.csv, one row a run, body and frequency."""
+        import pandas as pd
+
+        motion = self.motion
+        run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
+        q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
+        names = motion_columns(motion.dof, bool(motion.reference))
+        columns = {
+            "run": np.array(motion.runs, dtype=object)[run],
+            "body": np.array(motion.bodies, dtype=object)[body],
+            "freq_hz": motion.freq_hz[line],
+        }
+        for place, (real, imaginary) in enumerate(zip(names["re"], names["im"], strict=True)):
+            columns |= {real: q[:, place].real, imaginary: q[:, place].imag}
+        columns |= {name: sd[:, place] for place, name in enumerate(names["sd"])}
+        columns |= {"chi2": motion.chi2[run, body, line], "n_dof": motion.n_dof[run, body, line]}
+        return pd.DataFrame(columns)
+
+    def plot(self) -> Figure:
+        """Draw amplitude and phase of every degree of freedom over frequency."""
+        from kinematics.report.figures import spectra_figure
+
+        return spectra_figure(self.motion)
+
+    def write(self, folder: Path | str, *, force: bool = False, name: str = "dof.csv") -> tuple[Path, ...]:
+        """Write dof.csv, dof.h5, dof.channels.csv and dof.html into a folder and return their paths.
+
+        Parameters
+        ----------
+        name : str
+            Of the table of the motion; the others are named after it.
+
+        Raises
+        ------
+        StapeskitError
+            An output is an input, or a file of another origin has its name.
+        """
+        outputs = output_set(Path(folder) / name, self.files, force)
+        with outputs.staged() as stage:
+            names = self.write_into(stage, name)
+        return tuple(outputs.folder / one for one in names)
+
+    def write_into(self, folder: Path, name: str = "dof.csv", report: bool = True) -> tuple[str, ...]:
+        """Write the files into a folder whose outputs are handled elsewhere; return their names."""
+        stem = Path(name).stem
+        write_motion(folder, stem, self.motion)
+        write_channels(folder / f"{stem}.channels.csv", self.channels)
+        if report:
+            from kinematics.report.page import motion_page
+
+            motion_page(self).write(folder / f"{stem}.html")
+        return tuple(f"{stem}{ending}" for ending in (ENDINGS if report else ENDINGS[:-1]))
+
+
+def output_set(out: Path, inputs: Sequence[Path], force: bool = False) -> Outputs:
+    """Return the files that are written for ``out``, X.csv, and those that are read.
+
+    Surfaces and labels beside a mass.json are inputs, too.
+    """
+    scan = [path.parent / name for path in inputs if path.suffix == ".json" for name in NEXT_TO_MASS]
+    names = [f"{out.stem}{ending}" for ending in ENDINGS]
+    return Outputs("points2dof", out.parent, names, [*inputs, *scan], force)
