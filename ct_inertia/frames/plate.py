@@ -20,10 +20,10 @@ _FAILURES = 3  # layers without a face after which the search ends: what is left
 _LEAST_SHARE = 0.01  # of the area of the solid: smaller faces are left out
 _ROUNDS, _STILL_RAD = 30, 1e-8  # of the robust plane: 0.1 nm over 10 mm
 _TUKEY = 4.685  # standard deviations beyond which Tukey's weights vanish: 95 % efficient
-_CONE_DEG = calibrated("plate.cone_deg")
-_LAYER_MM = calibrated("plate.layer_mm")
-_CELL_MM = calibrated("plate.cell_mm")
-_SCATTER = calibrated("plate.scatter") ** 2
+_CONE_DEG = calibrated("plate_frame.cone_deg")
+_LAYER_MM = calibrated("plate_frame.layer_mm")
+_CELL_MM = calibrated("plate_frame.cell_mm")
+_SCATTER = calibrated("plate_frame.scatter") ** 2
 _UNKNOWN_SD = (0.01, 0.1, 0.1)  # mm, rad, rad: of a plane through a handful of pieces, as good as unknown
 
 

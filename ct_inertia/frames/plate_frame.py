@@ -30,8 +30,8 @@ _STEEP, _BORDER_STEEP = 0.2, 0.995  # cosine to the main face up to which a side
 _COVERED = 0.9  # cosine from which two directions are taken for one
 _LIKE, _ROUNDING_MM = 0.93, 0.1  # cosine and distance of a face that is only the rounded edge of a larger one
 _CURVED_1_MM = 0.15  # a side of 7 mm radius is no plane
-_RIM_MM = calibrated("plate.rim_mm")
-_AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate.agreeing_rad")
+_RIM_MM = calibrated("plate_frame.rim_mm")
+_AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate_frame.agreeing_rad")
 _UNKNOWN_TURN_RAD = 1.0
 _STEP = "Check the segmentation in the report, or give --plate-fiducials"
 

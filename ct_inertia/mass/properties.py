@@ -8,14 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ct_inertia.bodies import Moments
+from ct_inertia.options import PLAUSIBLE_DENSITY_KG_M3
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_matrix import MassMatrix, parameter_transfer
 from stapeskit.report.quantities import MASS
-
-PLAUSIBLE_DENSITY_KG_M3 = (500.0, 4000.0)
-"""Refused outside: it holds every bone (1300 to 2200 are published), and no density in a wrong unit."""
 
 _POWERS_OF_LENGTH = np.array([3.0, 4.0, 4.0, 4.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0])
 

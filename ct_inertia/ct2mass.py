@@ -1,0 +1,383 @@
+"""From a scan, labels or a closed mesh to the mass matrix: everything ``ct2mass`` does but writing.
+
+One way for all: open -> find, or take labels -> measure the grey values -> surfaces -> frames -> mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
+from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
+from ct_inertia.mass.properties import MassProperties, point_masses
+from ct_inertia.mass.scale import voxel_scale
+from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
+from ct_inertia.mass.ways import MassByWay, assumed_notice, disagreements, masses_by_way, not_stated
+from ct_inertia.options import MassOptions
+from ct_inertia.results import MassResult
+from ct_inertia.surface.contour import contour
+from ct_inertia.surface.matched import moment_matched
+from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
+from stapeskit.command import no_progress
+from stapeskit.faults import StapeskitError
+from stapeskit.provenance import input_record
+from stapeskit.warnings import Notice, unique
+
+if TYPE_CHECKING:
+    from ct_inertia.frames.fiducials import PlateFiducials
+    from ct_inertia.frames.gap import WindowGap
+    from ct_inertia.frames.plate_frame import PlateFrame
+    from ct_inertia.mass.calibration import Calibration
+    from ct_inertia.scan.scan import Scan
+    from stapeskit.command import Progress
+
+
+@dataclass
+class _Work:
+    """What a run has found so far.
+
+    Attributes
+    ----------
+    options : MassOptions
+    hints : AnatomyHints
+    fiducials : PlateFiducials or None
+    calibration : Calibration or None
+    scan : Scan or None
+        The scan, or the grid of labels alone; None for a mesh.
+    measured : MeasuredBody or None
+        None for a mesh.
+    notices : list of Notice
+    """
+
+    options: MassOptions
+    hints: AnatomyHints
+    fiducials: PlateFiducials | None
+    calibration: Calibration | None
+    scan: Scan | None = None
+    measured: MeasuredBody | None = None
+    notices: list[Notice] = field(default_factory=list)
+
+
+def measure_mass(options: MassOptions, progress: Progress = no_progress) -> MassResult:
+    """Find the stapes, its frames and its mass matrix.
+
+    Parameters
+    ----------
+    options : MassOptions
+    progress : callable
+        Called with the stage at work.
+
+    Raises
+    ------
+    StapeskitError
+        Anything that is wrong with the options or the files.
+    """
+    inputs = Inputs(options.inputs)
+    try:
+        return _measured(options, progress, inputs)
+    except Exception:
+        inputs.check()  # where a file has changed, that is the cause of whatever failed
+        raise
+    finally:
+        inputs.close()
+
+
+class Inputs:
+    """The input files: hashed on another thread while they are read, and refused when they change meanwhile.
+
+    Parameters
+    ----------
+    paths : mapping of str to Path
+        By role.
+    """
+
+    def __init__(self, paths: Mapping[str, Path]) -> None:
+        self._pool = ThreadPoolExecutor(1)
+        self._states: dict[Path, tuple[int, int]] = {}
+        self._records: dict[str, Future[dict[str, Any]]] = {}
+        for role, path in paths.items():
+            self.add(role, path)
+
+    def add(self, role: str, path: Path) -> None:
+        """Take one more file."""
+        if path not in self._states:
+            self._states[path] = _state(path)
+            self._records[role] = self._pool.submit(input_record, path)
+
+    def records(self) -> dict[str, dict[str, Any]]:
+        """Return name, size, time and hash of every input by its role."""
+        return {role: record.result() for role, record in self._records.items()}
+
+    def check(self) -> None:
+        """Refuse inputs that have changed since they were given.
+
+        Raises
+        ------
+        StapeskitError
+            One of them has changed.
+        """
+        for path, state in self._states.items():
+            if _state(path) != state:
+                step = "Wait until it is written, and try again"
+                raise StapeskitError.of("the input", "left alone while it is read", "changes", path.name, step)
+
+    def close(self) -> None:
+        """End the thread without waiting for what is left to hash."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _state(path: Path) -> tuple[int, int]:
+    try:
+        status = path.stat()
+    except OSError:
+        return -1, -1
+    return status.st_size, status.st_mtime_ns
+
+
+def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassResult:
+    work = _small_inputs(options)
+    if options.is_mesh:
+        progress("reading the mesh")
+        body, frame_surface, error, moments = _mesh(work)
+        plate: Surface | None = None
+    else:
+        measured = _measured_body(work, progress, inputs)
+        progress("finding the frames")
+        moments = measured.moments
+        frame_surface, error = _frame_surface(measured)
+        body = moment_matched(measured.surface.field, moments, measured.surface.scan_from_index)
+        region = measured.labelled.plate_region
+        plate = None if region is None else contour(region.field, region.scan_from_index)
+    footplate = _footplate(work, frame_surface, error, moments)
+    plate_frame = _plate_frame(work, plate, moments)
+    gap = None if work.measured is None else _gap(work.measured, footplate, frame_surface, error)
+    progress("computing the mass matrix")
+    ways = _ways(work, moments, footplate)
+    sizes = measured_sizes(ways[0].body.volume_m3, ways[0].body.density_kg_m3, footplate)
+    work.notices += [*footplate.notices, *([] if plate_frame is None else plate_frame.notices)]
+    work.notices += [*not_stated(ways[0]), *disagreements(ways), *unusual_notice(sizes)]
+    records = inputs.records()
+    inputs.check()
+    return MassResult(
+        options=options,
+        matrix=ways[0].matrix,
+        footplate=footplate,
+        plate_frame=plate_frame,
+        stapes=body,
+        plate=plate,
+        moments=moments,
+        ways=ways,
+        gap=gap,
+        scan=work.scan,
+        body=work.measured,
+        inputs=records,
+        notices=unique(work.notices),
+    )
+
+
+def _small_inputs(options: MassOptions) -> _Work:
+    """Read landmarks, fiducials of the plate and calibration, before the scan."""
+    landmarks: dict[str, Array] = {}
+    fiducials, calibration = None, None
+    if options.landmarks is not None:
+        from ct_inertia.frames.landmarks import read_landmarks
+
+        landmarks = read_landmarks(options.landmarks)
+    if options.plate_fiducials is not None:
+        from ct_inertia.frames.fiducials import read_plate_fiducials
+
+        fiducials = read_plate_fiducials(options.plate_fiducials)
+    if options.calibration is not None:
+        from ct_inertia.mass.calibration import read_calibration
+
+        calibration = read_calibration(options.calibration)
+    anterior = None if options.anterior is None else np.array(options.anterior)
+    return _Work(options, AnatomyHints(anterior, landmarks, options.side), fiducials, calibration)
+
+
+def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
+    """Read a closed mesh of the stapes, which is taken as exact."""
+    from ct_inertia.mass.sizes import check_mesh
+    from ct_inertia.surface.repair import read_mesh
+
+    path = work.options.source
+    mesh = read_mesh(path, work.options.close)
+    check_mesh(mesh, path.name)
+    exact = (
+        "The input is a surface: it is taken as exact, and the budget holds density or mass and the frame only."
+    )
+    turned = (
+        f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, the ear is "
+        "a mirror image. Check a known asymmetry in the report."
+    )
+    work.notices += [
+        *mesh.notices,
+        Notice("surface_taken_as_exact", exact),
+        Notice("handedness_unconfirmed", turned),
+    ]
+    surface = Surface(mesh.vertices_mm, mesh.faces)
+    return surface, surface, EXACT, surface.moments()
+
+
+def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredBody:
+    """Open the scan, find the stapes or take the labels, and measure it."""
+    from ct_inertia.grey.measure import measure
+
+    labelled = _labelled(work, progress, inputs)
+    progress("measuring the stapes")
+    work.measured = measure(labelled, work.options.coat)
+    work.notices += work.measured.notices
+    return work.measured
+
+
+def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
+    """Return the bodies: by labels, or found in the scan."""
+    from ct_inertia.scan.open_scan import open_labels, open_scan
+
+    options = work.options
+    progress("reading the scan")
+    if options.file is not None:
+        work.scan = open_scan(
+            options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
+        )
+        _add_files(inputs, "scan", work.scan)
+    if options.labels is None:
+        from ct_inertia.find.find import find_bodies
+
+        assert work.scan is not None  # noqa: S101 - the options ask for a scan or labels
+        progress("finding the stapes")
+        return find_bodies(work.scan, options.threshold, options.seed_mm, options.box_mm)
+    from ct_inertia.labels import label_volume, labels_alone, labels_on_scan
+
+    spacing = options.spacing_mm if work.scan is None else tuple(work.scan.spacing_mm)
+    array, grid = open_labels(options.labels, spacing, options.mirror)
+    _add_files(inputs, "labels", grid)
+    volume = label_volume(array, grid, options.stapes_label, options.plate_label)
+    if work.scan is not None:
+        return labels_on_scan(work.scan, volume)
+    work.scan = grid
+    return labels_alone(volume)
+
+
+def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:
+    """Take the files that belong to a scan, other than those in its folder."""
+    source = scan.source
+    for number, path in enumerate(scan.files[1:], start=2):
+        if source is None or source not in (path, *path.parents):
+            inputs.add(f"{role} {number}", path)
+
+
+def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
+    """Return the surface of the fitted body, and how it errs."""
+    body = measured.surface
+    surface = contour(body.field, body.scan_from_index)
+    resolution = body.blur_mm if measured.scene is None else measured.scene.sigma_mm
+    misfit = body.misfit_sd_mm
+    return surface, SurfaceError(
+        fitted=True,
+        blur_mm=body.blur_mm,
+        resolution_mm=resolution,
+        noise_mm4=body.noise_mm4,
+        correlation_mm=body.correlation_mm,
+        misfit_sd_mm=_sampled(body) if misfit.any() else None,
+        misfit_mm=body.misfit_mm,
+        level_sd_mm=body.level_sd_mm,
+    )
+
+
+def _sampled(body: BodySurface) -> Callable[[Array], Array]:
+    """Return the function that reads the misfit of a surface at scan points (n, 3)."""
+    back = np.linalg.inv(body.scan_from_index)
+    last = np.array(body.misfit_sd_mm.shape) - 1
+
+    def at(points: Array) -> Array:
+        index = np.rint(points @ back[:3, :3].T + back[:3, 3]).astype(int)[:, ::-1]
+        z, y, x = np.clip(index, 0, last).T
+        return np.asarray(body.misfit_sd_mm[z, y, x], dtype=float)
+
+    return at
+
+
+def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Moments) -> FootplateFrame:
+    """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
+    named = work.measured is None or work.measured.labelled.named
+    try:
+        footplate = footplate_frame(surface, work.hints, error)
+    except StapeskitError:
+        # Where the body is wrong, correct landmarks do not fit it: report the body first.
+        if not named:
+            plain = footplate_frame(surface, None, error)
+            reasons = impossible(measured_sizes(moments.volume_m3, 1.0, plain))
+            if reasons:
+                raise unsuitable(reasons, work.notices) from None
+        raise
+    reasons = impossible(measured_sizes(moments.volume_m3, 1.0, footplate))
+    if reasons and not named:
+        raise unsuitable(reasons, work.notices)
+    work.notices += [size_notice(reasons)] if reasons else []
+    body = None if work.measured is None else work.measured.surface
+    if body is not None and body.one_sd is not None:
+        other = contour(body.one_sd, body.scan_from_index)
+        footplate = footplate.with_other_surface(pose_near(other, footplate, error.blur_mm))
+    return footplate
+
+
+def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateFrame | None:
+    """Return the plate frame by fiducials, else by the faces of the plate; None without a plate, with a warning."""
+    if work.fiducials is not None:
+        from ct_inertia.frames.fiducials import plate_frame_from_fiducials
+
+        return plate_frame_from_fiducials(work.fiducials, moments.centroid_mm)
+    if plate is not None:
+        from ct_inertia.frames.plate_frame import plate_frame
+
+        return plate_frame(plate, moments.centroid_mm)
+    if work.measured is not None:
+        text = (
+            "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. If the scan "
+            "holds one, give --plate-fiducials, or label it (--labels)."
+        )
+        work.notices.append(Notice("plate_not_found", text))
+    return None
+
+
+def _gap(
+    measured: MeasuredBody, footplate: FootplateFrame, surface: Surface, error: SurfaceError
+) -> WindowGap | None:
+    if measured.wall is None or not np.any(measured.wall.field > 0.0):
+        return None
+    from ct_inertia.frames.gap import window_gap
+
+    wall = contour(measured.wall.field, measured.wall.scan_from_index, largest=False)
+    return window_gap(footplate, surface, wall, error.resolution_mm, measured.wall.level_sd_mm)
+
+
+def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:
+    """Return the mass by every way that was given, scaled and with what was glued on, the leading one first."""
+    options = work.options
+    found = masses_by_way(
+        moments, options.density_kg_m3, options.mass_mg, work.calibration, work.measured
+    )
+    if options.density_kg_m3 is None and "density" in found:
+        work.notices.insert(0, assumed_notice())
+    spacing = np.ones(3) if work.scan is None else work.scan.spacing_mm
+    scale = voxel_scale(options.scale_length, spacing, options.voxel_size_sd)
+    factor, sd = (1.0, options.voxel_size_sd) if scale is None else (scale.factor, scale.sd)
+    if scale is not None:
+        work.notices.append(scale.notice(spacing))
+    added = point_masses(options.add_mass)
+
+    def matrix(body: MassProperties) -> Any:
+        return body.mass_matrix(footplate.scan_from_footplate, footplate.covariance, sd)
+
+    bodies = {way: bare.scaled(factor).with_added(added) for way, bare in found.items()}
+    return tuple(MassByWay(way, body, matrix(body)) for way, body in bodies.items())

@@ -1,0 +1,226 @@
+"""Every file that a measurement of mass writes, and which of them a run may write."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ct_inertia.surface.surface import Surface
+from stapeskit.faults import StapeskitError
+from stapeskit.outputs import Outputs
+from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, central_tensor
+
+if TYPE_CHECKING:
+    from ct_inertia.options import MassOptions
+    from ct_inertia.results import MassResult
+
+LABELS, MEASURED_LABELS = "labels.seg.nrrd", "labels.measured.seg.nrrd"
+CROP, REPORT = "scan_crop.nrrd", "report.html"
+_CROP_MARGIN_MM = 0.5  # around the stapes: annulus, face of the plate and tip of the incus are in the picture
+_TAUBIN = {"lambda_": 0.5, "mu": -0.53}  # pass band 0.11 (Taubin 1995, doi:10.1145/218380.218473)
+
+
+class MassOutputs(Outputs):
+    """The outputs of ct2mass, with the name of the labels of this run: those given are never written over."""
+
+    labels_name: str = LABELS
+
+
+def outputs_of(
+    options: MassOptions,
+    folder: Path,
+    *,
+    report: bool = True,
+    exports: Sequence[str] = (),
+    force: bool = False,
+    config: Sequence[Path] = (),
+) -> MassOutputs:
+    """Return the files that a run may write.
+
+    Parameters
+    ----------
+    options : MassOptions
+        They name the inputs.
+    folder : Path
+    report : bool
+    exports : sequence of str
+        Formats of `EXPORTS`.
+    force : bool
+        Replace files that are not known as made by the command.
+    config : sequence of Path
+        Further inputs: a file of options.
+    """
+    folder = Path(folder)
+    kept = folder / LABELS
+    corrected = options.labels is not None and kept.exists() and os.path.samefile(kept, options.labels)
+    labels = MEASURED_LABELS if corrected else LABELS
+    names = ["mass.json", "stapes.ply", "plate.ply", labels, CROP]
+    names += [REPORT] if report else []
+    names += [EXPORTS[name][0] for name in exports]
+    outputs = MassOutputs("ct2mass", folder, names, [*options.inputs.values(), *config], force)
+    outputs.labels_name = labels
+    return outputs
+
+
+def write_files(
+    result: MassResult,
+    stage: Path,
+    *,
+    report: bool = True,
+    labels_name: str = LABELS,
+    exports: Sequence[str] = (),
+    smooth: int | None = None,
+    faces: int | None = None,
+) -> tuple[str, ...]:
+    """Write every file of a result into an empty folder and return their names.
+
+    Parameters
+    ----------
+    result : MassResult
+    stage : Path
+    report : bool
+        Whether report.html is written.
+    labels_name : str
+    exports : sequence of str
+        Formats of `EXPORTS`.
+    smooth, faces : int, optional
+        Steps of smoothing and number of triangles of the surfaces exported; no number comes from them.
+
+    Raises
+    ------
+    StapeskitError
+        A surface that does not remain closed.
+    """
+    content = result.content()
+    if result.body is not None:
+        content = {**content, "labels_file": labels_name}
+    (stage / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    names = ["mass.json", "stapes.ply"]
+    result.stapes.write(stage / "stapes.ply")
+    if result.plate is not None:
+        names.append("plate.ply")
+        result.plate.write(stage / "plate.ply")
+    if result.body is not None and result.scan is not None:
+        from ct_inertia.exports.labels import LabelFile
+
+        LabelFile.of(result.body.labelled, result.scan).write(stage / labels_name)
+        names.append(labels_name)
+    wanted = dict.fromkeys([*exports, *(["crop"] if needs_crop(result) else [])])
+    shown = lighter(result.stapes, smooth, faces)
+    for name in wanted:
+        file, write = EXPORTS[name]
+        write(result, shown, stage / file)
+        names.append(file)
+    if report:
+        from ct_inertia.report.sections import mass_page
+
+        mass_page(content, result.pictured).write(stage / REPORT)
+        names.append(REPORT)
+    return tuple(names)
+
+
+def lighter(surface: Surface, smooth: int | None, faces: int | None) -> Surface:
+    """Return a surface smoothed (Taubin) and thinned (quadric edge collapse, topology kept) by pymeshlab.
+
+    Raises
+    ------
+    StapeskitError
+        pymeshlab does not work here.
+    """
+    if not smooth and (faces is None or faces >= len(surface.faces)):
+        return surface
+    try:
+        import pymeshlab
+    except (ImportError, OSError) as fault:
+        step = "Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)"
+        raise StapeskitError.of(
+            "--smooth and --faces", "used where pymeshlab works", fault, next_step=step
+        ) from fault
+    middle = surface.vertices_mm.mean(axis=0)
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(surface.vertices_mm - middle, surface.faces.astype(np.int32)))
+    if smooth:
+        meshes.apply_coord_taubin_smoothing(stepsmoothnum=smooth, **_TAUBIN)
+    if faces is not None and faces < len(surface.faces):
+        meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=faces, preservetopology=True, preservenormal=True, autoclean=False
+        )
+    meshes.meshing_remove_unreferenced_vertices()
+    mesh = meshes.current_mesh()
+    return Surface(mesh.vertex_matrix() + middle, mesh.face_matrix().astype(np.int64))
+
+
+def needs_crop(result: MassResult) -> bool:
+    """Return whether other programs would not place the scan where its scan coordinates are."""
+    options, scan = result.options, result.scan
+    if scan is None or options.file is None:
+        return False
+    return options.spacing_mm is not None or options.mirror is not None or not scan.carries_place
+
+
+def _write_crop(result: MassResult, _shown: Surface, path: Path) -> None:
+    """Write the voxels around the stapes as NRRD."""
+    from ct_inertia.scan.label_file import write_crop
+
+    scan = result.scan
+    if scan is None:
+        raise StapeskitError.of("--export crop", "asked of a scan", "a mesh")
+    index = scan.index_points(result.stapes.vertices_mm)
+    margin = np.ceil(_CROP_MARGIN_MM / scan.spacing_mm)
+    low = np.clip(np.floor(index.min(axis=0) - margin), 0, scan.size - 1).astype(int)
+    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 1, scan.size).astype(int)
+    x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    transform = scan.scan_from_index.copy()
+    transform[:3, 3] = scan.scan_points(low)
+    write_crop(path, scan.read((z, y, x)), transform)
+
+
+def _write_mesh(_result: MassResult, shown: Surface, path: Path) -> None:
+    shown.write(path)
+
+
+def _write_mat(result: MassResult, _shown: Surface, path: Path) -> None:
+    """Write mass.mat (version 5) for MATLAB and Octave: SI units, every matrix with its standard deviation."""
+    from scipy.io import savemat
+
+    matrix, plate = result.matrix, result.record.plate_mass_matrix
+    sd = matrix.standard_deviation if result.lead.stated else np.full((6, 6), np.nan)
+    frames: dict[str, Any] = {"scan_from_footplate": result.footplate.scan_from_footplate.matrix}
+    content: dict[str, Any] = {
+        "M": matrix.matrix,
+        "M_sd": sd,
+        "J": central_tensor(matrix.parameters)[1],
+        "c": (matrix.parameters[1:4] / matrix.parameters[0])[:, None],
+        "mass_kg": float(matrix.parameters[0]),
+        "parameters": matrix.parameters[:, None],
+        "parameters_covariance": matrix.covariance,
+        "dof": np.array(DOF_NAMES, dtype=object)[:, None],
+        "parameter_names": np.array(PARAMETER_NAMES, dtype=object)[:, None],
+        "density_kg_m3": result.lead.body.density_kg_m3,
+        "volume_m3": result.lead.body.volume_m3,
+        "units": {
+            "M": "6x6 about the footplate centre in footplate axes: kg, kg m, kg m2",
+            "J": "3x3 about the centre of mass in footplate axes: kg m2; J(1,2) = -integral of x y dm",
+            "c": "centre of mass from the footplate centre, footplate axes: m",
+            "frames": "a_from_b maps b-coordinates to a-coordinates; translation in mm",
+        },
+    }
+    if plate is not None and result.record.scan_from_plate is not None:
+        frames["scan_from_plate"] = result.record.scan_from_plate.matrix
+        content |= {"M_plate_axes": plate.matrix, "M_plate_axes_sd": plate.standard_deviation}
+    savemat(path, {**content, "frames": frames}, long_field_names=True)
+
+
+EXPORTS: dict[str, tuple[str, Callable[[Any, Surface, Path], None]]] = {
+    "stl": ("stapes.stl", _write_mesh),
+    "obj": ("stapes.obj", _write_mesh),
+    "glb": ("stapes.glb", _write_mesh),
+    "mat": ("mass.mat", _write_mat),
+    "crop": (CROP, _write_crop),
+}
+"""File name and writer of every format of ``--export``."""
