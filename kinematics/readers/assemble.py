@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
 from kinematics.readers.facts import FileFacts, unknown_files
-from kinematics.readers.formats import format_of, read_file
+from kinematics.readers.formats import companion_files, format_of, read_file
 from kinematics.readers.identify import (
     Entry,
     assumptions,
@@ -80,6 +80,8 @@ def read_measurement(
         faults.append(Fault("--channels", "left out: no file holds time series", facts.series.channels.name))
     raise_all(faults)
     inputs = {"ldv" if number == 0 else f"ldv {number + 1}": path for number, path in enumerate(paths)}
+    for path in paths:
+        inputs |= companion_files(path, facts)
     if points is not None:
         inputs["points"] = Path(points)
     return replace(assemble(recordings, listed, facts, frame), inputs=inputs)

@@ -284,10 +284,15 @@ def _format_of_folder(path: Path) -> Format:
     raise StapeskitError.of("a vibrometer folder", expected, got, path.name, step)
 
 
-def companion_files(path: Path, facts: FileFacts) -> list[Path]:
-    """Return the files that are read with a vibrometer file: mapping, tables of channels and steps."""
+def companion_files(path: Path, facts: FileFacts) -> dict[str, Path]:
+    """Return the files that are read with a vibrometer file by role: mapping, channels, steps."""
     from kinematics.readers.mapping import mapping_beside
 
-    series = facts.series
-    files = [mapping_beside(Path(path), facts.mapping), *((series.channels, series.steps) if series else ())]
-    return [file for file in files if file is not None and file.is_file()]
+    beside, series = mapping_beside(Path(path), facts.mapping), facts.series
+    mapped = beside is not None and format_of(Path(path), facts.mapping is not None).mapped
+    files = {
+        "mapping" if facts.mapping else f"mapping of {path.name}": beside if mapped else None,
+        "channels": series.channels if series else None,
+        "steps": series.steps if series else None,
+    }
+    return {role: file for role, file in files.items() if file is not None}

@@ -7,7 +7,6 @@ position_unit = "mm"       # m, mm or um
 points = "names"           # left out: 1, 2, 3, ...
 amplitude = "peak"         # or "rms"
 convention = "+"           # e^{+iwt}; "-" for e^{-iwt}
-each = ""                  # a struct array with one element a point, if any
 
 [[signal]]                 # one for every beam
 value = "data.vz"          # complex; or value_re and value_im, or magnitude and phase
@@ -75,7 +74,6 @@ class Mapping:
     points: str = ""
     amplitude: str = ""
     convention: str = "+"
-    each: str = ""
     body: str = ""
     run: str = ""
     signal: tuple[Signal, ...] = ()

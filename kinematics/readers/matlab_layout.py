@@ -100,12 +100,6 @@ def describe(tree: Names[str, Any]) -> str:
 
 def layouts(space: Space, mapping: Mapping | None, depth: int = 0) -> list[tuple[Space, Mapping, str]]:
     """Return where spectra are (here, in structs, in elements of struct arrays), each with its layout."""
-    if mapping is not None and mapping.each:
-        elements = np.atleast_1d(np.asarray(space.get(mapping.each), dtype=object)).tolist()
-        spaces = [
-            (space.within(one, f"{mapping.each}({k})"), str(k)) for k, one in enumerate(elements, 1) if one
-        ]
-        return [(inner, replace(mapping, each=""), point) for inner, point in spaces]
     layout = mapping or _recognise(space)
     if layout is not None:
         return [(space, layout, "")]

@@ -151,8 +151,11 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     value = np.asarray(gxy / gxx)
     tiny = np.finfo(float).tiny
     coherence = np.clip(np.abs(gxy) ** 2 / np.maximum(gxx * gyy, tiny), 0.0, 1.0)
-    residuals = [np.moveaxis(y - value[..., None] * x, -1, 0) for x, y in blocks]
-    own, common = split_noise(np.concatenate(residuals), value)
+    for x, y in blocks:
+        for channel, response in zip(y, value, strict=True):  # in place: records may fill half of the memory
+            channel -= response[:, None] * x
+    parts = [y for _, y in blocks]
+    own, common = split_noise(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), value)
     spread = float(segment * np.sum(taper**4) / np.sum(taper**2) ** 2)
     scale = averages / max(averages - 1.0, 1e-3)
     width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
@@ -213,9 +216,12 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     cross = sum(n * x[lines].conj() * y[:, lines] for n, (x, y) in zip(counts, means, strict=True))
     value = np.asarray(cross / power)
     residuals = np.concatenate(
-        [(y - ym)[:, :, lines] - value * (x - xm)[:, None, lines]
-         for (x, y), (xm, ym) in zip(stacks, means, strict=True)]
-    )  # fmt: skip
+        [
+            np.moveaxis((y - ym)[:, :, lines] - value * (x - xm)[:, None, lines], 0, -1)
+            for (x, y), (xm, ym) in zip(stacks, means, strict=True)
+        ],
+        axis=-1,
+    )
     freedom = float(sum(counts) - len(counts))
     own, common = split_noise(residuals, value)
     scale = sum(counts) / freedom
@@ -244,7 +250,7 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
 
     Parameters
     ----------
-    residuals : ndarray, (block, channel, freq), complex
+    residuals : ndarray, (channel, freq, block), complex
         Y - H X of every block.
     response : ndarray, (channel, freq), complex
         H.
@@ -264,8 +270,8 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
     Without a common part e times its information has mean 1 a line: the part is significant at four standard
     deviations of that.
     """
-    whole = np.mean(np.abs(residuals) ** 2, axis=0)
-    blocks, channels, lines = residuals.shape
+    channels, lines, blocks = residuals.shape
+    whole = np.array([np.mean(np.abs(rest) ** 2, axis=-1) for rest in residuals])
     none, floor = np.zeros(lines), np.finfo(float).tiny
     if channels < 3 or not np.any(whole > 0.0):
         return whole, none
@@ -273,9 +279,12 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
     for _ in range(_ROUNDS):
         weight = 1.0 / np.maximum(own, floor)
         information = np.maximum(np.sum(weight * power, axis=0), floor)
-        error = -np.sum((weight * response.conj())[None] * residuals, axis=1) / information
-        common = np.mean(np.abs(error) ** 2, axis=0)
-        rest = np.mean(np.abs(residuals + response[None] * error[:, None]) ** 2, axis=0)
+        error = -np.einsum("cf,cfb->fb", weight * response.conj(), residuals) / information[:, None]
+        common = np.mean(np.abs(error) ** 2, axis=-1)
+        rest = [
+            np.mean(np.abs(r + h[:, None] * error) ** 2, axis=-1)
+            for r, h in zip(residuals, response, strict=True)
+        ]
         own = np.maximum(rest / np.maximum(1.0 - weight * power / information, 0.1), 1e-6 * whole)
         if np.mean(common * information) < 1.1 + 4.0 / np.sqrt(blocks * lines):
             return whole, none

@@ -89,8 +89,8 @@ def test_noise_of_each_channel_and_of_the_reference_are_separated():
 
     response = 20.0 * np.exp(2j * np.pi * rng.uniform(size=(10, 50)))
     own_sd = np.resize([1.0, 2.0, 3.0, 0.5], 10)[:, None]
-    noise = own_sd * circular(400, 10, 50)
-    own, common = split_noise(noise - response * 0.2 * circular(400, 1, 50), response)
+    noise = own_sd[:, :, None] * circular(10, 50, 400)
+    own, common = split_noise(noise - response[:, :, None] * 0.2 * circular(1, 50, 400), response)
     assert np.mean(common) == pytest.approx(0.04, rel=0.05)
     assert np.allclose(np.mean(own, axis=1), own_sd[:, 0] ** 2, rtol=0.03)
     own, common = split_noise(noise, response)

@@ -133,6 +133,7 @@ def test_a_mapping_names_the_columns(tmp_path):
     )
     assert np.allclose(recording.freq_hz, [400.0, 500.0])
     assert np.allclose(recording.directions, [[0.0, 0.6, 0.8]])
+    assert set(read_measurement([path]).inputs) == {"ldv", "mapping of ldv.csv"}
     assert (recording.points, recording.n_avg[0, 0], recording.coherence[0, 1]) == (("7",), 10.0, 0.8)
 
 
