@@ -1,5 +1,6 @@
-"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK, every slice rescaled by
-its own.
+"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK.
+
+Every slice is rescaled by its own slope and intercept.
 
 The standard: https://dicom.nema.org/medical/dicom/current/output/html/part03.html
 """
@@ -60,10 +61,8 @@ def open_file(path: Path, options: ReadOptions) -> Opened:
         raise StapeskitError.of("the folder", "one DICOM series", got, path.name, _APART)
     opened = _series(path, {file: heads[file] for file in stacks[0]}, options)
     if len(heads) > len(stacks[0]):
-        text = (
-            f"{len(heads) - len(stacks[0])} DICOM files of {path.name} are single pictures of other series, such "
-            f"as scouts, and were left out."
-        )
+        count = len(heads) - len(stacks[0])
+        text = f"{count} single pictures of other series in {path.name}, such as scouts, were left out."
         opened.notices.append(Notice("files_ignored", text))
     return opened
 
@@ -134,8 +133,7 @@ def _placed(opened: Opened, heads: Sequence[Any], path: Path) -> NDArray[np.intp
 
 
 class _FrameHead:
-    """The fields of one frame: its own functional groups, the shared ones, then the file's (PS3.3, "
-    "C.7.6.16)."""
+    """The fields of one frame: its own groups, the shared ones, then the file's (PS3.3, C.7.6.16)."""
 
     def __init__(self, head: Any, groups: Sequence[Any]) -> None:
         self._head, self._groups = head, groups

@@ -1,5 +1,4 @@
-"""The formats of scans, one entry each; a new format is a module with a function ``open_file`` and an entry
-here.
+"""The formats of scans, one entry each; a new format is a function in a module and an entry here.
 
 The help of ``ct2mass``, messages and the table of docs/formats.md follow from it, and the contract tests ask
 for a writer of every entry.
@@ -52,9 +51,8 @@ class Format:
 
     def open_file(self, path: Path, options: ReadOptions) -> Opened:
         """Read the header of a scan."""
-        opened: Opened = getattr(import_module(f"ct_inertia.scan.{self.module}"), self.function)(
-            path, options
-        )
+        module = import_module(f"ct_inertia.scan.{self.module}")
+        opened: Opened = getattr(module, self.function)(path, options)
         return opened
 
 
@@ -64,12 +62,9 @@ def _is_zarr(path: Path) -> bool:
 
 
 def _is_dicom(path: Path) -> bool:
-    files = [path]
-    if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))[
-            :5
-        ]
-    return any(file.suffix.lower() in DICOM_SUFFIXES or has_preamble(file) for file in files)
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = [file for file in inside if file.is_file() and not file.name.startswith(".")]
+    return any(file.suffix.lower() in DICOM_SUFFIXES or has_preamble(file) for file in files[:5])
 
 
 def has_preamble(path: Path) -> bool:
@@ -100,8 +95,7 @@ FORMATS = (
     Format(
         "NRRD",
         "itk",
-        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, "
-        "bzip2, text, hex",
+        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2",
         (".nrrd", ".nhdr"),
         ("SimpleITK",),
         carries_place=True,

@@ -1,5 +1,4 @@
-"""Label volumes: which number is which body, and a segmentation that lies on the scan in 3D Slicer and "
-"ITK-SNAP."""
+"""Label volumes: which number is which body, and segmentations that lie on the scan in 3D Slicer."""
 
 from __future__ import annotations
 

@@ -61,8 +61,7 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
 
 
 def _place_nifti(opened: Opened, header: Any, name: str) -> None:
-    """Set spacing, origin and direction by the rules of nifti1.h: sform, else qform, else voxel sizes "
-    "alone."""
+    """Set spacing, origin and direction: sform, else qform, else voxel sizes alone (nifti1.h)."""
     sform, qform = (
         (header.get_sform(True)[0], header.get_qform(True)[0]) if "sform_code" in header else (None, None)
     )

@@ -1,5 +1,4 @@
-"""Open a scan or a label volume of any format: one header parse, in a child process where a library does "
-"it."""
+"""Open a scan or a label volume of any format, in a child process where a library reads it."""
 
 from __future__ import annotations
 

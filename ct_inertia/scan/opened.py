@@ -1,5 +1,4 @@
-"""What a format says about a scan once its header is read: where the voxels lie, in its files and in "
-"space."""
+"""What a format says about a scan: where its voxels lie in files and in space."""
 
 from __future__ import annotations
 

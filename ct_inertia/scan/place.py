@@ -280,8 +280,7 @@ def size_in_words(scan: Scan) -> str:
 
 
 def spacing_advice(scan: Scan) -> str:
-    """Return the next step for a scan without a stapes: another unit, where that makes it the size of an "
-    "ear."""
+    """Return the next step for a scan without a stapes: first a unit that makes it the size of an ear."""
     extent = float((scan.size * scan.spacing_mm).max())
     low, high = _EAR_MM
     if not low <= extent <= high:

@@ -1,5 +1,4 @@
-"""Raw voxels: read plane by plane where they lie in their files; layouts given by the user or a header "
-"beside."""
+"""Raw voxels: read plane by plane where they lie, by the user's layout or a header beside them."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ _THREADS_FROM = 5  # planes; fewer are read sooner than a thread starts
 
 
 def plane_reader(planes: RawPlanes, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Fetch:
-    """Return a function that reads boxes of raw voxels; nothing is mapped, so that a shrunken file is an
-    error.
+    """Return a function that reads boxes of raw voxels; no map: a file that shrinks is an error.
 
     Parameters
     ----------
@@ -157,8 +155,7 @@ def _wrong_length(path: Path, options: ReadOptions, needed: int, stored: int) ->
 
 
 def header_beside(path: Path) -> Path | None:
-    """Return the header of a raw file: ``scan.mhd``, ``scan.raw.mhd``, ``scan.nhdr``, ``scan.vgi``; or "
-    "None."""
+    """Return the header of a raw file (``scan.mhd``, ``scan.raw.mhd``, ``scan.vgi``, ...), or None."""
     names = [name for end in HEADERS for name in (path.with_suffix(end), path.with_name(path.name + end))]
     if path.suffix.lower() == ".img":
         names.append(path.with_suffix(".hdr"))

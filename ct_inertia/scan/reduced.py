@@ -1,5 +1,4 @@
-"""Block means of a scan, read a few planes at a time: the whole volume is never held as floating point "
-"numbers."""
+"""Block means of a scan, read a few planes at a time: never the whole volume as floating point numbers."""
 
 from __future__ import annotations
 

@@ -168,8 +168,7 @@ def _gaps(numbers: list[int], name: str) -> list[Notice]:
 
 
 def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | None, str]:
-    """Return the voxel spacing (3,), mm, in the reconstruction log among these, and what they say without
-    one.
+    """Return the spacing (3,), mm, in the reconstruction log among these, and what they say without.
 
     Parameters
     ----------

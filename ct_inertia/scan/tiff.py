@@ -1,5 +1,4 @@
-"""TIFF stacks by tifffile: plain, ImageJ, OME (also in several files) and BigTIFF, with spacing and "
-"origin."""
+"""TIFF stacks by tifffile: plain, ImageJ, OME (also in several files) and BigTIFF."""
 
 from __future__ import annotations
 
@@ -60,11 +59,8 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
         page: Any = series.keyframe
         _check_kind(series, page, path)
         shape = tuple(int(n) for n in series.shape if n > 1)
-        dtype = (
-            np.dtype(np.uint8)
-            if series.dtype.kind == "b"
-            else np.dtype(page.parent.byteorder + series.dtype.char)
-        )
+        kind = "u1" if series.dtype.kind == "b" else series.dtype.str[1:]
+        dtype = np.dtype(page.parent.byteorder + kind)
         opened = Opened(shape, dtype, files=files, white_is_zero=white_is_zero(page))
         opened.spacing_mm, opened.origin_mm, opened.known = _place(tif, series)
         opened.notices = _notices(tif, path)
@@ -185,8 +181,7 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
 
 
 def _imagej_counts(tif: tifffile.TiffFile, path: Path) -> tuple[int, int]:
-    """Return how many slices an ImageJ description counts, and how many the file holds; (0, 0) without "
-    "one."""
+    """Return how many slices an ImageJ description counts, and how many the file holds; 0, 0 without."""
     meta = (tif.imagej_metadata or {}) if tif.is_imagej else {}
     stated, pages = int(meta.get("images") or 0), len(tif.pages)
     if stated < 2 or pages > 1:

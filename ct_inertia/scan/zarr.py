@@ -151,8 +151,7 @@ def _voxels(array: Any, axes: Sequence[str], folder: Path) -> Opened:
 
 
 def _pieces(asked: range, chunk: int) -> list[tuple[slice, slice]]:
-    """Split indices by chunks: what to read of the array, and where it belongs among the indices asked "
-    "for."""
+    """Split indices by chunks: what to read of the array, and its place among the indices."""
     pieces, first = [], 0
     while first < len(asked):
         end = first

@@ -1,5 +1,4 @@
-"""The door for meshes that people bring: read in a child process, corners joined, faces turned, holes closed
-or named.
+"""The door for meshes that people bring: read in a child process, mended, closed when asked.
 
 What is mended is reported; a hole is closed only when that is asked for.
 """
@@ -292,8 +291,7 @@ def _coherent(vertices: Array, faces: Faces) -> Faces:
 
 
 def open_walks(faces: Faces) -> int:
-    """Return how many edges are walked more often in one direction than in the other: 0 for a closed "
-    "surface."""
+    """Return how many edges are walked more often in one direction: 0 for a closed surface."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     sense = np.where(edges[:, 0] < edges[:, 1], 1, -1)
     _, place = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
@@ -301,8 +299,7 @@ def open_walks(faces: Faces) -> int:
 
 
 def signed_volume(vertices: Array, faces: Faces) -> float:
-    """Return the volume inside faces over vertices in mm, mm3; negative when wound inward (divergence "
-    "theorem)."""
+    """Return the volume inside faces, mm3, negative when wound inward (divergence theorem)."""
     centred = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     a, b, c = (centred[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -63,8 +63,7 @@ def winding_surface(
 
 
 def winding_number(vertices: Array, faces: NDArray[np.int64], points: Array) -> Array:
-    """Return how often faces wind around each of the points (k, 3): 1 inside an outward surface, 0 "
-    "outside."""
+    """Return how often faces wind around points (k, 3): 1 inside an outward surface, 0 outside."""
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
