@@ -28,10 +28,13 @@ def sd_from_coherence(value: ComplexArray, coherence: Array, n_avg: Array | floa
 def with_noise(recording: Recording) -> Recording:
     """Return the recording with the sd that follows from what its file states.
 
-    Coherence without a number of averages and averages alone give an sd up to one factor (``relative``).
+    Coherence without a number of averages and averages alone give an sd up to one factor (``relative``). The
+    coherence of a single average is 1 by construction and says nothing.
     Rows of which nothing is known have an sd of NaN; a recording of which nothing is known has none.
     """
     if recording.sd is not None or (recording.coherence is None and recording.n_avg is None):
+        return recording
+    if recording.coherence is not None and recording.n_avg is not None and not np.any(recording.n_avg > 1.0):
         return recording
     counts = np.ones(recording.value.shape) if recording.n_avg is None else recording.n_avg
     if recording.coherence is None:

@@ -102,6 +102,8 @@ def test_noise_by_sd_coherence_and_averages(tmp_path):
     body = read_measurement([table(tmp_path, [f"{row},4" for row in ROWS[:2]], f"{HEAD},n_avg")]).bodies[0]
     assert body.relative
     assert np.allclose(body.sd, 0.5)
+    single = [f"{row},1,1" for row in ROWS[:2]]  # the coherence of one average is 1 and says nothing
+    assert read_measurement([table(tmp_path, single, f"{HEAD},coherence,n_avg")]).bodies[0].sd is None
     body = read_measurement([table(tmp_path, [f"{row},7" for row in ROWS[:2]], f"{HEAD},sd_mm_s")]).bodies[0]
     assert np.allclose(body.sd, 7e-3)
 
