@@ -192,9 +192,9 @@ def _fetch_of(opened: Opened) -> Fetch:
 
 
 def _half_of_memory() -> int:
-    """Return half of the memory that is free, bytes; 0 where the system does not say."""
+    """Return half of the memory of the machine, bytes; 0 where the system does not say."""
     try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES") // 2
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
     except (ValueError, OSError, AttributeError):
         return 0
 
