@@ -37,8 +37,6 @@ _PRINTER_DPI = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 1200.
 
 _NOTED_CHANGE = 1e-3  # relative difference of two voxel sizes that is more than rounding
 _UNSET_RATIO = 4.0  # a slice distance of exactly 1 is not believed so far from the pixel size
-_LEAST_EXTENT_MM, _MOST_EXTENT_MM = 1.0, 500.0  # a stapes is 3 mm high; a head is 250 mm wide
-_EAR_MM = (2.0, 60.0)  # extent of scans of one ear
 _AXES = "xyz"
 
 
@@ -256,43 +254,6 @@ def _reversed(fetch: Fetch, shape: tuple[int, int, int], axis: int) -> Fetch:
         return np.ascontiguousarray(np.flip(values, axis=k))
 
     return reversed_fetch
-
-
-def check_extent(scan: Scan) -> None:
-    """Refuse a scan that is too small or too large for an ear, with the unit that would make it one.
-
-    Raises
-    ------
-    StapeskitError
-        Its longest side is below 1 mm or above 500 mm.
-    """
-    extent = scan.size * scan.spacing_mm
-    if _LEAST_EXTENT_MM <= extent.max() <= _MOST_EXTENT_MM:
-        return
-    raise StapeskitError.of(
-        "the scan", "as large as an ear (3 to 60 mm)", size_in_words(scan), scan.name, spacing_advice(scan)
-    )
-
-
-def size_in_words(scan: Scan) -> str:
-    """Return the size of a scan and of its voxels in mm."""
-    return f"{_times(scan.size * scan.spacing_mm)} mm (voxels of {_times(scan.spacing_mm)} mm)"
-
-
-def spacing_advice(scan: Scan) -> str:
-    """Return the next step for a scan without a stapes: first a unit that makes it the size of an ear."""
-    extent = float((scan.size * scan.spacing_mm).max())
-    low, high = _EAR_MM
-    if not low <= extent <= high:
-        for unit, factor in (("micrometres", 1e-3), ("metres", 1e3), ("inches", 25.4), ("nanometres", 1e-6)):
-            if low <= extent * factor <= high:
-                values = ",".join(f"{value:.6g}" for value in scan.spacing_mm * factor)
-                return f"If the numbers in the file are {unit}, give --spacing {values}"
-    x, y, z = scan.spacing_mm
-    if max(x, y, z) > _UNSET_RATIO * min(x, y, z):
-        apart = f"{z:.6g} mm beside {x:.6g} mm in a slice"
-        return f"Check the distance of slices ({apart}) and give --spacing DX,DY,DZ"
-    return "Check the voxel size, and give the right one with --spacing"
 
 
 def _times(values: Array) -> str:

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ct_inertia.scan.open_scan import open_labels, open_scan
 from ct_inertia.scan.opened import RawLayout
-from ct_inertia.scan.place import check_extent, choose_spacing, mm_per_unit, spacing_advice
-from ct_inertia.scan.scan import Scan
+from ct_inertia.scan.place import choose_spacing, mm_per_unit
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
 from tests.scan_files.scan_writers import SPACING, check_corners, picture
@@ -200,6 +199,7 @@ def test_two_places_in_a_nifti_header_are_named_where_they_differ(tmp_path, wron
 
 
 def test_the_spacing_of_the_user_wins_with_a_notice(tmp_path):
+    assert choose_spacing(None, 0.02, "")[0].tolist() == [0.02] * 3
     w.imagej(tmp_path / "a.tif", picture())
     scan = open_scan(tmp_path / "a.tif", 0.05)
     assert scan.spacing_mm.tolist() == [0.05] * 3
@@ -338,18 +338,6 @@ def test_zarr_translations_units_collections_and_missing_chunks(tmp_path):
     chunk = next(p for p in (outer / "0" / "0").rglob("*") if p.is_file() and not p.name.startswith("."))
     chunk.unlink()
     assert "chunks_not_stored" in codes(open_scan(outer, SPACING))
-
-
-def test_a_scan_of_the_size_of_no_ear_names_the_unit():
-    array = picture("u1", (8, 8, 8))
-    for spacing, factor in ((5e-4, 1e3), (500.0, 1e-3)):
-        scan = Scan.from_array(array, spacing)
-        with pytest.raises(StapeskitError) as caught:
-            check_extent(scan)
-        assert f"{spacing * factor:.6g}" in caught.value.faults[0].next_step
-    check_extent(Scan.from_array(array, 0.5))
-    assert "distance of slices" in spacing_advice(Scan.from_array(array, (0.4, 0.4, 3.0)))
-    assert choose_spacing(None, 0.02, "")[0].tolist() == [0.02] * 3
 
 
 def test_corners_keep_their_names_under_mirror(tmp_path):
