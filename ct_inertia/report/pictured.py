@@ -1,0 +1,143 @@
+"""What the pictures of a page need beside mass.json: surfaces, and the grey values and labels around the stapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Grey
+from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
+
+if TYPE_CHECKING:
+    from ct_inertia.results import MassResult
+
+_MARGIN_MM = 0.5  # around the stapes: a choice for the eye
+
+
+@dataclass(frozen=True)
+class Slices:
+    """Grey values and labels of a box around the stapes.
+
+    Attributes
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    labels : ndarray of uint8, [z, y, x]
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z of the box to scan coordinates, mm.
+    first, step : ndarray of int, (3,)
+        Index x, y, z in the scan of its first voxel, and voxels of the scan per voxel of the box.
+    """
+
+    grey: Grey
+    labels: NDArray[np.uint8]
+    scan_from_index: Array
+    first: NDArray[np.int64]
+    step: NDArray[np.int64]
+
+    def index_points(self, points_mm: Array) -> Array:
+        """Map scan coordinates (..., 3) to index x, y, z of the box."""
+        back = np.linalg.inv(self.scan_from_index)
+        return np.asarray(points_mm @ back[:3, :3].T + back[:3, 3])
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Grey values shown black and white."""
+        inside = self.grey[self.labels == STAPES]
+        return float(np.percentile(self.grey, 1.0)), float(np.percentile(inside, 97.0))
+
+
+@dataclass(frozen=True)
+class Pictured:
+    """What the pictures need in addition to mass.json.
+
+    Attributes
+    ----------
+    stapes : Surface
+    plate : Surface or None
+    slices : Slices or None
+        None for a mesh, or where the scan is not at hand.
+    """
+
+    stapes: Surface
+    plate: Surface | None = None
+    slices: Slices | None = None
+
+
+def pictured_of(result: MassResult) -> Pictured:
+    """Return what the pictures of a result need."""
+    if result.body is None:
+        return Pictured(result.stapes, result.plate)
+    labelled = result.body.labelled
+    labels = np.zeros(labelled.box.shape, dtype=np.uint8)
+    bodies = ((labelled.other, OTHER_BONE), (labelled.plate, PLATE), (labelled.stapes, STAPES))
+    for mask, number in bodies:
+        labels[mask] = number
+    box = labelled.box
+    slices = Slices(box.grey, labels, box.scan_from_index, box.first, box.block)
+    return Pictured(result.stapes, result.plate, slices)
+
+
+def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = None) -> Pictured:
+    """Return what the pictures need from the files of a result and the scan that it came from.
+
+    Parameters
+    ----------
+    folder : Path
+        Of mass.json.
+    content : mapping
+        Of mass.json.
+    scan : Path, optional
+        Without it there are no pictures of slices.
+
+    Raises
+    ------
+    StapeskitError
+        A file is missing or damaged.
+    """
+    from ct_inertia.surface.repair import read_mesh
+
+    surfaces = {}
+    for name in ("stapes", "plate"):
+        path = folder / f"{name}.ply"
+        if name == "stapes" or path.is_file():
+            mesh = read_mesh(path)
+            surfaces[name] = Surface(mesh.vertices_mm, mesh.faces)
+    slices = None
+    labels_file = content.get("labels_file")
+    if scan is not None and labels_file and (folder / labels_file).is_file():
+        slices = _slices(folder / labels_file, scan, content)
+    return Pictured(surfaces["stapes"], surfaces.get("plate"), slices)
+
+
+def _slices(labels_file: Path, scan_file: Path, content: Mapping[str, Any]) -> Slices:
+    from ct_inertia.find.distance import used_box
+    from ct_inertia.options import MassOptions
+    from ct_inertia.scan.open_scan import open_labels, open_scan
+
+    given = content["provenance"]["parameters"]
+    known = {key: given[key] for key in ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype") if key in given}
+    known |= {key: given[key] for key in ("byte_order", "header_bytes") if key in given}
+    options = MassOptions.read({**known, "file": scan_file}, "mass.json", {key: key for key in given})
+    scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
+    labels, grid = open_labels(labels_file)
+    used = used_box(labels == STAPES) or (slice(0, 1),) * 3
+    margin = [int(np.ceil(_MARGIN_MM / h)) for h in grid.spacing_mm[::-1]]
+    part = [
+        slice(max(s.start - m, 0), min(s.stop + m, n))
+        for s, m, n in zip(used, margin, labels.shape, strict=True)
+    ]
+    start = np.array([one.start for one in part[::-1]])
+    first = np.rint(scan.index_points(grid.scan_points(start))).astype(np.int64)
+    size = np.array([one.stop - one.start for one in part[::-1]])
+    x, y, z = (slice(int(a), int(a + n)) for a, n in zip(first, size, strict=True))
+    transform = scan.scan_from_index.copy()
+    transform[:3, 3] = scan.scan_points(first)
+    grey = scan.read((z, y, x)).astype(np.float32)
+    box = (part[0], part[1], part[2])
+    return Slices(grey, labels[box].astype(np.uint8), transform, first, np.ones(3, dtype=np.int64))

@@ -1,0 +1,228 @@
+"""Pictures: the stapes from three sides with what lies where, and slices with what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
+from ct_inertia.frames.anatomy import NO_HINT, directions
+from ct_inertia.report.pictured import Pictured, Slices
+from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
+from stapeskit.frames import RigidTransform
+from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, PAGE_COLOURS, lighten
+from stapeskit.report.figures import panels, style
+from stapeskit.report.scene3d import decimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+VIEWS = (("-y", "+x", "+z"), ("+z", "+x", "+y"), ("+x", "-z", "+y"))
+"""Sides the stapes is seen from: axis towards the eye, to the right, up; right-handed."""
+
+_FACES = 9000  # of a drawn surface: each is less than a millimetre on paper
+_LIGHT = np.array([-0.35, 0.45, 0.82])  # direction of the light: right, up, towards the eye
+_PIXELS = 340  # along an edge of a slice
+_MARGIN_MM = 0.4
+_ABOVE_MM = 0.12  # height of the slice along the footplate: within its bone
+_BODIES = ((OTHER_BONE, "bone", "other bone"), (PLATE, "plate", "plate"))
+
+
+def frame_of(content: Mapping[str, Any], name: str) -> RigidTransform | None:
+    """Return scan_from_NAME of a mass.json; None where it has none."""
+    matrix = content["frames"][f"scan_from_{name}"]
+    return None if matrix is None else RigidTransform(np.array(matrix, dtype=float), "scan", name)
+
+
+def anatomy_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the names of the ends of the footplate axes, ``+x`` to ``-z``, as far as they are known."""
+    frames = content["frames"]
+    return directions(frames.get("side"), frames.get("anterior_from") != NO_HINT)
+
+
+@style()
+def views(content: Mapping[str, Any], pictured: Pictured) -> Figure:
+    """Draw the stapes from three sides along the footplate axes, medial first."""
+    frame = frame_of(content, "footplate")
+    assert frame is not None  # noqa: S101 - every mass.json has it
+    names = anatomy_of(content)
+    vertices, faces = decimate(pictured.stapes.vertices_mm, pictured.stapes.faces, _FACES)
+    local = frame.inverse().points(vertices)
+    drawing, axes = panels(1, 3, width=10.4, height=3.9, margins=(0.1, 0.1, 0.35, 0.1), gaps=(0.15, 0.1))
+    half = 0.62 * float(np.max(np.ptp(local, axis=0)))
+    for ax, view in zip(axes[0], VIEWS, strict=True):
+        _view(ax, local, faces, view, names, half)
+    return drawing
+
+
+def _axis(name: str) -> Array:
+    return np.eye(3)["xyz".index(name[1])] * (-1.0 if name[0] == "-" else 1.0)
+
+
+def _word(name: str, names: Mapping[str, str]) -> str:
+    sign = name.replace("-", "−")
+    return f"{names[name]} ({sign})" if name in names else sign
+
+
+def _view(
+    axes: Axes, local: Array, faces: Array, view: tuple[str, str, str], names: Mapping[str, str], half: float
+) -> None:
+    """Draw one side: triangles from back to front, lit; names of the directions at the edges."""
+    from matplotlib.collections import PolyCollection
+
+    eye, right, up = view
+    turn = np.stack([_axis(right), _axis(up), _axis(eye)])
+    points = local @ turn.T
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    corners = points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    shown = np.flatnonzero(normals[:, 2] > 0.0)
+    order = shown[np.argsort(corners[shown, :, 2].mean(axis=1))]
+    light = np.clip(normals[order] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    base = np.array([int(lighten(BODY_COLOURS["stapes"], 0.35)[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    colours = np.clip(base * (0.45 + 0.65 * light[:, None]), 0.0, 1.0)
+    axes.add_collection(
+        PolyCollection(corners[order, :, :2], facecolors=colours, edgecolors=colours, linewidths=0.3)
+    )
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(PAGE_COLOURS["line"])
+    axes.set_title(f"seen from {_word(eye, names)}")
+    _edge_names(axes, right, up, names)
+    for name, tip in zip("xyz", turn.T, strict=True):
+        _arrow(axes, name, tip, 0.3 * half)
+    bar = np.array([0.0, 1.0]) + middle[0] - 0.92 * half
+    axes.plot(bar, np.full(2, middle[1] - 0.84 * half), color=PAGE_COLOURS["ink"], lw=2.5)
+    axes.text(float(bar[0]), middle[1] - 0.81 * half, "1 mm", fontsize=8)
+
+
+def _edge_names(axes: Axes, right: str, up: str, names: Mapping[str, str]) -> None:
+    def other(name: str) -> str:
+        return f"{'-' if name[0] == '+' else '+'}{name[1]}"
+
+    words: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 8.5, "color": PAGE_COLOURS["soft"]}
+    axes.text(0.985, 0.5, _word(right, names), ha="right", va="center", rotation=90, **words)
+    axes.text(0.015, 0.5, _word(other(right), names), ha="left", va="center", rotation=90, **words)
+    axes.text(0.5, 0.985, _word(up, names), ha="center", va="top", **words)
+    axes.text(0.5, 0.015, _word(other(up), names), ha="center", va="bottom", **words)
+
+
+def _arrow(axes: Axes, name: str, tip: Array, length: float) -> None:
+    """Draw an axis from the footplate centre; one along the line of sight is a dot or a cross."""
+    colour = AXIS_COLOURS[name]
+    if abs(tip[2]) > 0.9:
+        axes.plot(0.0, 0.0, "o", mfc="white", mec=colour, ms=7, mew=1.4)
+        axes.plot(0.0, 0.0, "." if tip[2] > 0.0 else "x", color=colour, ms=3.5)
+        return
+    arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.0, "shrinkA": 0, "shrinkB": 0}
+    end = (float(length * tip[0]), float(length * tip[1]))
+    axes.annotate("", xy=end, xytext=(0.0, 0.0), arrowprops=arrow)
+    axes.text(1.2 * end[0], 1.2 * end[1], name, color=colour, ha="center", va="center", fontweight="bold")
+
+
+@style()
+def slices_figure(content: Mapping[str, Any], pictured: Pictured) -> Figure | None:
+    """Draw six slices: planes of the footplate frame, and slices of the scan; None without grey values."""
+    from matplotlib.lines import Line2D
+
+    slices, frame = pictured.slices, frame_of(content, "footplate")
+    if slices is None or frame is None:
+        return None
+    drawing, axes = panels(2, 3, width=10.4, height=3.7, margins=(0.5, 0.1, 0.3, 0.75), gaps=(0.5, 0.6))
+    local = frame.inverse().points(pictured.stapes.vertices_mm)
+    low, high = local.min(axis=0) - _MARGIN_MM, local.max(axis=0) + _MARGIN_MM
+    planes = ((0, 1, 2, 0.0), (2, 1, 0, 0.0), (0, 2, 1, _ABOVE_MM))
+    for ax, plane in zip(axes[0], planes, strict=True):
+        _oblique(ax, slices, frame, pictured.stapes, plane, (low, high))
+    for ax, axis in zip(axes[1], (2, 1, 0), strict=True):
+        _native(ax, slices, pictured.stapes, axis)
+    handles = [Line2D([], [], color=BODY_COLOURS["stapes"], label="stapes, as measured")]
+    for number, body, words in _BODIES:
+        if np.any(slices.labels == number):
+            handles.append(Line2D([], [], color=BODY_COLOURS[body], label=words))
+    drawing.legend(handles=handles, loc="lower center", ncols=len(handles))
+    return drawing
+
+
+def _oblique(
+    axes: Axes,
+    slices: Slices,
+    frame: RigidTransform,
+    stapes: Surface,
+    plane: tuple[int, int, int, float],
+    corners: tuple[Array, Array],
+) -> None:
+    from scipy.ndimage import map_coordinates
+
+    right, up, normal, level = plane
+    u = np.linspace(corners[0][right], corners[1][right], _PIXELS)
+    v = np.linspace(corners[0][up], corners[1][up], _PIXELS)
+    points = np.zeros((_PIXELS, _PIXELS, 3))
+    points[..., right], points[..., up], points[..., normal] = u[None, :], v[:, None], level
+    places = np.moveaxis(slices.index_points(frame.points(points))[..., ::-1], -1, 0)
+    window = slices.window
+    grey = map_coordinates(slices.grey, places, order=1, mode="constant", cval=window[0])
+    extent = (u[0], u[-1], v[0], v[-1])
+    axes.imshow(grey, extent=extent, origin="lower", cmap="gray", vmin=window[0], vmax=window[1])
+    for number, body, _ in _BODIES:
+        mask = (slices.labels == number).astype(np.float32)
+        share = map_coordinates(mask, places, order=1) if mask.any() else np.zeros(1)
+        if share.max() > 0.5:
+            axes.contour(u, v, share, levels=[0.5], colors=BODY_COLOURS[body], linewidths=0.9)
+    origin = frame.points(level * np.eye(3)[normal])
+    for line in _cut(stapes, origin, frame.rotation[:, normal]):
+        at = frame.inverse().points(line)
+        axes.plot(at[:, right], at[:, up], color=BODY_COLOURS["stapes"], lw=1.1)
+    axes.set(xlim=extent[:2], ylim=extent[2:], title=f"footplate frame, {'xyz'[normal]} = {level:g} mm")
+    axes.set(xlabel=f"{'xyz'[right]} (mm)", ylabel=f"{'xyz'[up]} (mm)", aspect="equal")
+    axes.grid(visible=False)
+
+
+def _cut(surface: Surface, origin: Array, normal: Array) -> list[Array]:
+    """Return the lines (n, 3) in which a plane cuts a surface."""
+    cut = surface.mesh().slice(normal=normal, origin=origin).strip(join=True, max_length=10**6)
+    lines, points, found, place = np.asarray(cut.lines), np.asarray(cut.points, dtype=float), [], 0
+    while place < len(lines):
+        found.append(points[lines[place + 1 : place + 1 + lines[place]]])
+        place += 1 + int(lines[place])
+    return found
+
+
+def _native(axes: Axes, slices: Slices, stapes: Surface, axis: int) -> None:
+    """Draw the slice of the scan across an axis of the array in which the stapes is largest."""
+    mask = slices.labels == STAPES
+    area = np.count_nonzero(mask, axis=tuple(k for k in range(3) if k != 2 - axis))
+    number = int(np.argmax(area))
+    right, up = (k for k in range(3) if k != axis)
+    grey = np.take(slices.grey, number, axis=2 - axis)
+    window = slices.window
+    first, step = slices.first, slices.step
+    begin_u, begin_v = first[right], first[up]
+    end_u, end_v = begin_u + step[right] * grey.shape[1], begin_v + step[up] * grey.shape[0]
+    extent = (begin_u - 0.5, end_u - 0.5, end_v - 0.5, begin_v - 0.5)
+    aspect = float(np.linalg.norm(slices.scan_from_index[:3, up]) / step[up])
+    aspect /= float(np.linalg.norm(slices.scan_from_index[:3, right]) / step[right])
+    axes.imshow(grey, extent=extent, cmap="gray", vmin=window[0], vmax=window[1], aspect=aspect)
+    u = begin_u + (np.arange(grey.shape[1]) + 0.5) * step[right] - 0.5
+    v = begin_v + (np.arange(grey.shape[0]) + 0.5) * step[up] - 0.5
+    for label, body, _ in _BODIES:
+        share = np.take(slices.labels == label, number, axis=2 - axis).astype(float)
+        if share.any():
+            axes.contour(u, v, share, levels=[0.5], colors=BODY_COLOURS[body], linewidths=0.9)
+    columns = slices.scan_from_index[:3, :3]
+    origin = slices.scan_from_index[:3, 3] + number * columns[:, axis]
+    for line in _cut(stapes, origin, np.cross(columns[:, right], columns[:, up])):
+        at = (slices.index_points(line) + 0.5) * step + first - 0.5
+        axes.plot(at[:, right], at[:, up], color=BODY_COLOURS["stapes"], lw=1.1)
+    place = int(first[axis] + number * step[axis] + step[axis] // 2)
+    axes.set(title=f"scan, slice {'xyz'[axis]} = {place}", xlim=extent[:2], ylim=extent[2:])
+    axes.set(xlabel=f"voxel {'xyz'[right]}", ylabel=f"voxel {'xyz'[up]}")
+    axes.grid(visible=False)

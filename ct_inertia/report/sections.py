@@ -1,0 +1,315 @@
+"""The page of ``ct2mass`` and its sections, which other pages take over.
+
+Everything comes from mass.json, the meshes and slices of the scan, so a result that is read back gives the same page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ct_inertia.mass.sizes import NAMES
+from ct_inertia.mass.ways import WAYS
+from ct_inertia.report.evidence import evidence_rows
+from ct_inertia.report.pictured import Pictured, pictured_from
+from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure, views
+from stapeskit.report import page
+from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS
+from stapeskit.report.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, Quantity, matrix_units
+from stapeskit.report.scene3d import Line, Mesh, Scene
+from stapeskit.records.mass_matrix import source_words
+from stapeskit.warnings import from_json
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+_LARGEST = 5  # sources of uncertainty that are listed one by one
+_PLATE_AXIS_MM = 1.0
+
+Content = Mapping[str, Any]
+
+
+def mass_page(content: Content, pictured: Pictured) -> page.Page:
+    """Return the page of a result.
+
+    Parameters
+    ----------
+    content : mapping
+        Of mass.json.
+    pictured : Pictured
+    """
+    source = next(iter(content["provenance"]["inputs"].values()))["file"]
+    lead = "A stapes from micro-CT: volume, frames and generalized mass matrix about the footplate centre."
+    shown = page.Page(f"Mass matrix of {source}", lead)
+    shown.add(page.beside(summary_cards(content), reduced_matrix(content)))
+    shown.add(page.notices(from_json(content["warnings"])))
+    add_sections(shown, content, pictured)
+    provenance = content["provenance"]
+    given = [(key.replace("_", " "), str(value)) for key, value in provenance["parameters"].items()]
+    versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
+    shown.appendix_section(
+        "Inputs",
+        page.inputs(provenance),
+        page.table(("option", "value"), given, words=True),
+        page.text(f"{provenance['command']}; {provenance['date']}. {versions}."),
+    )
+    return shown
+
+
+def page_from(folder: Path, scan: Path | None = None) -> page.Page:
+    """Return the page of the result in a folder; with the scan, the slices are drawn, too.
+
+    Raises
+    ------
+    StapeskitError
+        A file of the result is missing or damaged.
+    """
+    from stapeskit.records.mass import read_mass_json
+
+    content = read_mass_json(Path(folder) / "mass.json").raw
+    return mass_page(content, pictured_from(Path(folder), content, scan))
+
+
+def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None:
+    """Add the sections on slices, mass matrix, frames and bodies, and the appendix, to a page."""
+    cut = slices_figure(content, pictured)
+    if cut is not None:
+        caption = (
+            "Grey values with the outline of what was measured as stapes, and of what was taken for other bone and for "
+            "the plate. Above: planes of the footplate frame. Below: slices of the scan in which the stapes is largest."
+        )
+        correct = (
+            "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes labels.seg.nrrd "
+            "corrected in 3D Slicer or ITK-SNAP."
+        )
+        alt = "Six slices with the outlines of stapes, plate and other bone."
+        shown.section("What was measured", page.figure(cut, caption, alt, vector=False), page.text(correct))
+    shown.section("Mass matrix M", *matrix_blocks(content))
+    shown.section("Frames", *frame_blocks(content, pictured))
+    shown.section("The stapes in three dimensions", page.viewer(scene(content, pictured)))
+    for name, blocks in (
+        ("Next to published stapedes", published_blocks(content)),
+        ("How the stapes was found and measured", evidence_blocks(content)),
+        ("Ways to the mass", ways_blocks(content)),
+        ("Cross-check", check_blocks(content)),
+    ):
+        if blocks:
+            shown.appendix_section(name, *blocks)
+
+
+def _missing(content: Content) -> str:
+    """Return why the mass has no standard deviation; empty where it has one."""
+    way = content["mass_known_by"]
+    stated = way in content["inertial_parameters"]["contributions_si"]
+    return "" if stated else f"no standard deviation of {WAYS[way].what} was given"
+
+
+def summary_cards(content: Content) -> Markup:
+    """Return mass, volume, centre, sizes and the frame."""
+    total, found = content["uncertainty"]["total"], content["found"]
+    values = np.array(content["inertial_parameters"]["values_si"])
+    centre = values[1:4] / values[0]
+    sd = None if _missing(content) else total["mass_kg"]
+    codes = {warning["code"] for warning in content["warnings"]}
+    density = f"{content['density_kg_m3']:.0f} kg/m³"
+    if "density_assumed" in codes:
+        density += " ± 200, ASSUMED: state your own with --density, --mass-mg or --calibration"
+    mass = [
+        ("density of the bone", density),
+        ("mass with what was added" if found["added_masses"] else "mass", Quantity(values[0], sd, MASS)),
+        ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f")),
+    ]
+    place = [
+        (f"centre of mass, {axis}", Quantity(float(value), float(spread), LENGTH))
+        for axis, value, spread in zip("xyz", centre, total["center_of_mass_m"], strict=True)
+    ]
+    size = f"{found['footplate_length_mm']:.2f} × {found['footplate_width_mm']:.2f} mm"
+    sizes = [("footplate", size), ("height", f"{found['height_mm']:.2f} mm"), ("gap", _gap_words(found))]
+    words = [("anterior", content["frames"].get("anterior_in_words", "")), ("z points", content["frames"]["z_is"])]
+    return page.cards(("Mass", mass), ("In footplate axes", place), ("Sizes", sizes), ("Frame", words))
+
+
+def _gap_words(found: Content) -> str:
+    if found.get("gap_mm") is None:
+        return "not measured: no other bone along half of the rim, or too near"
+    gap, sd = 1e3 * found["gap_mm"], 1e3 * found["gap_sd_mm"]
+    return f"{gap:.0f} ± {sd:.1f} µm, median along {100.0 * found['gap_rim_share']:.0f} % of the rim"
+
+
+def reduced_matrix(content: Content) -> Markup:
+    """Return M for y, alpha, gamma with its 95 % intervals."""
+    return _matrix(content, "mass_matrix_reduced", "about the footplate centre, in footplate axes")
+
+
+def _matrix(content: Content, key: str, caption: str) -> Markup:
+    block = content[key]
+    sd = None if _missing(content) else block["standard_deviation_si"]
+    units = matrix_units("M", block["dof"])
+    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="M", file=key)
+
+
+def matrix_blocks(content: Content) -> list[Markup]:
+    """Return M in full and the budget of its largest sources."""
+    missing = _missing(content)
+    order = (
+        "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small rotations about "
+        "x, y, z). "
+    )
+    order += f"No standard deviations: {missing}." if missing else "± is one standard deviation with all sources."
+    blocks = [page.text(order), _matrix(content, "mass_matrix", "about the footplate centre, in footplate axes")]
+    if content["mass_matrix_plate_axes"] is not None:
+        plate = _matrix(content, "mass_matrix_plate_axes", "about the footplate centre, in plate axes")
+        blocks.append(page.folded("M in the axes of the plate", plate))
+    return [*blocks, page.subheading("Where the uncertainty comes from"), *budget_blocks(content)]
+
+
+def budget_blocks(content: Content) -> list[Markup]:
+    """Return the largest sources of uncertainty of M, the others together, and what is not included."""
+    values = np.diag(np.array(content["mass_matrix"]["matrix_si"]))[[0, 3, 4, 5]]
+    rows: dict[str, np.ndarray[Any, Any]] = {}
+    for source, row in content["uncertainty"].items():
+        if source not in ("total", "not_included"):
+            shares = np.array(row["mass_matrix_diagonal_si"])[[0, 3, 4, 5]] / values
+            rows[source] = np.append(100.0 * shares, SMALL_LENGTH.of(np.linalg.norm(row["center_of_mass_m"])))
+    order = sorted(rows, key=lambda source: -float(np.max(rows[source][:4])))
+    listed = [(source_words(source), *_digits(rows[source])) for source in order[:_LARGEST]]
+    rest = order[_LARGEST:]
+    if rest:
+        together = np.sqrt(sum(np.square(rows[source]) for source in rest))
+        listed.append((f"{len(rest)} others together", *_digits(together)))
+    listed.append(("all of these", *_digits(np.sqrt(sum(np.square(row) for row in rows.values())))))
+    head = ("source", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)", "centre of mass (µm)")
+    blocks = [page.table(head, listed, "One standard deviation that each source adds.", file="budget")]
+    missing = content["uncertainty"].get("not_included") or []
+    return blocks + ([page.text("Not in the budget: " + "; ".join(missing) + ".")] if missing else [])
+
+
+def _digits(values: Any) -> list[str]:
+    return [f"{value:.2g}" for value in values]
+
+
+def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
+    """Return the stapes seen along the footplate axes, where anterior is in words, and both frames."""
+    frames = content["frames"]
+    caption = (
+        "The stapes along the axes of the footplate: x along it, anterior; y the piston direction, lateral; z = x × y."
+    )
+    alt = "The stapes seen from the medial side and from two others, with the directions named."
+    words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
+    return [
+        page.figure(views(content, pictured), caption, alt, vector=False),
+        page.text(words),
+        page.code(frames["other_choice"]),
+        _frames_table(content),
+    ]
+
+
+def _frames_table(content: Content) -> Markup:
+    columns: dict[str, list[str]] = {}
+    for key in ("footplate", "plate"):
+        frame = frame_of(content, key)
+        if frame is None:
+            continue
+        pose = np.array(content["frames"]["pose_covariance"][f"scan_from_{key}"]["matrix_si"])
+        sd = np.sqrt(np.diag(pose))
+        columns[f"{key} frame"] = [
+            _listed(frame.translation_mm, "+.4f"),
+            *(_listed(axis, "+.4f") for axis in frame.rotation.T),
+            _listed(SMALL_LENGTH.of(sd[:3]), ".2g"),
+            _listed(np.degrees(sd[3:]), ".2g"),
+        ]
+    names = (
+        *("origin (scan, mm)", "x (scan)", "y (scan)", "z (scan)"),
+        *("sd of the origin along x, y, z (µm)", "sd of the turn about x, y, z (°)"),
+    )
+    rows = [(name, *(column[place] for column in columns.values())) for place, name in enumerate(names)]
+    return page.table(("", *columns), rows, words=True)
+
+
+def _listed(values: Any, form: str) -> str:
+    return ", ".join(f"{value:{form}}" for value in values)
+
+
+def scene(content: Content, pictured: Pictured) -> Scene:
+    """Return the stapes, the plate and both frames for the viewer."""
+    frame = frame_of(content, "footplate")
+    assert frame is not None  # noqa: S101 - every mass.json has it
+    names = anatomy_of(content)
+    surfaces = [Mesh("stapes", pictured.stapes.vertices_mm, pictured.stapes.faces, BODY_COLOURS["stapes"])]
+    lines = []
+    if pictured.plate is not None:
+        plate = pictured.plate
+        colour = BODY_COLOURS["plate"]
+        surfaces.append(Mesh("plate", plate.vertices_mm, plate.faces, colour, 0.4, most_faces=3000, in_view=False))
+    outline = np.array(content["found"]["footplate_outline_in_footplate_mm"])
+    closed = frame.points(np.vstack([outline, outline[:1]]))
+    lines.append(Line("outline", closed, BODY_COLOURS["base"], "outline of the footplate", width=2.0))
+    plate_frame = frame_of(content, "plate")
+    if plate_frame is not None:
+        for name, axis in zip("xyz", plate_frame.rotation.T, strict=True):
+            start = plate_frame.translation_mm
+            ends = np.stack([start, start + _PLATE_AXIS_MM * axis])
+            lines.append(Line(f"{name}p", ends, AXIS_COLOURS[name], "plate frame", False, f"{name} plate", True))
+    return Scene(
+        surfaces,
+        axes=frame,
+        lines=lines,
+        directions=(names.get("+x", ""), names["+y"], names.get("+z", "")),
+        title="The stapes and its frames",
+    )
+
+
+def published_blocks(content: Content) -> list[Markup]:
+    """Return the sizes next to those of published human stapedes."""
+    rows = []
+    for row in content.get("published") or []:
+        name, unit = NAMES[row["quantity"]]
+        sd = "" if row["sd"] is None else f" ± {row['sd']:.3g}"
+        number = f" (n = {row['n']})" if row["n"] else ""
+        z = "" if row["z"] is None else f"{row['z']:+.1f}"
+        published = f"{row['mean']:.4g}{sd}{number}"
+        rows.append((f"{name} ({unit})", f"{row['value']:.4g}", published, z, row["reference"]))
+    return [page.table(("", "found", "published", "z", "reference"), rows, words=True)] if rows else []
+
+
+def evidence_blocks(content: Content) -> list[Markup]:
+    """Return how the stapes was found, cut out and measured."""
+    rows = evidence_rows(content)
+    return [page.table(("", "found"), rows, words=True)] if rows else []
+
+
+def ways_blocks(content: Content) -> list[Markup]:
+    """Return the mass by every way that was given; nothing where it is one."""
+    others = content.get("mass_alternatives") or []
+    if not others:
+        return []
+    sd = None if _missing(content) else content["uncertainty"]["total"]["mass_kg"]
+    lead = content["mass_known_by"]
+    rows: list[tuple[object, ...]] = [
+        (f"{WAYS[lead].words} (used)", Quantity(content["mass_kg"], sd, MASS), content["density_kg_m3"], "", "")
+    ]
+    for way in others:
+        mass = Quantity(way["mass_kg"], way["mass_sd_kg"] if way["mass_sd_stated"] else None, MASS)
+        shift = SMALL_LENGTH.of(float(np.linalg.norm(way["center_of_mass_change_m"])))
+        rows.append((WAYS[way["by"]].words, mass, way["density_kg_m3"], way["mass_change_percent"], shift))
+    head = ("mass by", "mass", "bone (kg/m³)", "change (%)", "centre moves (µm)")
+    return [page.table(head, rows, file="ways_to_the_mass")]
+
+
+def check_blocks(content: Content) -> list[Markup]:
+    """Return the comparison of the numbers used with the surface that is written, and with another library."""
+    check = content["cross_check"]
+    surface = check["volume_m3"]
+    away = 1e3 * float(np.linalg.norm(check["centroid_difference_mm"]))
+    text = (
+        f"Numbers come from the {check['used']}. The surface in stapes.ply encloses "
+        f"{check['volume_difference_percent']:+.4f} % of that volume, its centre is {away:.2f} µm off, M differs by "
+        f"{check['largest_mass_matrix_difference_percent']:.4f} % of √(Mii Mjj) at most."
+    )
+    other = check["volume_by_pymeshlab_m3"]
+    if other is not None:
+        text += f" pymeshlab finds the volume of the surface within {abs(other / surface - 1.0):.1e} of ours."
+    return [page.text(text)]
