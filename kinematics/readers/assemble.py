@@ -260,8 +260,7 @@ def _reference_notices(entries: Sequence[Entry]) -> list[Notice]:
         return []
     text = (
         f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
-        "deviations; "
-        "stiffness and damping do not depend on it."
+        "deviations; stiffness and damping do not depend on it."
     )
     return [Notice("per_reference", text)]
 

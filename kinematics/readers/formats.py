@@ -34,8 +34,7 @@ _SOUND = (b"RIFF", b"RIFX", b"RF64")
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
 _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
-    "or as "
-    "ASCII (Real & Imag.), and give that file or folder"
+    "or as ASCII (Real & Imag.), and give that file or folder"
 )
 
 
@@ -142,8 +141,7 @@ FORMATS = (
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)), "uff",
         "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate "
-        "systems, "
-        "164 units",
+        "systems, 164 units",
         (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
     ),
     Format(
@@ -169,8 +167,7 @@ FORMATS = (
     Format(
         TIDY, "a tidy table (.csv)", lambda _head: False, "tidy",
         "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` "
-        "comments, "
-        "`sep=;`; anything else is refused with file, line and column, all faults in one message",
+        "comments, `sep=;`; anything else is refused with file, line and column, all faults in one message",
         (".csv", ".tsv", ".txt"),
     ),
 )  # fmt: skip

@@ -73,8 +73,7 @@ def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
         extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(placed, axis=0))
         text = (
             f"{recording.file} does not say the unit of its positions: taken as metres they extend over "
-            f"{extent} mm. "
-            "State --length-unit m, mm or um."
+            f"{extent} mm. State --length-unit m, mm or um."
         )
         notices.append(Notice("length_unit_assumed", text))
     absolute = any(not channel.per for channel in recording.channels)

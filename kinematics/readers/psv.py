@@ -84,10 +84,8 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     ):
         text = (
             f"{path.name} holds x, y, z computed from several beams: their noise is correlated, and larger "
-            "across "
-            "the beams than along them; sd and verdicts, which take channels as independent, are "
-            "approximate. "
-            "Export the single heads with their directions where possible."
+            "across the beams than along them; sd and verdicts, which take channels as independent, are "
+            "approximate. Export the single heads with their directions where possible."
         )
         notices.append(Notice("axes_from_beams", text))
     marks = [
@@ -96,8 +94,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     if marks:
         text = (
             f"{path.name} was exported {' and '.join(marks)}: values were mixed between points, so that "
-            "points do "
-            "not err independently. Export the measured values."
+            "points do not err independently. Export the measured values."
         )
         notices.append(Notice("values_smoothed", text))
     units = "positions in stated units" if stated else "positions without unit, as metres"

@@ -252,9 +252,9 @@ class Recording:
         span = f"{self.freq_hz[0]:g} to {self.freq_hz[-1]:g} Hz" if len(self.freq_hz) else "no line"
         noise = " with coherence" if self.coherence is not None else " with sd" if self.sd is not None else ""
         return (
-            f"Recording({self.file}: {len(self.channels)} channels at {points} points, {runs} run"
-            f"{'s' if runs > 1 else ''}, {len(self.freq_hz)} lines, {span}, "
-            f"{self.quantity} in {self.units}{noise})"
+            f"Recording({self.file}: {len(self.channels)} channels at {points} points, {runs} "
+            f"run{'s' if runs > 1 else ''}, {len(self.freq_hz)} lines, {span}, {self.quantity} in "
+            f"{self.units}{noise})"
         )
 
 

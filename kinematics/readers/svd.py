@@ -47,8 +47,7 @@ AVERAGED_FFT = 2
 
 EXPORT = (
     "Export the scan in the PSV program as a universal file (File, Export, Universal File, with the "
-    "geometry and "
-    "H1 or FFT of all points) and give that file"
+    "geometry and H1 or FFT of all points) and give that file"
 )
 
 _VERSIONS = {
@@ -63,10 +62,8 @@ _VERSIONS = {
 _POINT_BYTES = 56  # of a point in MeasPoints
 _POINTS_AT = 90  # number of points in MeasPoints; the points follow
 _AXIS_AT = 82  # first and last frequency and number of lines in Media_Type
-_NAMES_AT, _BEHIND_NAMES = (
-    107,
-    231,
-)  # names of a channel in Channels, and bytes from their end to the next channel
+_NAMES_AT = 107  # names of a channel in Channels, from its start
+_BEHIND_NAMES = 231  # bytes from the names of a channel to the next channel
 _RECORD_HEAD = 248  # bytes of a record before its values; the four before hold their size
 
 
@@ -144,10 +141,8 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     if scan.direction_code not in CHECKED_DIRECTIONS and scan.direction_code in DIRECTIONS:
         text = (
             f"the direction of channel {scan.names[0]} in {path.name} has the code {scan.direction_code}, "
-            "read as "
-            f"{direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports confirm: "
-            "compare it with "
-            "the direction that the PSV program shows."
+            f"read as {direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports "
+            "confirm: compare it with the direction that the PSV program shows."
         )
         notices.append(Notice("direction_assumed", text))
     per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")

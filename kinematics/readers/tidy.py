@@ -296,9 +296,8 @@ class _Rows:
                 " The last row is in the middle of a sweep: was the file cut off?" if missing[-1, -1] else ""
             )
             text = (
-                f"{int(np.sum(missing))} readings of {len(lacking)} channels ({list_some(lacking, 6)}) "
-                "have no "
-                f"row in {file} at lines that other channels of the body have; they count as missing.{end}"
+                f"{int(np.sum(missing))} readings of {len(lacking)} channels ({list_some(lacking, 6)}) have "
+                f"no row in {file} at lines that other channels of the body have; they count as missing.{end}"
             )
             notices.append(Notice("values_missing", text))
         empty = int(np.sum(np.isnan(value.ravel()[at])))

@@ -278,8 +278,7 @@ def _choose(
     elif chosen[0].data["func_type"] == SPECTRUM:
         text = (
             f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
-            "every "
-            "point was triggered by the excitation."
+            "every point was triggered by the excitation."
         )
         notices.append(Notice("spectra_phase", text))
     rank = {1: 0, 0: 1, 2: 2}
@@ -320,8 +319,7 @@ def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
     if len(in_text) > 1:
         step = (
             f"Their directions stand in the text alone ({list_some(in_text)}): export them with directions "
-            "of the "
-            "degrees of freedom (record 6), or as a wide table"
+            "of the degrees of freedom (record 6), or as a wide table"
         )
     listed = list_some((f"{group[0].point} ({group[0].data['rsp_dir']:+d})" for group in twice), 6)
     where = Place(file, "dataset", tuple(one.place for group in twice for one in group))

@@ -323,10 +323,9 @@ def _common_notice(common_sd: Array) -> list[Notice]:
         return []
     text = (
         "the noise of the reference moves all channels recorded together alike, by "
-        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from "
-        "the noise of "
-        "each channel, does not change ratios of motions, K and D, and is part of the covariance of the "
-        "motion itself."
+        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from the "
+        "noise of each channel, does not change ratios of motions, K and D, and is part of the covariance "
+        "of the motion itself."
     )
     return [Notice("reference_noise", text)]
 

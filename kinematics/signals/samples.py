@@ -33,15 +33,14 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
     if clipped:
         text = (
             f"{', '.join(clipped)} of {file}: clipped; neighbouring samples lie at the largest or smallest "
-            "value again "
-            "and again. The responses are too small there: lower the level or take a wider range."
+            "value again and again. The responses are too small there: lower the level or take a wider "
+            "range."
         )
         notices.append(Notice("clipped", text))
     if still:
         text = (
-            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, "
-            "as when a "
-            "decoder holds its last value. Such responses are too small: measure these points again."
+            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, as "
+            "when a decoder holds its last value. Such responses are too small: measure these points again."
         )
         notices.append(Notice("dropouts", text))
     return notices
