@@ -122,6 +122,7 @@ def measure_motion(
     elif measurement.common_sd is not None:
         motion = motion.with_common_noise(measurement.common_sd)
     before = () if mass is None else mass.record.notices
+    before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
     every = unique([*before, *placement.notices, *measurement.notices, *notices])
     motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
     bodies = fitted.placed.bodies
