@@ -18,11 +18,12 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # typing itself would cost more than this package
 if TYPE_CHECKING:
+    from fitting.dof2kd import dof2kd
+    from kinematics.read_vibrometer import read_vibrometer
     from legacy.ct_inertia.api import ct2mass
-    from legacy.fitting.api import dof2kd
     from legacy.kinematics.api import points2dof
     from legacy.pipeline.api import scan2kd
-    from legacy.pipeline.cohort.api import cohort
+    from pipeline.cohort.cohort import cohort
     from stapeskit.faults import StapeskitError
     from stapeskit.frames import RigidTransform
     from stapeskit.warnings import Notice
@@ -33,9 +34,10 @@ __version__ = "0.3.0"
 _PLACES = {
     "ct2mass": "legacy.ct_inertia.api",
     "points2dof": "legacy.kinematics.api",
-    "dof2kd": "legacy.fitting.api",
+    "dof2kd": "fitting.dof2kd",
     "scan2kd": "legacy.pipeline.api",
-    "cohort": "legacy.pipeline.cohort.api",
+    "read_vibrometer": "kinematics.read_vibrometer",
+    "cohort": "pipeline.cohort.cohort",
     "StapeskitError": "stapeskit.faults",
     "RigidTransform": "stapeskit.frames",
     "Notice": "stapeskit.warnings",
@@ -49,6 +51,7 @@ __all__ = [
     "ct2mass",
     "dof2kd",
     "points2dof",
+    "read_vibrometer",
     "scan2kd",
 ]
 
