@@ -188,7 +188,7 @@ def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: CohortChoic
 
 
 def _outputs(studies: Mapping[str, Study], out: Path, force: bool) -> Outputs:
-    """Return the outputs of the cohort, after a look whether any study would write over what another reads."""
+    """Return the outputs of the cohort; refuse studies that would write over what another reads."""
     inputs = {path.resolve() for study in studies.values() for path in study.inputs().values()}
     faults = [
         Fault(

@@ -1,4 +1,4 @@
-"""The command stapeskit: the sample study, a new study, the app, a comparison, and the other commands by name."""
+"""The command stapeskit: the sample study, new studies, comparisons, and the other commands by name."""
 
 from __future__ import annotations
 

@@ -1,0 +1,38 @@
+"""The page of all options: ``python -m pipeline.options_page > docs/options.md``."""
+
+from __future__ import annotations
+
+import sys
+
+from ct_inertia.options import MassOptions, MassOutputs
+from fitting.options import KDFiles, KDOptions
+from kinematics.options import MotionFiles, MotionOptions
+from pipeline.command_options import CohortOptions, RunOptions
+from pipeline.study import About
+from stapeskit.options import Options, markdown_table
+
+COMMANDS: dict[str, list[type[Options]]] = {
+    "ct2mass": [MassOptions, MassOutputs],
+    "points2dof": [MotionOptions, MotionFiles],
+    "dof2kd": [KDOptions, KDFiles],
+    "scan2kd": [RunOptions, CohortOptions],
+    "study files only": [About],
+}
+
+
+def options_page() -> str:
+    """Return the page as Markdown."""
+    lines = [
+        "# Options",
+        "",
+        "An option has one name: `--box` on the command line, `box=` in Python, and with its unit `box_mm` "
+        "in a "
+        "study file. Every command also takes `--config FILE.toml`, with options by name, and `--version`.",
+    ]
+    for command, tables in COMMANDS.items():
+        lines += ["", f"## {command}", "", markdown_table(tables).rstrip()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(options_page())

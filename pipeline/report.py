@@ -1,0 +1,174 @@
+"""report.html of a study: verdict, K, D and modes first; the moving stapes, cut, budgets; the rest folded.
+
+Everything is drawn from results; nothing of a page is stored. Sections come from the rooms, in the order of
+`_MAIN`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.methods import methods
+from stapeskit.report import page
+from stapeskit.report.quantities import MASS, plus_minus
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from pipeline.run import StudyResult
+    from stapeskit.report.scene3d import Motion, Scene
+
+# Sections of the first two pages, by their headings; all others are in the folded appendix.
+_MAIN = (
+    "Where it was cut",
+    "Mass matrix",
+    "Channels",
+    "Modes",
+    "Where the uncertainty comes from",
+)
+
+
+def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
+    """Return verdict, mass, K, D and modes with their uncertainty."""
+    from fitting.report.summary import summary_rows as fit_rows
+
+    verdict, *rows = fit_rows(result.fit)
+    return [verdict, ("mass", _mass_text(result.mass)), *rows]
+
+
+def _mass_text(mass: Mapping[str, Any]) -> str:
+    sd = mass["mass_matrix"]["standard_deviation_si"][0][0]
+    known = not any(notice["code"] == "density_sd_not_given" for notice in mass.get("warnings", ()))
+    return MASS.with_sd(float(mass["mass_kg"]), float(sd) if known else None)
+
+
+def study_page(result: StudyResult) -> page.Page:
+    """Return the report of a study."""
+    from ct_inertia.report.pictured import pictured_from
+    from ct_inertia.report.sections import add_sections
+    from fitting.report.page import matrices, report_sections, verdict_block
+    from fitting.rim import rim_figure, rim_stiffness
+    from kinematics.report.page import motion_sections
+
+    fit, study = result.fit, result.study
+    made = page.Page(result.name, study.about.notes)
+    made.add(verdict_block(fit), page.table(("", ""), summary_rows(result)[1:], words=True), *matrices(fit))
+    rim = rim_stiffness(fit, study.scan.side or "")
+    if rim is not None:
+        caption = (
+            f"{rim.sentence()} From K11, K12 and K13: springs normal to the footplate along its rim whose "
+            "stiffness "
+            "varies linearly over the footplate."
+        )
+        made.add(
+            page.figure(rim_figure(rim), caption, "stiffness along the rim of the footplate", file="rim")
+        )
+    if study.about.truth is not None:
+        made.add(truth_table(result, study.about.truth))
+
+    collected = page.Page("all sections")
+    pictured = pictured_from(result.out, result.mass, study.scan.file)
+    add_sections(collected, result.mass, pictured)
+    motion_sections(collected, result.moved)
+    report_sections(fit, collected)
+    made.section("The moving stapes", page.viewer(moving_stapes(result, pictured)))
+    sections = [*collected.sections, *collected.appendix]
+    first = [section for name in _MAIN for section in sections if section.name == name]
+    made.sections.extend(replace(section, folded=False) for section in first)
+    made.section("Warnings", page.notices(result.notices))
+    made.appendix.extend(replace(section, folded=True) for section in sections if section not in first)
+    made.appendix_section("Methods", page.text(methods(result)))
+    made.appendix_section("Inputs", *(page.inputs(each) for each in _provenances(result)))
+    return made
+
+
+def _provenances(result: StudyResult) -> Sequence[Mapping[str, Any]]:
+    found = (result.mass.get("provenance"), result.moved.motion.provenance, result.fit.provenance)
+    return [each for each in found if each]
+
+
+def moving_stapes(result: StudyResult, pictured: Any) -> Scene:
+    """Return the stapes in the plate's company, with its modes and its measured motion as animations."""
+    from ct_inertia.report.sections import scene
+    from kinematics.report.motion import motion_scene
+    from stapeskit.report.scene3d import Motion
+
+    shown, measured = scene(result.mass, pictured), motion_scene(result.moved)
+    modes: list[Motion] = []
+    for number, mode in enumerate(result.fit.modes.pairs, 1):
+        amplitudes = np.zeros(6, dtype=complex)
+        amplitudes[[_place(name) for name in result.fit.dof]] = mode.shape
+        modes.append(Motion(f"mode {number}: {mode.frequency_hz:.0f} Hz", amplitudes, mode.frequency_hz))
+    caption = (
+        "The stapes in its scan with the modes of the fit and the measured motion, enlarged. Drag to turn, "
+        "wheel to "
+        "zoom, right button or shift to move."
+    )
+    return replace(shown, motions=[*modes, *measured.motions], title="The moving stapes", caption=caption)
+
+
+def _place(dof: str) -> int:
+    from stapeskit.spatial import DOF_NAMES
+
+    return DOF_NAMES.index(dof)
+
+
+def truth_table(result: StudyResult, path: Path) -> Any:
+    """Return true values of a simulated ear beside those that were found."""
+    truth = json.loads(path.read_text(encoding="utf-8"))
+    fit = result.fit
+    rows = [("mass (mg)", f"{1e6 * truth['mass_kg']:.4f}", _mass_text(result.mass))]
+    true_dof = list(truth.get("dof", ()))
+    for letter, key, values, sds in (
+        ("K", "stiffness_si", fit.stiffness, fit.standard_deviation[0]),
+        ("D", "damping_si", fit.damping, fit.standard_deviation[1]),
+    ):
+        for place, name in enumerate(fit.dof):
+            if name in true_dof:
+                at = true_dof.index(name)
+                found = plus_minus(float(values[place, place]), float(sds[place, place]))
+                rows.append((f"{letter}({name}), SI", f"{truth[key][at][at]:.5g}", found))
+    return page.table(("simulated ear", "true", "found"), rows, words=True, file="truth")
+
+
+def write_figures(result: StudyResult, folder: Path, force: bool = False) -> list[Path]:
+    """Write every figure of the report as PDF and SVG into a folder.
+
+    Raises
+    ------
+    StapeskitError
+        A file of another origin has the name of a figure, unless ``force``.
+    """
+    from ct_inertia.report.pictured import pictured_from
+    from ct_inertia.report.pictures import slices_figure, views
+    from fitting.report.figures import all_figures
+    from fitting.rim import rim_figure, rim_stiffness
+    from kinematics.report.figures import geometry_figure, residual_figure, spectra_figure
+    from stapeskit.outputs import Outputs
+    from stapeskit.report.figures import style
+
+    pictured = pictured_from(result.out, result.mass, result.study.scan.file)
+    rim = rim_stiffness(result.fit, result.study.scan.side or "")
+    figures: dict[str, Figure | None] = {
+        **all_figures(result.fit),
+        "stapes": views(result.mass, pictured),
+        "cut": slices_figure(result.mass, pictured),
+        "rim": None if rim is None else rim_figure(rim),
+        "motion": spectra_figure(result.moved.motion),
+        "residuals": residual_figure(result.moved),
+        "points": geometry_figure(result.moved),
+    }
+    drawn = {name: drawing for name, drawing in figures.items() if drawing is not None}
+    names = [f"{name}.{kind}" for name in drawn for kind in ("pdf", "svg")]
+    outputs = Outputs("scan2kd figures", Path(folder), names, (), force)
+    with outputs.staged() as stage, style():
+        for name, drawing in drawn.items():
+            for kind in ("pdf", "svg"):
+                drawing.savefig(stage / f"{name}.{kind}")
+    return [outputs.folder / name for name in names]
