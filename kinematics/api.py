@@ -45,8 +45,8 @@ def points2dof(
 
     files = [ldv] if isinstance(ldv, str | os.PathLike) else list(ldv)
     chosen = MotionOptions.of(ldv=[Path(file) for file in files], **options)
-    is_path = isinstance(mass, str | os.PathLike)
-    found = with_companions(chosen, mass if mass is None or is_path else NONE)
-    source = found.mass if mass is None or is_path else mass
+    file = Path(mass) if isinstance(mass, str | os.PathLike) else None
+    found = with_companions(chosen, NONE if mass is not None and file is None else file)
+    source = found.mass if mass is None or file is not None else mass
     known = None if source is None else measured_mass(source)
     return measure_motion(found.options, known, command=["stapeskit.points2dof"], taken=found.taken)

@@ -29,15 +29,13 @@ class Found:
     taken: dict[str, Path]
 
 
-def with_companions(options: MotionOptions, mass: Path | str | None = None, seek_mass: bool = True) -> Found:
+def with_companions(options: MotionOptions, mass: Path | str | None = None) -> Found:
     """Add the files beside the first vibrometer file that were not given; ``none`` turns one off.
 
     Parameters
     ----------
     mass : Path or str, optional
-        As given; ``none`` turns it off.
-    seek_mass : bool
-        Whether to look for it; not where the mass is in memory.
+        As given; ``none`` turns it off, as does a mass in memory.
 
     Raises
     ------
@@ -57,11 +55,9 @@ def with_companions(options: MotionOptions, mass: Path | str | None = None, seek
         if wanted and path.is_file() and path not in given:
             taken[role] = path
     found = None if mass in (None, NONE) else Path(mass)
-    tied = taken.get("fiducials") or options.fiducials_file or options.frame in ("plate", "scan")
-    if mass is None and seek_mass and tied:
+    if mass is None:
         found = _mass_beside(folder)
-        if found is not None:
-            taken["mass"] = found
+        taken |= {} if found is None else {"mass": found}
     update = {role: path for role, path in taken.items() if role != "mass"}
     return Found(options.model_copy(update=update), found, taken)
 

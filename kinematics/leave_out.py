@@ -23,7 +23,7 @@ def without_channels(measurement: Measurement, rules: Sequence[str]) -> Measurem
         A rule names a body, point or beam that was not measured, or no channel of a body is left.
     """
     dropped: dict[str, set[int]] = {body.body: set() for body in measurement.bodies}
-    faults = []
+    faults: list[Fault] = []
     for rule in rules:
         try:
             body, channels = _channels_of(measurement, rule)

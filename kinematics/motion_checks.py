@@ -1,4 +1,5 @@
-"""Checks of a measurement and of its motion as a whole: common lines, determined motions, phase convention."""
+"""Checks of a measurement and of its motion as a whole: common lines, determined motions, phase
+convention."""
 
 from __future__ import annotations
 
@@ -32,8 +33,8 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
     listed = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
     common = int(np.sum(np.all(measured, axis=0)))
     text = (
-        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; lines are "
-        "matched within 1e-6."
+        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; "
+        "lines are matched within 1e-6."
     )
     return [Notice("frequencies_differ", text)]
 
@@ -80,9 +81,9 @@ def phase_notices(
 
     Notes
     -----
-    The force that accelerates the structure, -w^2 M q, passes through a ligament that can only dissipate: the power
-    of the base, in proportion to -Im(b^H M q), is positive at every line whatever stiffness and damping are.
-    Without a mass matrix the piston motion alone is looked at.
+    The force that accelerates the structure, -w^2 M q, passes through a ligament that can only dissipate:
+    the power of the base, in proportion to -Im(b^H M q), is positive at every line whatever stiffness and
+    damping are. Without a mass matrix the piston motion alone is looked at.
     """
     if structure in motion.bodies and base in motion.bodies:
         return _lead(motion, mass, structure, base)
@@ -112,9 +113,9 @@ def _lead(motion: RigidMotion, mass: MassRecord | None, structure: str, base: st
     if lines < _LEAST_LINES or not total > max(_SURE * np.sqrt(weight), _LEAST_LEAD * size):
         return []
     text = (
-        f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / size, 1.0))):.2g} degrees in the mean, where a "
-        "passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate them), or the two bodies "
-        "are exchanged."
+        f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / size, 1.0))):.2g} degrees in the "
+        "mean, where a passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate "
+        "them), or the two bodies are exchanged."
     )
     return [Notice("phase_convention", text)]
 
@@ -126,7 +127,8 @@ def _even(motion: RigidMotion, run: int, body: int) -> tuple[ComplexArray, Array
 
 
 def _rise(motion: RigidMotion) -> list[Notice]:
-    """Warn when the phase of a single body rises over the band, which a response to its reference does not."""
+    """Warn when the phase of a single body rises over the band, which a response to its reference does
+    not."""
     turns, sure = [], []
     for run in range(len(motion.runs)):
         q, sd = _even(motion, run, 0)
@@ -146,8 +148,8 @@ def _rise(motion: RigidMotion) -> list[Notice]:
     if min(turns) < _RISE or min(sure) < _ALIKE:
         return []
     text = (
-        f"the phase of body {motion.bodies[0]} rises by {np.rad2deg(np.mean(turns)):.0f} degrees over the band, where a "
-        "response lags its reference more and more: either these are amplitudes of e^{-iwt} (conjugate them), or the "
-        "reference signal comes late."
+        f"the phase of body {motion.bodies[0]} rises by {np.rad2deg(np.mean(turns)):.0f} degrees over the "
+        "band, where a response lags its reference more and more: either these are amplitudes of e^{-iwt} "
+        "(conjugate them), or the reference signal comes late."
     )
     return [Notice("phase_convention", text)]

@@ -125,8 +125,8 @@ class MotionOptions(Options):
     file: Annotated[
         ReadFiles | tuple[()],
         Opt(
-            "vibrometer file or folder; several are parts of one measurement, or runs when they measure the "
-            "same points",
+            "vibrometer file or folder; several are parts of one measurement, or runs when they measure "
+            "the same points",
             example="ldv.csv",
             name="ldv",
             positional=True,
@@ -137,7 +137,8 @@ class MotionOptions(Options):
     points: Annotated[
         FileOrNone | None,
         Opt(
-            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm] (points.csv beside LDV)",
+            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm] (points.csv "
+            "beside LDV)",
             example="points.csv",
             recommended=True,
         ),
@@ -160,8 +161,8 @@ class MotionOptions(Options):
     fiducials: Annotated[
         FileOrNone | None,
         Opt(
-            "points that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm "
-            "[, frame] [, sd_mm] (fiducials.csv beside LDV)",
+            "points that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, "
+            "frame] [, sd_mm] (fiducials.csv beside LDV)",
             _TIES,
             "fiducials.csv",
             recommended=True,
@@ -178,7 +179,8 @@ class MotionOptions(Options):
     plate_points: Annotated[
         ReadFile | None,
         Opt(
-            "points measured on the plate, laid on its surface in the scan: [name,] x_mm, y_mm, z_mm [, sd_mm]",
+            "points measured on the plate, laid on its surface in the scan: [name,] x_mm, y_mm, z_mm [, "
+            "sd_mm]",
             _TIES,
             "plate_points.csv",
         ),

@@ -77,9 +77,9 @@ def measure_motion(
     Raises
     ------
     StapeskitError
-        What is wrong with the files, all of it together; frames that nothing ties to the footplate; points that do
-        not lie on the bone; beams that cannot observe the degrees of freedom; positions and beams in different
-        axes; a body without a usable value.
+        What is wrong with the files, all of it together; frames that nothing ties to the footplate; points
+        that do not lie on the bone; beams that cannot observe the degrees of freedom; positions and beams in
+        different axes; a body without a usable value.
     """
     progress("reading the measurement")
     read = _read(options, mass)
@@ -105,13 +105,17 @@ def measure_motion(
         calibration = calibrate(fitted.placed, readings, _laser_sd(options))
         fitted = _fit(calibration.measurement, options)
         notices += calibration.notices()
-    notices += [notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])]
+    notices += [
+        notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])
+    ]
     corrections: list[Correction] = []
     if options.correct:
         fitted, corrections = _correct(fitted, diagnoses, options)
         notices += [notice for one in corrections for notice in one.notices]
     notices += [*fitted.notices, *fit_notices(fitted.placed, fitted.fits)]
-    lasers = None if calibration is not None else laser_agreement(fitted.placed, diagnoses, _laser_sd(options))
+    lasers = (
+        None if calibration is not None else laser_agreement(fitted.placed, diagnoses, _laser_sd(options))
+    )
     motion = _motion(fitted, placement, lasers, calibration, corrections)
     check_determined(motion)
     notices += [] if lasers is None else lasers.notices()
@@ -181,7 +185,9 @@ def check_inputs(options: MotionOptions) -> None:
             measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
             without_channels(measurement, options.leave_out)
             if options.reference:
-                parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
+                parse_reference(
+                    options.reference, tuple(body.body for body in measurement.bodies), options.dof
+                )
     else:
         for path in options.file:
             with collect_faults(faults):
@@ -245,9 +251,7 @@ class _Read:
 
         roles = dict(self.options.inputs())
         for path in self.options.file:
-            for other in companion_files(path, file_facts(self.options)):
-                if other not in roles.values():
-                    roles[other.name] = other
+            roles = {**companion_files(path, file_facts(self.options)), **roles}
         return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
 
 
@@ -364,7 +368,9 @@ def _verdicts(
         for number, body in enumerate(bodies):
             fit = fitted.fits[run, number]
             weight = fit.solution.weight / max(float(np.max(fit.solution.weight)), 1e-300)
-            unused = {channel: word for (r, b, channel), word in screened.unused.items() if (r, b) == (run, number)}
+            unused = {
+                channel: word for (r, b, channel), word in screened.unused.items() if (r, b) == (run, number)
+            }
             verdicts += channel_verdicts(name, body, diagnoses[number], fit.channel_rms_m, weight, unused)
     return (*verdicts, *left_out_verdicts(placed.runs, placed.left_out))
 
@@ -390,7 +396,9 @@ def _motion(
     shared = shared_errors(placed, fits, placement, lasers, more, positions=calibration is None)
     q = stacked("q")
     if lasers is not None and shared is not None:
-        q = q + np.tensordot(lasers.values, shared.derivatives[len(shared.names) - len(lasers.names) :], axes=1)
+        q = q + np.tensordot(
+            lasers.values, shared.derivatives[len(shared.names) - len(lasers.names) :], axes=1
+        )
     return RigidMotion(
         placed.runs,
         tuple(body.body for body in placed.bodies),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,8 @@ class RepeatedRun:
     gains : ndarray, (n,), complex
         Factor of all values of a repeat against the mean of all.
     scatter : float
-        Root mean square of the differences over their stated noise, without the gains; NaN where none is stated.
+        Root mean square of the differences over their stated noise, without the gains; NaN where none is
+        stated.
     notices : tuple of Notice
     """
 
@@ -47,8 +49,8 @@ class RepeatedRun:
 def pool_repeats(measurement: Measurement) -> tuple[Measurement, tuple[RepeatedRun, ...]]:
     """Return the measurement with the repeats of every run pooled, and what their comparison gave.
 
-    Each repeat is divided by its own gain, then the weighted mean is taken. Where no noise is stated it is that of
-    the scatter; where the scatter exceeds the stated noise, that is widened.
+    Each repeat is divided by its own gain, then the weighted mean is taken. Where no noise is stated it is
+    that of the scatter; where the scatter exceeds the stated noise, that is widened.
     """
     if not measurement.repeats:
         return measurement, ()
@@ -66,7 +68,8 @@ def pool_repeats(measurement: Measurement) -> tuple[Measurement, tuple[RepeatedR
         widened = max(found.scatter, 1.0) if np.isfinite(found.scatter) else 1.0
         parts.append([_pooled(body, own, found.gains, widened) for body in measurement.bodies])
     bodies = tuple(
-        _joined(body, [run_parts[number] for run_parts in parts]) for number, body in enumerate(measurement.bodies)
+        _joined(body, [run_parts[number] for run_parts in parts])
+        for number, body in enumerate(measurement.bodies)
     )
     notices = [notice for found in compared for notice in found.notices]
     if compared and any(body.sd is None or body.relative for body in measurement.bodies):
@@ -98,11 +101,13 @@ def _weights(body: BodyChannels, own: Sequence[int]) -> Array:
     return np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
 
 
-def _mean(value: ComplexArray, weight: Array) -> ComplexArray:
+def _mean(value: ComplexArray | NDArray[Any], weight: Array) -> ComplexArray:
     """Return the weighted mean over repeats, (c, L); NaN where there is none."""
     total = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(total > 0.0, np.sum(weight * np.nan_to_num(value), axis=0) / total, np.nan))
+        return np.asarray(
+            np.where(total > 0.0, np.sum(weight * np.nan_to_num(value), axis=0) / total, np.nan)
+        )
 
 
 def _compare(measurement: Measurement, run: str, own: Sequence[int], names: tuple[str, ...]) -> RepeatedRun:
@@ -123,7 +128,7 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int], names: tupl
     stated = all(body.sd is not None and not body.relative for body in measurement.bodies)
     level = chi2 / max(freedom, 1.0)
     sd = np.sqrt(level / np.maximum(power, 1e-300))  # of the real part of each gain
-    notices = [*_drift(run, gains, sd), *_outlier(run, names, gains, sd, left, several, level)]
+    notices = [*_drift(run, gains, sd), *_outlier(run, names, gains, sd, left, several)]
     if stated and freedom:
         notices += _scatter(run, level, freedom)
     return RepeatedRun(run, names, gains, float(np.sqrt(level)) if stated else float("nan"), tuple(notices))
@@ -155,7 +160,6 @@ def _outlier(
     sd: Array,
     left: Array,
     several: NDArray[np.bool_],
-    level: float,
 ) -> list[Notice]:
     """Report one repeat whose gain or shape is unlike that of the others."""
     from scipy.special import fdtrc
@@ -169,7 +173,11 @@ def _outlier(
         scatter = float(np.sqrt(np.sum(np.abs(others - others.mean()) ** 2) / (2.0 * (count - 2))))
         scatter = float(np.hypot(scatter, np.median(sd)))
         away = abs(gains[place] - others.mean())
-        chance = 2.0 * count * float(t.sf(away / max(scatter * np.sqrt(1.0 + 1.0 / (count - 1)), 1e-300), count - 2))
+        chance = (
+            2.0
+            * count
+            * float(t.sf(away / max(scatter * np.sqrt(1.0 + 1.0 / (count - 1)), 1e-300), count - 2))
+        )
         own = float(np.sum(left[place][several]))
         rest = float(np.sum(left[:, several])) - own
         number = float(np.count_nonzero(left[place][several]))
@@ -177,8 +185,8 @@ def _outlier(
         if (chance < _UNLIKELY and away > _LEAST_GAIN) or count * shape < _UNLIKELY:
             what = f"by {100.0 * away:.2g} % in gain" if chance < _UNLIKELY else "in shape"
             text = (
-                f"run {run}: repeat {name} differs from the others {what}. Look at it, and leave it out if there is "
-                "a reason."
+                f"run {run}: repeat {name} differs from the others {what}. Look at it, and leave it out if "
+                "there is a reason."
             )
             return [Notice("repeat_outlier", text)]
     return []
@@ -191,8 +199,8 @@ def _scatter(run: str, level: float, freedom: float) -> list[Notice]:
     if level < 1.0 or float(chdtrc(freedom, level * freedom)) > _UNLIKELY:
         return []
     text = (
-        f"run {run}: the repeats scatter {np.sqrt(level):.2g} times as much as their stated noise, gains apart; the "
-        "pooled standard deviations were widened accordingly."
+        f"run {run}: the repeats scatter {np.sqrt(level):.2g} times as much as their stated noise, gains "
+        "apart; the pooled standard deviations were widened accordingly."
     )
     return [Notice("repeat_scatter", text)]
 
@@ -227,4 +235,6 @@ def _joined(body: BodyChannels, parts: Sequence[tuple[ComplexArray, Array | None
     sds = [sd for _, sd in parts]
     known = all(sd is not None for sd in sds)
     sd = np.stack([part for part in sds if part is not None]) if known else None
-    return replace(body, value=np.stack([value for value, _ in parts]), sd=sd, relative=body.relative and not known)
+    return replace(
+        body, value=np.stack([value for value, _ in parts]), sd=sd, relative=body.relative and not known
+    )

@@ -1,4 +1,5 @@
-"""Set values aside that hold nothing: channels of zeros where the body moves, and channels without any value."""
+"""Set values aside that hold nothing: channels of zeros where the body moves, and channels without any
+value."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ from stapeskit.faults import Fault, raise_all
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
-_DETERMINED = 1e-3  # weakest observability, over the strongest, by which channels that read zero are classified
+_DETERMINED = (
+    1e-3  # weakest observability, over the strongest, by which channels that read zero are classified
+)
 _SURE = 3.0  # predicted motion over what the fit of the others leaves
 
 
@@ -39,8 +42,8 @@ class Screened:
 def screen(measurement: Measurement, dof: tuple[str, ...]) -> Screened:
     """Set aside values that are exactly zero although the body moves there.
 
-    A channel of zeros is believed when the other channels show that nothing moves along its beam, or when they
-    cannot show it.
+    A channel of zeros is believed when the other channels show that nothing moves along its beam, or when
+    they cannot show it.
 
     Raises
     ------
@@ -93,7 +96,10 @@ def _empty(measurement: Measurement) -> list[Fault]:
         thing = f"the values of body {body.body}"
         usable = [_usable(body, run) for run in range(len(measurement.runs))]
         if not any(np.any(one) for one in usable):
-            step, got = "Check the export, or leave the rows of this body out", "empty or NaN cells throughout"
+            step, got = (
+                "Check the export, or leave the rows of this body out",
+                "empty or NaN cells throughout",
+            )
             faults.append(Fault(thing, "numbers in at least one row", got, file, step))
             continue
         for run, name in enumerate(measurement.runs):
@@ -120,7 +126,9 @@ def _moves(body: BodyChannels, run: int, dead: Sequence[int], dof: tuple[str, ..
     if len(live) < len(names) or observability(places, beams, names)[-1] < _DETERMINED:
         return False
     value = body.value[run, live]
-    fit = fit_lines(beam_set(body.body, places, beams, names), value, np.ones((1, 1)), np.ones(value.shape[1]))
+    fit = fit_lines(
+        beam_set(body.body, places, beams, names), value, np.ones((1, 1)), np.ones(value.shape[1])
+    )
     good = fit.solution.good
     if not good.any():
         return False

@@ -75,24 +75,26 @@ class Calibration:
         """Return what the data determine, and whether they go beyond what was stated."""
         seen = self.sd < _INFORMED * self.prior_sd
         text = (
-            f"calibration: the data determine {int(seen.sum())} of {len(seen)} parameters of the geometry. No residual "
-            "shows a shift of all points of a body together, nor a turn of positions and beams together, nor one gain "
-            "common to all lasers: those rest on fiducials and references alone."
+            f"calibration: the data determine {int(seen.sum())} of {len(seen)} parameters of the geometry. "
+            "No residual shows a shift of all points of a body together, nor a turn of positions and beams "
+            "together, nor one gain common to all lasers: those rest on fiducials and references alone."
         )
         notices = [Notice("calibrated", text)]
         if self.p_value < _UNLIKELY:
             worst = int(np.argmax(np.abs(self.values) / self.prior_sd))
             name, value, sd, prior, unit = self.rows()[worst]
             text = (
-                "calibration: the data pull the geometry beyond what the stated errors allow "
-                f"(p {self.p_value:.1g}), most {name} by {value:+.3g} +- {sd:.2g} {unit} (stated {prior:.2g}). Check "
-                "sd_mm, the directions of the beams, and the channels with a verdict."
+                "calibration: the data pull the geometry beyond what the stated errors allow (p "
+                f"{self.p_value:.1g}), most {name} by {value:+.3g} +- {sd:.2g} {unit} (stated {prior:.2g}). "
+                "Check sd_mm, the directions of the beams, and the channels with a verdict."
             )
             notices.append(Notice("calibration_beyond_priors", text))
         return notices
 
 
-def calibrate(placed: Measurement, readings: Sequence[Readings], laser_sd: Mapping[str, float]) -> Calibration:
+def calibrate(
+    placed: Measurement, readings: Sequence[Readings], laser_sd: Mapping[str, float]
+) -> Calibration:
     """Estimate the geometry of a measurement together with the motion of all bodies.
 
     Parameters
@@ -114,10 +116,8 @@ def calibrate(placed: Measurement, readings: Sequence[Readings], laser_sd: Mappi
     parameters = Parameters.of(packed.w.shape[1], entries)
     found = joint(packed, parameters)
     information = system(found.state, parameters)[1]
-    spread = found.covariance
-    gained = _gained(information, parameters.sd)
     values = found.values * powers
-    covariance = spread * np.outer(powers, powers)
+    covariance = found.covariance * np.outer(powers, powers)
     measurement = _moved(placed, parameters, found.values, readings[0])
     starts = np.concatenate([[0], np.cumsum([len(body.points) for body in placed.bodies])])
     effects = []
@@ -135,7 +135,7 @@ def calibrate(placed: Measurement, readings: Sequence[Readings], laser_sd: Mappi
         covariance,
         measurement,
         tuple(effects),
-        _chance(found.values, spread, parameters.sd, gained),
+        _chance(found.values, information, parameters.sd),
     )
 
 
@@ -173,7 +173,9 @@ def _entries(
             channels = body.channels_of(point)
             for axis, shift in zip("xyz", SHIFT, strict=True):
                 own = [start + channel for channel in channels]
-                add(f"position.{body.body}.{point}.{axis}", own, shift, float(body.position_sd_m[channels[0]]))
+                add(
+                    f"position.{body.body}.{point}.{axis}", own, shift, float(body.position_sd_m[channels[0]])
+                )
         start += len(body.points)
     return names, entries, np.array(units)
 
@@ -202,16 +204,11 @@ def _moved(placed: Measurement, parameters: Parameters, values: Array, readings:
     return replace(placed, bodies=tuple(bodies))
 
 
-def _gained(information: Array, prior_sd: Array) -> Array:
-    """Return information over noise in units of the priors, (p, p)."""
-    return information * np.outer(prior_sd, prior_sd)
-
-
-def _chance(values: Array, covariance: Array, prior_sd: Array, information: Array) -> float:
+def _chance(values: Array, information: Array, prior_sd: Array) -> float:
     """Return the probability of an estimate so far from 0 by its priors, in directions that the data show."""
     from scipy.special import chdtrc
 
-    strength, vectors = np.linalg.eigh(information)
+    strength, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
     share = strength / (1.0 + np.maximum(strength, 0.0))  # of the prior variance that the data take away
     seen: NDArray[np.bool_] = share > 1.0 - _INFORMED**2
     along = vectors.T @ (values / prior_sd)

@@ -46,9 +46,7 @@ def units_changes() -> dict[str, Array]:
     return {words: factor * np.eye(3) for words, factor in factors.items()}
 
 
-def check_axes(
-    diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidTransform
-) -> list[Notice]:
+def check_axes(diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidTransform) -> list[Notice]:
     """Refuse positions that agree with the beams only when an axis is reversed or two are exchanged.
 
     Parameters
@@ -70,8 +68,8 @@ def check_axes(
 
     Notes
     -----
-    Where positions and beams are both mirrored, v = v0 + omega x r keeps its form with -omega, and no residual
-    shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
+    Where positions and beams are both mirrored, v = v0 + omega x r keeps its form with -omega, and no
+    residual shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
     """
     loud = {number: found for number, found in diagnoses.items() if found.findings or found.causes}
     freedom = sum(found.first.state.freedom for found in loud.values())
@@ -89,12 +87,17 @@ def check_axes(
         return []
     if after[best] > _LEAST_MISFIT * freedom:
         return []
-    single = all(len(found.findings) == 1 and not found.causes and found.findings[0].kind != "flexible" for found in loud.values())
+    single = all(
+        len(found.findings) == 1 and not found.causes and found.findings[0].kind != "flexible"
+        for found in loud.values()
+    )
     if single and all(found.last.clean() for found in loud.values()):
         text = f"positions with {best} would explain the readings as well as the fault that was found."
         return [Notice("mirrored_axes", text)]
     sizes = [float(np.sqrt(value / freedom)) for value in (before, after[best])]
-    got = f"positions that agree only with {best} (residuals {sizes[0]:.2g} times the noise, {sizes[1]:.2g} so)"
+    got = (
+        f"positions that agree only with {best} (residuals {sizes[0]:.2g} times the noise, {sizes[1]:.2g} so)"
+    )
     step = "Correct these columns of the positions, or those of the directions"
     expected = "in the same axes as the beam directions"
     raise StapeskitError.of("the positions of the points", expected, got, "", step)

@@ -65,7 +65,7 @@ class LaserAgreement:
 
     @property
     def p_value(self) -> float:
-        """Probability of an estimate so far from 0 by the stated sd, each kind against the mean of all lasers.
+        """Probability of an estimate so far from 0, each kind of error against the mean of all lasers.
 
         If the priors hold, the estimate has the covariance prior - posterior.
         """
@@ -100,8 +100,8 @@ class LaserAgreement:
         name, value, sd, stated, unit = self.rows()[worst]
         text = (
             f"the lasers disagree by more than stated: most the {name}, by {value:+.3g} +- {sd:.2g} {unit} "
-            f"(stated sd {stated:.2g} {unit}). The motion is corrected by what the beams say together; calibrate "
-            "the lasers, or state --gain-sd, --phase-sd, --delay-sd."
+            f"(stated sd {stated:.2g} {unit}). The motion is corrected by what the beams say together; "
+            "calibrate the lasers, or state --gain-sd, --phase-sd, --delay-sd."
         )
         return [Notice("lasers_disagree", text)]
 
@@ -132,7 +132,9 @@ def laser_agreement(
     prior = np.repeat(list(kinds.values()), count)
     sound = {number: found for number, found in diagnoses.items() if not _bends(found)}
     if not sound:
-        return LaserAgreement(names, prior, np.zeros(len(prior)), np.diag(prior**2), {}, of_channel, directions)
+        return LaserAgreement(
+            names, prior, np.zeros(len(prior)), np.diag(prior**2), {}, of_channel, directions
+        )
     packs = [_sound_values(found) for found in sound.values()]
     packed = merged(packs)
     mean_hz = float(np.mean(next(iter(sound.values())).last.readings.freq_hz))
@@ -235,4 +237,3 @@ def merged(packs: Sequence[Packed]) -> Packed:
         np.max([packed.scale for packed in packs], axis=0),
         np.concatenate([packed.live + start for start, packed in zip(starts, packs, strict=False)]),
     )
-

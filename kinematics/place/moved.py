@@ -20,14 +20,14 @@ from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
 FARTHEST_MM = 1.0
-"""Root mean square distance of the points of a stapes from its surface from which on a registration is refused: a
-third of a stapes."""
+"""Root mean square distance of the points of a stapes from its surface from which on a registration is
+refused: a third of a stapes."""
 LEAST_APART_MM = 3e-3
 """Extent of the points of a stapes below which they are in another unit: a stapes is 3 mm long."""
 
 _SURFACE_SD_EDGES = calibrated("sample_moved.surface_sd_edges")
 _UNLIKELY = 1e-3
-_NOTICEABLE_MM = 0.1  # distances from which on other axes are looked for as their cause: marks are set so well
+_NOTICEABLE_MM = 0.1  # distances from which on other axes are looked for: marks are set so well
 _CURED = 0.3  # share of the distance that such a cause may leave
 _LEAST_POINTS = 3
 _REACH_MM = 8.0  # a stapes is about 3.5 mm high and 3 mm long
@@ -46,8 +46,8 @@ class SurfaceCheck:
     expected_sd_mm : ndarray, (n,)
         What position, surface and registration let expect.
     chi2, n_dof, p_value : float, int, float
-        Of all distances with their joint covariance; where no sd of positions is stated, of the rigid shift that
-        explains them best against the scatter around it.
+        Of all distances with their joint covariance; where no sd of positions is stated, of the rigid shift
+        that explains them best against the scatter around it.
     """
 
     body: str
@@ -99,8 +99,8 @@ def check_surfaces(
             expected = f"on the bone within {FARTHEST_MM:g} mm after registration"
             raise StapeskitError.of(f"the points of body {check.body}", expected, size, "", step)
         text = (
-            f"the {len(check.points)} points of {check.body} lie {size} (p {check.p_value:.1g}): the sample moved "
-            "after the scan, or the registration is wrong."
+            f"the {len(check.points)} points of {check.body} lie {size} (p {check.p_value:.1g}): the sample "
+            "moved after the scan, or the registration is wrong."
         )
         notices.append(Notice("sample_moved", text))
     return checks, notices
@@ -128,15 +128,18 @@ def far_away(placed: Measurement) -> list[Notice]:
         distance = 1e3 * float(np.linalg.norm(np.mean(body.arms_m, axis=0)))
         if body.body == "stapes" and distance > _REACH_MM:
             text = (
-                f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, farther "
-                "than a stapes reaches: their coordinates look like those of another frame. Tie it to the footplate "
-                "with --fiducials, or name it with --frame; the motion is about a point far from the bone."
+                f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, "
+                "farther than a stapes reaches: their coordinates look like those of another frame. Tie it "
+                "to the footplate with --fiducials, or name it with --frame; the motion is about a point "
+                "far from the bone."
             )
             return [Notice("far_from_footplate", text)]
     return []
 
 
-def _check(body: BodyChannels, surface: Surface, placement: Placement, to_scan: RigidTransform) -> SurfaceCheck:
+def _check(
+    body: BodyChannels, surface: Surface, placement: Placement, to_scan: RigidTransform
+) -> SurfaceCheck:
     first = [body.points.index(name) for name in dict.fromkeys(body.points)]
     names = tuple(body.points[place] for place in first)
     own_mm = 1e3 * body.arms_m[first]
@@ -201,10 +204,14 @@ def _refuse_other_axes(
             inside = scan_from_reference.inverse().points(to_scan.points(points_mm))
             turned = scan_from_reference.points(inside @ change.T)
             tried[f"the coordinates in frame {placement.reference} with {words}"] = turned
-    sizes = {words: float(np.sqrt(np.mean(surface.signed(placed)[0] ** 2))) for words, placed in tried.items()}
+    sizes = {
+        words: float(np.sqrt(np.mean(surface.signed(placed)[0] ** 2))) for words, placed in tried.items()
+    }
     best = min(sizes, key=lambda words: sizes[words])
     if sizes[best] < _CURED * check.rms_mm:
-        got = f"{check.rms_mm:.2g} mm off it as given, {sizes[best]:.2g} mm with {best.partition(' with ')[2]}"
+        got = (
+            f"{check.rms_mm:.2g} mm off it as given, {sizes[best]:.2g} mm with {best.partition(' with ')[2]}"
+        )
         raise StapeskitError.of(
             f"the points of body {check.body}",
             "on the bone of the scan after registration",

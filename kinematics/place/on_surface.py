@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.measurement import MIRRORS
@@ -86,9 +87,9 @@ def lay_on_surface(rough: Placement, points: SurfacePoints, plate: Surface, mass
 
     Notes
     -----
-    Least squares of signed distances over their sd with the loss 2 (sqrt(1 + r^2) - 1) (`scipy.optimize`, soft_l1),
-    and of the displacement from the rough pose over its covariance. The covariance is that of the quadratic
-    approximation, each point with the weight that the loss gives it (Triggs et al. 2000,
+    Least squares of signed distances over their sd with the loss 2 (sqrt(1 + r^2) - 1) (`scipy.optimize`,
+    soft_l1), and of the displacement from the rough pose over its covariance. The covariance is that of the
+    quadratic approximation, each point with the weight that the loss gives it (Triggs et al. 2000,
     doi:10.1007/3-540-44480-7_21); where points scatter more than stated it grows accordingly.
     """
     from scipy.optimize import least_squares
@@ -115,7 +116,8 @@ def lay_on_surface(rough: Placement, points: SurfacePoints, plate: Surface, mass
     size = away / sd
     near = np.abs(size) < _FAR_SD
     if np.sum(near) < max(3, 0.5 * len(size)):
-        got = f"{int(np.sum(near))} of {len(size)} within {_FAR_SD:g} sd, rms {np.sqrt(np.mean(away**2)):.2g} mm"
+        rms = float(np.sqrt(np.mean(away**2)))
+        got = f"{int(np.sum(near))} of {len(size)} within {_FAR_SD:g} sd, rms {rms:.2g} mm"
         step = "Check the points and the fiducials, which must tie them roughly"
         raise StapeskitError.of("the points of --plate-points", "on the plate of the scan", got, "", step)
     rows = np.einsum("ni,nij->nj", pose.inverse().vectors(normal), moves) / sd[:, None]
@@ -141,12 +143,16 @@ def lay_on_surface(rough: Placement, points: SurfacePoints, plate: Surface, mass
     return place_by(fit, mass, rough.notices)
 
 
-def _notices(points: SurfacePoints, size: Array, near: Array, chance: float, level: float) -> list[Notice]:
+def _notices(
+    points: SurfacePoints, size: Array, near: NDArray[np.bool_], chance: float, level: float
+) -> list[Notice]:
     notices = []
     off = [name for name, good in zip(points.names, near.tolist(), strict=True) if not good]
     if off:
         listed = ", ".join(off[:8])
-        text = f"points {listed} lie off the plate (up to {np.max(np.abs(size)):.0f} sd) and have little weight."
+        text = (
+            f"points {listed} lie off the plate (up to {np.max(np.abs(size)):.0f} sd) and have little weight."
+        )
         notices.append(Notice("surface_points_off", text))
     if chance < _UNLIKELY:
         text = (

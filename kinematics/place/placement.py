@@ -1,4 +1,5 @@
-"""The pose of the measurement's coordinates in the footplate frame, with the errors of the frames it rests on."""
+"""The pose of the measurement's coordinates in the footplate frame, with the errors of the frames it rests
+on."""
 
 from __future__ import annotations
 
@@ -52,8 +53,8 @@ class Placement:
 
         Notes
         -----
-        A displacement (u, theta) of the measurement's frame (pose R, t) moves points by R u + phi x (p - t) and
-        turns beams by phi = R theta.
+        A displacement (u, theta) of the measurement's frame (pose R, t) moves points by R u + phi x (p - t)
+        and turns beams by phi = R theta.
         """
         rotation, origin_m = self.transform.rotation, 1e-3 * self.transform.translation_mm
         shift, turn = (self.derivative[:3].T @ rotation.T, self.derivative[3:].T @ rotation.T)
@@ -183,14 +184,14 @@ def _by_references(
         return {}
     rows = fit.transform.rotation @ pose_rows(1e-3 * fiducials.vibrometer_mm)
     weight = np.repeat(1.0 / fit.sd_mm, 3)[:, None]
-    found = {}
+    found: dict[str, Array] = {}
     for frame in ("plate", "footplate"):
         own = np.array([name == frame for name in fiducials.frames])
         moved = np.zeros(rows.shape)
         if own.any():
             moved[own] = poses[frame].rotation @ pose_rows(1e-3 * fiducials.reference_mm[own])
         design, target = (part.reshape(-1, 6) * weight for part in (rows, moved))
-        found[frame] = np.linalg.lstsq(design, target, rcond=None)[0]
+        found[frame] = np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], dtype=float)
     return found
 
 

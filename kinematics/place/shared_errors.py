@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.faults.correct import Correction
 from kinematics.fit.rigid_fit import LineFit
@@ -77,7 +79,9 @@ def shared_errors(
     equations A^T W (y - A q) = 0 with fixed weights, dq/de = -(A^T W A)^-1 A^T W dA q, where residuals, which
     are noise, are left out.
     """
-    blocks: list[tuple[Sequence[Parameter], Array]] = [(pose_parameters(placed, placement), placement.covariance)]
+    blocks: list[tuple[Sequence[Parameter], Array]] = [
+        (pose_parameters(placed, placement), placement.covariance)
+    ]
     if positions:
         blocks.append(_positions(placed, fits))
     blocks += more
@@ -112,7 +116,7 @@ def shared_errors(
     return SharedErrors(names, covariance, derivatives, maps, powers)
 
 
-def sensitivity(fit: LineFit, rows: ComplexArray | Array) -> tuple[ComplexArray, ComplexArray]:
+def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, ComplexArray]:
     """Return the derivatives of a fit by parameters that change its rows, and the mean maps.
 
     Parameters
@@ -134,7 +138,9 @@ def sensitivity(fit: LineFit, rows: ComplexArray | Array) -> tuple[ComplexArray,
     good = np.flatnonzero(fit.solution.good)
     cost = len(rows) * len(beams.basis) * size**2 * max(len(good), 1)
     if len(good) == 0 or len(rows) == 0:
-        return np.zeros((len(rows), *fit.q.shape), dtype=complex), np.zeros((len(rows), size, size), dtype=complex)
+        return np.zeros((len(rows), *fit.q.shape), dtype=complex), np.zeros(
+            (len(rows), size, size), dtype=complex
+        )
     if _alike(fit) or cost > _MOST_OPERATIONS:
         some = good[np.unique(np.linspace(0, len(good) - 1, 1 if _alike(fit) else 64).astype(int))]
         mean = _maps(fit, inside, some).mean(axis=0)
@@ -160,7 +166,7 @@ def _alike(fit: LineFit) -> bool:
     )
 
 
-def _maps(fit: LineFit, inside: ComplexArray | Array, lines: Array) -> ComplexArray:
+def _maps(fit: LineFit, inside: NDArray[Any], lines: NDArray[Any]) -> ComplexArray:
     """Return the maps in the basis of the fit, (n, p, m, m)."""
     basis = fit.beams.basis
     sd = fit.sd[:, lines]
@@ -191,7 +197,7 @@ def pose_parameters(placed: Measurement, placement: Placement) -> list[Parameter
 
 
 def tangent_rows(body: BodyChannels, own: Sequence[int], tangent: int) -> ComplexArray | Array:
-    """Return d(reading) / d(parameter), (c, 6), of a tangent of some channels; a delay still times i omega."""
+    """Return d(reading) / d(parameter), (c, 6), of a tangent of channels; a delay still times i omega."""
     rows = point_rows(body.arms_m, body.directions)
     factor = {GAIN: 1.0, PHASE: 1j, DELAY: -1.0, GAIN_DRIFT: 1.0, PHASE_DRIFT: 1j}
     geometry = Geometry(body.arms_m, body.directions, np.ones((1, len(rows)), dtype=complex))
@@ -253,8 +259,8 @@ def _positions(placed: Measurement, fits: Fits) -> tuple[list[Parameter], Array]
 
     Notes
     -----
-    The motion that errors of positions make is a map of the true one, whose 36 entries are a sum over points: the
-    eigenvectors of their covariance are patterns of all points that have the same effect.
+    The motion that errors of positions make is a map of the true one, whose 36 entries are a sum over points:
+    the eigenvectors of their covariance are patterns of all points that have the same effect.
     """
     parameters = position_parameters(placed)
     lines, size = fits[0, 0].q.shape
@@ -287,4 +293,3 @@ def _join_positions(covariance: Array, names: Sequence[str], lasers: LaserAgreem
     for name, column in lasers.across.items():
         if name in at:
             covariance[rows, at[name]] = covariance[at[name], rows] = column
-

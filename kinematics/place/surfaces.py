@@ -93,7 +93,9 @@ def _read(path: Path, name: str) -> Surface:
     data = reader.GetOutput()
     if data.GetNumberOfPolys() == 0 or data.GetPolys().IsHomogeneous() != 3:
         step = "Run ct2mass anew, or remove the file"
-        raise StapeskitError.of(f"the surface {path.name}", "made of triangles", "none", path.parent.name, step)
+        raise StapeskitError.of(
+            f"the surface {path.name}", "made of triangles", "none", path.parent.name, step
+        )
     vertices = np.array(vtk_to_numpy(data.GetPoints().GetData()), dtype=float)
     faces = np.array(vtk_to_numpy(data.GetPolys().GetConnectivityArray()), dtype=np.int64).reshape(-1, 3)
     return Surface(name, vertices, faces)

@@ -56,7 +56,9 @@ def spectra_figure(motion: RigidMotion) -> Figure:
                 lines = decimate_lines(np.abs(q), most)
                 look = {"color": colour_of(body_name, motion.bodies), "ls": RUN_STYLES[run % len(RUN_STYLES)]}
                 label = body_name if len(motion.runs) == 1 else f"{body_name}, run {motion.runs[run]}"
-                _curve(amplitude, phase, motion.freq_hz[lines] / 1e3, q[lines], spread[lines], plain(label), look)
+                _curve(
+                    amplitude, phase, motion.freq_hz[lines] / 1e3, q[lines], spread[lines], plain(label), look
+                )
                 size = np.abs(q)[np.isfinite(q) & (q != 0.0)]
                 extent += [float(size.min()), float(size.max())] if size.size else []
         per = f" / {motion.reference}" if motion.reference else ""
@@ -105,9 +107,7 @@ def residual_figure(result: MotionResult, run: int = 0) -> Figure:
     """Draw the residual of every channel over frequency in units of its noise, and its mean as bars."""
     bodies = result.measurement.bodies
     rows = [min(len(body.points), _MOST_ROWS) for body in bodies]
-    drawing, axes = panels(
-        len(bodies), 2, height=1.0, margins=(1.15, 0.9, 0.34, 0.46), gaps=(0.16, 0.5)
-    )
+    drawing, axes = panels(len(bodies), 2, height=1.0, margins=(1.15, 0.9, 0.34, 0.46), gaps=(0.16, 0.5))
     total = drawing.get_size_inches()[0]
     heights = [max(0.9, 0.085 * count) for count in rows]
     tall = sum(heights) + 0.62 * (len(bodies) - 1) + 0.86
@@ -124,9 +124,17 @@ def residual_figure(result: MotionResult, run: int = 0) -> Figure:
         order = np.arange(len(body.points))
         if len(order) > _MOST_ROWS:
             order = np.sort(np.argsort(-rms)[:_MOST_ROWS])
-        verdicts = [one for one in result.channels if one.body == body.body and one.run == result.motion.runs[run]]
+        verdicts = [
+            one for one in result.channels if one.body == body.body and one.run == result.motion.runs[run]
+        ]
         image = grid.pcolormesh(
-            edges / 1e3, np.arange(len(order) + 1), size[order], vmin=0.0, vmax=4.0, cmap="magma_r", rasterized=True
+            edges / 1e3,
+            np.arange(len(order) + 1),
+            size[order],
+            vmin=0.0,
+            vmax=4.0,
+            cmap="magma_r",
+            rasterized=True,
         )
         colours = [VERDICT_COLOURS[verdicts[channel].verdict] for channel in order]
         bars.barh(np.arange(len(order)) + 0.5, np.nan_to_num(rms[order]), height=0.8, color=colours)
@@ -152,7 +160,7 @@ def residual_figure(result: MotionResult, run: int = 0) -> Figure:
 
 
 def _residual_map(fit: LineFit, freq_hz: Array) -> tuple[Array, Array, Array]:
-    """Return the mean size of residuals over noise by channel and column, edges of columns (Hz), and rms (c,)."""
+    """Return sizes of residuals over noise (c, columns), edges of columns (Hz), and their rms (c,)."""
     parts = np.array_split(np.arange(len(freq_hz)), min(_COLUMNS, len(freq_hz)))
     size = np.empty((len(fit.beams.rows), len(parts)))
     squares, counts = np.zeros(len(size)), np.zeros(len(size))

@@ -41,8 +41,8 @@ def motion_scene(result: MotionResult) -> Scene:
         z_is = (result.mass.record.raw.get("frames") or {}).get("z_is") or ""
         directions = ("anterior", "lateral", str(z_is))
     caption = (
-        "Measured motion in footplate axes, enlarged; colours of points are their verdicts. Choose a frequency with "
-        "the slider."
+        "Measured motion in footplate axes, enlarged; colours of points are their verdicts. Choose a "
+        "frequency with the slider."
     )
     return Scene(
         surfaces=_surfaces(result),
@@ -77,7 +77,9 @@ def _surfaces(result: MotionResult) -> list[Mesh]:
 
 def _motions(result: MotionResult) -> list[Motion]:
     motion = result.motion
-    lines = np.unique(np.linspace(0, len(motion.freq_hz) - 1, min(_MOST_LINES, len(motion.freq_hz))).astype(int))
+    lines = np.unique(
+        np.linspace(0, len(motion.freq_hz) - 1, min(_MOST_LINES, len(motion.freq_hz))).astype(int)
+    )
     places = dof_indices(motion.dof)
     found = []
     for run, name in enumerate(motion.runs[:_MOST_RUNS]):

@@ -71,13 +71,15 @@ def verdict_block(result: MotionResult) -> Markup:
     reasons = [
         notice
         for notice in result.notices
-        if level != "believe" and (known[notice.code].verdict if notice.code in known else "check") != VERDICTS[0]
+        if level != "believe"
+        and (known[notice.code].verdict if notice.code in known else "check") != VERDICTS[0]
     ]
     return page.verdict(level, _SENTENCES[level], reasons)
 
 
 def motion_sections(made: Page, result: MotionResult) -> None:
-    """Append the sections of a motion to a page: motion, channels, registration, shared errors, what would show."""
+    """Append the sections of a motion to a page: motion, channels, registration, shared errors, what would
+    show."""
     sections: dict[str, Callable[[MotionResult], list[Markup]]] = {
         "Motion of the bodies": _motion,
         "Channels and verdicts": _channels,
@@ -119,12 +121,18 @@ def _channels(result: MotionResult) -> list[Markup]:
         more = f" {len(odd) - _MOST_ROWS} more are in the table of channels." if len(odd) > _MOST_ROWS else ""
         blocks.append(page.table(head, rows, f"Channels with a verdict.{more}", words=True, file="verdicts"))
     else:
-        blocks.append(page.text(f"All {len(result.channels)} channels agree with rigid motion of their body."))
+        blocks.append(
+            page.text(f"All {len(result.channels)} channels agree with rigid motion of their body.")
+        )
     shown = f" of run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
     caption = f"Residuals{shown} over their noise: 1 is noise alone. Bars have the colour of the verdict."
-    blocks.append(page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals"))
+    blocks.append(
+        page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals")
+    )
     caption = "Points and beams in footplate axes; the cross is the footplate centre."
-    blocks.append(page.figure(geometry_figure(result), caption, "points and beams in three views", file="points"))
+    blocks.append(
+        page.figure(geometry_figure(result), caption, "points and beams in three views", file="points")
+    )
     return blocks
 
 
@@ -132,14 +140,18 @@ def _registration(result: MotionResult) -> list[Markup]:
     fit = result.placement.registration
     if fit is None:
         frame = result.placement.reference
-        blocks = [page.text(f"Positions and directions are given in the frame {frame}: nothing was registered.")]
+        blocks = [
+            page.text(f"Positions and directions are given in the frame {frame}: nothing was registered.")
+        ]
     else:
         rows = [
             (name, *(f"{1e3 * value:+.0f}" for value in left), f"{1e3 * sd:.0f}")
             for name, left, sd in zip(fit.names, fit.residuals_mm, fit.sd_mm, strict=True)
         ]
         chi2 = f", chi2 {fit.chi2:.3g} for {fit.n_dof}" if np.isfinite(fit.chi2) else ""
-        caption = f"Residuals in µm, axes of the frame {fit.transform.to}; rms {1e3 * fit.rms_mm:.0f} µm{chi2}."
+        caption = (
+            f"Residuals in µm, axes of the frame {fit.transform.to}; rms {1e3 * fit.rms_mm:.0f} µm{chi2}."
+        )
         blocks = [page.table((fit.kind, "x", "y", "z", "sd"), rows, caption, file="registration")]
     if result.checks:
         rows = [
@@ -174,8 +186,8 @@ def _shared(result: MotionResult) -> list[Markup]:
         sources[source] = sources.get(source, 0) + 1
     listed = ", ".join(f"{source} ({number})" for source, number in sources.items())
     text = (
-        f"Parameters: {listed}. They stand apart from the noise, with their covariance and the derivatives of the "
-        "motion, and go coherently into stiffness and damping."
+        f"Parameters: {listed}. They stand apart from the noise, with their covariance and the derivatives "
+        "of the motion, and go coherently into stiffness and damping."
     )
     return [page.text(text), *blocks]
 
@@ -193,5 +205,8 @@ def _detectable(result: MotionResult) -> list[Markup]:
             rows.append((body.body, f"{kind} of a {owner}", *cells, unit, str(never) if never else ""))
     head = ("body", "fault", "median", "largest", "unit", "never shows at")
     caption = f"Smallest faults that are found with a probability of {100 * POWER:.0f} %."
-    text = "A mirror of positions and beams together, one gain of all lasers, and a turn of everything never show."
+    text = (
+        "A mirror of positions and beams together, one gain of all lasers, and a turn of everything never "
+        "show."
+    )
     return [page.table(head, rows, caption, names=2, file="detectable"), page.text(text)]

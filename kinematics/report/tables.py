@@ -79,8 +79,8 @@ def registration_rows(result: MotionResult) -> list[tuple[str, str]]:
     else:
         turn, shift = pose_sd(result)
         text = (
-            f"{len(fit.residuals_mm)} {fit.kind} in frame {placement.reference}, rms {1e3 * fit.rms_mm:.0f} µm; at the "
-            f"footplate sd {1e3 * shift:.0f} µm, {turn:.2g}°"
+            f"{len(fit.residuals_mm)} {fit.kind} in frame {placement.reference}, rms {1e3 * fit.rms_mm:.0f} "
+            f"µm; at the footplate sd {1e3 * shift:.0f} µm, {turn:.2g}°"
         )
         rows = [("registration", text)]
     for check in result.checks:
