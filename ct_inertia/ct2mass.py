@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
+from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
 from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from ct_inertia.mass.calibration import Calibration
     from ct_inertia.scan.scan import Scan
     from stapeskit.command import Progress
+
+_PLATE_SHIFT = calibrated("plate_frame.level_shift")
 
 
 @dataclass
@@ -155,8 +158,7 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
         moments = measured.moments
         frame_surface, error = _frame_surface(measured)
         body = moment_matched(measured.surface.field, moments, measured.surface.scan_from_index)
-        region = measured.labelled.plate_region
-        plate = None if region is None else contour(region.field, region.scan_from_index)
+        plate = _plate_surface(measured.labelled)
     footplate = _footplate(work, frame_surface, error, moments)
     plate_frame = _plate_frame(work, plate, moments)
     gap = None if work.measured is None else _gap(work.measured, footplate, frame_surface, error)
@@ -251,11 +253,14 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
         )
         _add_files(inputs, "scan", work.scan)
     if options.labels is None:
-        from ct_inertia.find.find import find_bodies
+        from ct_inertia.find.find import Search, find_stapes
 
         assert work.scan is not None  # noqa: S101 - the options ask for a scan or labels
-        progress("finding the stapes")
-        return find_bodies(work.scan, options.threshold, options.seed_mm, options.box_mm)
+        if options.box_mm is not None:
+            work.scan = work.scan.part(work.scan.box_of(options.box_mm))
+        seed = None if options.seed_mm is None else np.array(options.seed_mm)
+        work.notices += work.scan.notices
+        return find_stapes(work.scan, Search(options.threshold, seed), progress)
     from ct_inertia.labels import label_volume, labels_alone, labels_on_scan
 
     spacing = options.spacing_mm if work.scan is None else tuple(work.scan.spacing_mm)
@@ -307,6 +312,18 @@ def _sampled(body: BodySurface) -> Callable[[Array], Array]:
     return at
 
 
+def _plate_surface(labelled: Labelled) -> Surface | None:
+    """Return the surface of the plate, half way between the levels of air and plastic around it."""
+    region = labelled.plate_region
+    if region is None:
+        return None
+    level = 0.0
+    if labelled.plastic is not None and not labelled.box.is_mask and region.plastic != 1.0:
+        middle = 0.5 * (labelled.air + labelled.plastic)
+        level = (middle - region.air) / (region.plastic - region.air) - 0.5
+    return contour(region.field, region.scan_from_index, level)
+
+
 def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Moments) -> FootplateFrame:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
     named = work.measured is None or work.measured.labelled.named
@@ -340,7 +357,9 @@ def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateF
     if plate is not None:
         from ct_inertia.frames.plate_frame import plate_frame
 
-        return plate_frame(plate, moments.centroid_mm)
+        region = None if work.measured is None else work.measured.labelled.plate_region
+        cell = 0.0 if region is None else float(np.linalg.norm(region.scan_from_index[:3, 0]))
+        return plate_frame(plate, moments.centroid_mm, _PLATE_SHIFT * cell)
     if work.measured is not None:
         text = (
             "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. If the scan "

@@ -172,7 +172,6 @@ def _cross_check(result: MassResult) -> dict[str, Any]:
     ]
     first, second = (one.mass_matrix(frame.scan_from_footplate, np.zeros((6, 6))).matrix for one in bare)
     root = np.sqrt(np.diag(first))
-    by_pymeshlab = _second_opinion(result)
     return {
         "used": "surface" if result.body is None else "voxels" if result.body.scene is None else "partial volume",
         "other": "surface",
@@ -181,20 +180,8 @@ def _cross_check(result: MassResult) -> dict[str, Any]:
         "centroid_difference_mm": mesh.centroid_mm - used.centroid_mm,
         "largest_mass_matrix_difference_percent": 100.0 * float(np.max(np.abs(second - first) / np.outer(root, root))),
         "mass_matrix_difference_of": "sqrt(Mii Mjj)",
-        "volume_by_pymeshlab_m3": by_pymeshlab,
+        "volume_by_vtk_m3": 1e-9 * float(result.stapes.mesh().volume),
     }
-
-
-def _second_opinion(result: MassResult) -> float | None:
-    """Return the volume of the surface by another library; None where that does not work."""
-    try:
-        import pymeshlab
-    except (ImportError, OSError):  # no wheel, or a machine without GL
-        return None
-    middle = result.stapes.vertices_mm.mean(axis=0)
-    meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(result.stapes.vertices_mm - middle, result.stapes.faces.astype(np.int32)))
-    return 1e-9 * float(meshes.get_geometric_measures()["mesh_volume"])
 
 
 def _segmentation(result: MassResult) -> Mapping[str, Any] | None:

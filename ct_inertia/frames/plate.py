@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.frames.footplate import sphere
 from ct_inertia.surface.fields import sum_at_corners, unit
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import rotation_from_vector
 
-_DIRECTIONS = 600  # over the sphere: 8 degrees apart, less than the cone of a face
+_BINS = 8  # per unit of a normal's components: 7 degrees, less than the cone of a face
 _FAILURES = 3  # layers without a face after which the search ends: what is left are rounded edges
 _LEAST_SHARE = 0.01  # of the area of the solid: smaller faces are left out
 _ROUNDS, _STILL_RAD = 30, 1e-8  # of the robust plane: 0.1 nm over 10 mm
@@ -77,16 +76,24 @@ class PlaneFace:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Pieces of surface: centres (n, 3), unit normals (n, 3), areas (n,), nearest direction (n,)."""
+    """Pieces of surface: centres (n, 3), unit normals (n, 3), areas (n,)."""
 
     centres: Array
     normals: Array
     areas: Array
-    direction: NDArray[np.intp]
 
     def chosen(self, keep: NDArray[np.bool_]) -> _Pieces:
         """Return some of the pieces."""
-        return _Pieces(self.centres[keep], self.normals[keep], self.areas[keep], self.direction[keep])
+        return _Pieces(self.centres[keep], self.normals[keep], self.areas[keep])
+
+    def main_direction(self) -> Array:
+        """Return about the direction (3,) that most of the area faces within the cone of a face."""
+        group = np.unique(np.rint(_BINS * self.normals) @ [1.0, 4.0 * _BINS, 16.0 * _BINS**2], return_inverse=True)[1]
+        areas = np.bincount(group, self.areas)
+        weighted = self.normals * self.areas[:, None]
+        directions = unit(np.stack([np.bincount(group, column) for column in weighted.T], axis=1))
+        near = directions @ directions.T > np.cos(np.radians(_CONE_DEG))
+        return np.asarray(directions[int(np.argmax(near @ areas))])
 
 
 def plane_faces(surface: Surface) -> list[PlaneFace]:
@@ -105,15 +112,13 @@ def plane_faces(surface: Surface) -> list[PlaneFace]:
     if surface.on_border is not None:
         at_border = np.count_nonzero(surface.on_border[surface.faces], axis=1)
     normals = _smooth_normals(surface, vectors)
-    directions = sphere(_DIRECTIONS)
-    nearest = np.concatenate([np.argmax(part @ directions.T, axis=1) for part in np.array_split(normals, 64)])
     least = _LEAST_SHARE * float(areas.sum())
     faces: list[PlaneFace] = []
     for border, chosen in ((False, at_border == 0), (True, at_border == 3)):
-        pieces = _Pieces(surface.centres_mm, normals, areas, nearest).chosen(chosen)
+        pieces = _Pieces(surface.centres_mm, normals, areas).chosen(chosen)
         failures = 0
         while pieces.areas.sum() > least and failures < _FAILURES:
-            face, members = _largest(pieces, directions)
+            face, members = _largest(pieces)
             if face is not None and face.area_mm2 >= least:
                 faces.append(replace(face, at_border=border))
             else:
@@ -129,12 +134,11 @@ def _smooth_normals(surface: Surface, vectors: Array) -> Array:
     return unit(vectors)
 
 
-def _largest(pieces: _Pieces, directions: Array) -> tuple[PlaneFace | None, NDArray[np.bool_]]:
+def _largest(pieces: _Pieces) -> tuple[PlaneFace | None, NDArray[np.bool_]]:
     """Return the largest plane face among the pieces, and which of them it takes up."""
     areas = pieces.areas
-    pooled = np.bincount(pieces.direction, areas, minlength=len(directions))
     cosine = np.cos(np.radians(_CONE_DEG))
-    normal = directions[int(np.argmax((directions @ directions.T > cosine) @ pooled))]
+    normal = pieces.main_direction()
     for _ in range(3):
         facing = pieces.normals @ normal > cosine
         total = areas[facing] @ pieces.normals[facing]

@@ -8,7 +8,7 @@ tell its direction. Where the field of view crops the plate, its border ends the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ class _Pose:
         return RigidTransform.from_parts(self.axes, self.origin, "scan", "plate")
 
 
-def plate_frame(plate: Surface, stapes_mm: Array) -> PlateFrame:
+def plate_frame(plate: Surface, stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame:
     """Find the frame of the plate from its surface.
 
     Parameters
@@ -87,6 +87,8 @@ def plate_frame(plate: Surface, stapes_mm: Array) -> PlateFrame:
     plate : Surface
     stapes_mm : ndarray, (3,)
         A point in the middle of the stapes, scan coordinates.
+    level_sd_mm : float
+        Standard deviation of one shift of the whole surface along its normal.
 
     Raises
     ------
@@ -95,7 +97,8 @@ def plate_frame(plate: Surface, stapes_mm: Array) -> PlateFrame:
     """
     faces = plane_faces(plate)
     main = _main_face(faces, stapes_mm)
-    sides = _sides(faces, main)
+    main = replace(main, covariance=main.covariance + np.diag([level_sd_mm**2, 0.0, 0.0]))
+    sides = _sides([face for face in faces if face.point_mm is not main.point_mm], main)
     first = _pose(main, sides)
     weights = _side_weights(main, sides, first)
     pose = _pose(main, sides, first.along, weights)
@@ -120,7 +123,7 @@ def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
         reaches = float(np.max(main.distance(face.samples_mm))) > -_RIM_MM
         inside = float(np.median(face.distance(main.samples_mm))) < 0.0
         flat = face.at_border or face.curvature(np.cross(main.normal, face.normal)) < _CURVED_1_MM
-        if face is not main and steep and reaches and inside and flat and not _is_rounded_edge(face, kept):
+        if steep and reaches and inside and flat and not _is_rounded_edge(face, kept):
             kept.append(face)
     return kept
 

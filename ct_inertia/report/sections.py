@@ -44,7 +44,7 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
     source = next(iter(content["provenance"]["inputs"].values()))["file"]
     lead = "A stapes from micro-CT: volume, frames and generalized mass matrix about the footplate centre."
     shown = page.Page(f"Mass matrix of {source}", lead)
-    shown.add(page.beside(summary_cards(content), reduced_matrix(content)))
+    shown.add(summary_cards(content), reduced_matrix(content))
     shown.add(page.notices(from_json(content["warnings"])))
     add_sections(shown, content, pictured)
     provenance = content["provenance"]
@@ -181,8 +181,8 @@ def budget_blocks(content: Content) -> list[Markup]:
         together = np.sqrt(sum(np.square(rows[source]) for source in rest))
         listed.append((f"{len(rest)} others together", *_digits(together)))
     listed.append(("all of these", *_digits(np.sqrt(sum(np.square(row) for row in rows.values())))))
-    head = ("source", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)", "centre of mass (µm)")
-    blocks = [page.table(head, listed, "One standard deviation that each source adds.", file="budget")]
+    head = ("source", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)", "centre (µm)")
+    blocks = [page.table(head, listed, "One standard deviation that each source adds; centre: of mass.", file="budget")]
     missing = content["uncertainty"].get("not_included") or []
     return blocks + ([page.text("Not in the budget: " + "; ".join(missing) + ".")] if missing else [])
 
@@ -309,7 +309,6 @@ def check_blocks(content: Content) -> list[Markup]:
         f"{check['volume_difference_percent']:+.4f} % of that volume, its centre is {away:.2f} µm off, M differs by "
         f"{check['largest_mass_matrix_difference_percent']:.4f} % of √(Mii Mjj) at most."
     )
-    other = check["volume_by_pymeshlab_m3"]
-    if other is not None:
-        text += f" pymeshlab finds the volume of the surface within {abs(other / surface - 1.0):.1e} of ours."
+    other = abs(check["volume_by_vtk_m3"] / surface - 1.0)
+    text += f" VTK finds the volume of that surface within {other:.1e} of ours."
     return [page.text(text)]
