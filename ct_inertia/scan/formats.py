@@ -69,8 +69,11 @@ def _is_dicom(path: Path) -> bool:
 
 def has_preamble(path: Path) -> bool:
     """Return whether a file begins as DICOM files do (PS3.10, 7.1)."""
-    with path.open("rb") as stream:
-        return stream.read(132)[128:] == b"DICM"
+    try:
+        with path.open("rb") as stream:
+            return stream.read(132)[128:] == b"DICM"
+    except OSError:  # whoever reads the file reports it
+        return False
 
 
 DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")

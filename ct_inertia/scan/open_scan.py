@@ -211,21 +211,19 @@ def _existing(path: Path) -> Path:
         status = path.stat()
         if path.is_file():
             path.open("rb").close()
+        elif path.is_dir():
+            next(path.iterdir(), None)
     except (FileNotFoundError, NotADirectoryError):
         raise StapeskitError.of(
             "the scan", "an existing file or folder", path, next_step="Check the path"
         ) from None
     except (OSError, ValueError) as fault:
-        why = getattr(fault, "strerror", None) or str(fault)
-        raise StapeskitError.of(
-            "the scan", "a file that can be read", why, path.name, "Check its permissions"
-        ) from None
+        why, step = getattr(fault, "strerror", None) or str(fault), "Check its permissions"
+        raise StapeskitError.of("the scan", "a file that can be read", why, path.name, step) from None
     if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
-        raise StapeskitError.of(
-            "the scan", "a file or folder", "a pipe or a device", path.name, "Save it as a file"
-        )
+        step = "Save it as a file"
+        raise StapeskitError.of("the scan", "a file or folder", "a pipe or a device", path.name, step)
     if stat.S_ISREG(status.st_mode) and status.st_size == 0:
-        raise StapeskitError.of(
-            "the scan", "a file with content", "an empty file", path.name, "Copy it again"
-        )
+        step = "Copy it again"
+        raise StapeskitError.of("the scan", "a file with content", "an empty file", path.name, step)
     return path if path.name else path.resolve()

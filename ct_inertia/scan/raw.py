@@ -48,7 +48,7 @@ def plane_reader(planes: RawPlanes, shape: tuple[int, ...], dtype: np.dtype[Any]
         def read(k: int) -> None:
             z = zs[k]
             start = int(planes.offset[z])
-            with planes.files[planes.file[z]].open("rb", buffering=0) as stream:
+            with _open(planes.files[planes.file[z]]) as stream:
                 if single:
                     rows = np.empty((len(ys), width), dtype)
                     for row, y in zip(rows, ys, strict=True):
@@ -68,6 +68,23 @@ def plane_reader(planes: RawPlanes, shape: tuple[int, ...], dtype: np.dtype[Any]
         return out
 
     return fetch
+
+
+def _open(path: Path) -> BinaryIO:
+    """Open a file without a buffer.
+
+    Raises
+    ------
+    StapeskitError
+        It has gone, or may not be read.
+    """
+    try:
+        return path.open("rb", buffering=0)  # type: ignore[return-value]
+    except OSError as fault:
+        step = "Check its name, permissions and disk"
+        raise StapeskitError.of(
+            "the scan", "a file that can be read", fault.strerror, path.name, step
+        ) from fault
 
 
 def _fill(stream: BinaryIO, out: NDArray[Any], place: int) -> None:
