@@ -79,7 +79,7 @@ def _open(path: Path) -> BinaryIO:
         It has gone, or may not be read.
     """
     try:
-        return path.open("rb", buffering=0)  # type: ignore[return-value]
+        return path.open("rb", buffering=0)
     except OSError as fault:
         step = "Check its name, permissions and disk"
         raise StapeskitError.of(
