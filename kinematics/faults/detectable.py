@@ -64,11 +64,9 @@ def detectable(now: Round) -> list[Detectable]:
 
 def noncentrality(freedom: int, chance: float, noise: Noise) -> float:
     """Return the non-centrality at which a test of level ``chance`` has the power `POWER`."""
-    from scipy.optimize import brentq
-    from scipy.special import chdtri, chndtr, fdtri, ncfdtr
+    from scipy.special import chdtri, chndtrinc, fdtri
 
-    if np.isfinite(noise.freedom):
-        level = fdtri(freedom, noise.freedom, 1.0 - chance)
-        return float(brentq(lambda x: ncfdtr(freedom, noise.freedom, x, level) - 1.0 + POWER, 1e-6, 1e6))
     level = chdtri(freedom, chance)
-    return float(brentq(lambda x: chndtr(level, freedom, x) - 1.0 + POWER, 1e-6, 1e6))
+    if np.isfinite(noise.freedom):
+        level = freedom * fdtri(freedom, noise.freedom, 1.0 - chance)
+    return float(chndtrinc(level, freedom, 1.0 - POWER))
