@@ -18,7 +18,7 @@ _LEAST_POINTS = 300  # crossings of the half level: the plane's height is known 
 _MOST_POINTS = 20_000
 _TRIALS = 100  # planes through three points: with half of the points on one face all fail with 1e-6
 _WITHIN_VOXELS = 0.7  # of the plane: scatter of crossings by the grid
-_FLATNESS = calibrated("plate.least_flatness")
+_FLATNESS = calibrated("plate_plane.least_flatness")
 _CONTACT_SIGMAS = 2.0  # widths of the blur around the plate's mask in which its body follows the plane
 
 

@@ -1,0 +1,294 @@
+"""A first look at the whole scan: every n-th voxel, the grey levels of its materials, and what was not scanned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import Grey, Index, Mask
+from ct_inertia.calibrated import calibrated
+from ct_inertia.scan.scan import Scan
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+
+_TARGET_MM = 0.05  # a stapes is 3 mm high: 60 coarse voxels
+_MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
+_LEAST_INTERIOR = 25  # fewer voxels inside a material give no level
+_BINS = 16  # of the histogram within the least distance of two levels
+_LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows from, to 1 %
+_BESIDE = 3  # coarse voxels beside bone that are looked at: beyond the blur, which is one of them wide
+_FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
+_LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
+_FLAT_NOISE, _SAME_NOISE = calibrated("overview.flat_noise"), calibrated("overview.same_material_noise")
+_LEAST_SOLID = calibrated("overview.least_solid_share")
+_VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")
+_LOUD = calibrated("overview.loud_noise")
+_SMOOTH_BINS = 2.5  # standard deviation of the smoothing of the histogram: a sixth of the distance of two levels
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Every ``step``-th voxel of a scan and its grey levels.
+
+    Attributes
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    step : ndarray of int, (3,)
+        Voxels of the scan per coarse voxel along x, y, z; coarse voxel 0 is voxel ``step // 2``.
+    spacing_mm : ndarray, (3,)
+        Distance of coarse voxels along x, y, z.
+    noise : float
+        Standard deviation of the grey values within a material.
+    levels : ndarray, (n,)
+        Of the materials, ascending; the outside of the field of view is none.
+    padding : float or None
+        Grey value of a constant that fills the outside of the field of view.
+    unmeasured : ndarray of bool, [z, y, x], or None
+        Coarse voxels that it fills.
+    is_mask : bool
+        A few grey values only: the scan was thresholded, or is a label volume.
+    """
+
+    grey: Grey
+    step: Index
+    spacing_mm: Array
+    noise: float
+    levels: Array
+    padding: float | None = None
+    unmeasured: Mask | None = None
+    is_mask: bool = False
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of one coarse voxel, mm3."""
+        return float(np.prod(self.spacing_mm))
+
+    def calm(self, contrast: float) -> Grey:
+        """Return the grey values, smoothed where noise would make holes and specks of a threshold."""
+        return smooth_noise(self.grey, self.noise / contrast)
+
+
+def look_at(scan: Scan) -> Overview:
+    """Take every n-th voxel of a scan and find the grey levels of its materials.
+
+    Raises
+    ------
+    StapeskitError
+        One material only, or voxels that the scan refuses.
+    """
+    step = _step(scan)
+    grey = scan.read(tuple(slice(int(s // 2), None, int(s)) for s in step[::-1])).astype(np.float32)
+    size = np.array(scan.shape[::-1]) // step  # leftover voxels at the end of the scan belong to no step
+    grey = np.ascontiguousarray(grey[: size[2], : size[1], : size[0]])
+    few = np.unique(grey.ravel()[:: max(1, grey.size // 50_000) | 1])
+    is_mask = few.size <= _FEW_VALUES and np.unique(grey).size <= _FEW_VALUES
+    noise = 0.01 * float(np.ptp(few)) / _FEW_VALUES if is_mask else noise_of(grey)
+    spacing = scan.spacing_mm * step
+    if is_mask:
+        levels = np.unique(grey).astype(float)
+        if levels.size < 2:
+            raise _one_material()
+        return Overview(grey, step, spacing, max(noise, 1e-12), levels, is_mask=True)
+    padding, outside = _outside(grey)
+    levels = material_levels(grey, noise, float(np.prod(spacing)), outside)
+    if outside is not None and _lies_beside_bone(grey, outside, levels):
+        padding, outside = None, None
+        levels = material_levels(grey, noise, float(np.prod(spacing)), None)
+    return Overview(grey, step, spacing, noise, levels, padding, outside)
+
+
+def _step(scan: Scan) -> Index:
+    """Return voxels per coarse voxel: about 0.05 mm, finer where the scan is small, coarser where it is huge."""
+    size = scan.size
+    step = np.clip(np.maximum(np.round(_TARGET_MM / scan.spacing_mm), 1.0), 1, max(1, int(size.max()) // 100))
+    step = np.minimum(step.astype(np.int64), np.maximum(size // 8, 1))
+    while np.prod(size // step) > _MOST_VOXELS:
+        step = step + 1
+    return np.asarray(step, dtype=np.int64)
+
+
+def smooth_noise(grey: Grey, noise_share: float) -> Grey:
+    """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
+    if noise_share < _LOUD:
+        return grey
+    from ct_inertia.grey.fields import smooth
+
+    return smooth(np.ascontiguousarray(grey), np.ones(3))
+
+
+def noise_of(grey: Grey) -> float:
+    """Estimate the noise from differences of neighbours, most of which lie in one material."""
+    layers = np.unique(np.linspace(0, len(grey) - 2, _LAYERS).round().astype(np.int64))
+    some = grey[layers]
+    steps = [np.abs(np.diff(some, axis=axis)).ravel() for axis in (1, 2)]
+    steps.append(np.abs(grey[layers + 1] - some).ravel())
+    values = np.concatenate([part[:: max(1, part.size // _SAMPLE)] for part in steps])
+    low, high = np.percentile(some.ravel()[:: max(1, some.size // _SAMPLE)], [0.02, 99.98])
+    floor = max(2e-4 * float(high - low), 1e-12)
+    moving = values[values > 0.0]  # constants and clipped air give equal neighbours, which say nothing
+    if moving.size < 0.05 * values.size:
+        return floor
+    return max(float(np.median(moving)) / (0.6745 * np.sqrt(2.0)), floor)
+
+
+def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
+    """Return a constant that fills the volume from its corners, and where; None where there is none.
+
+    A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in the
+    corners and edges, and must fill whole neighbourhoods, which noise never does.
+    """
+    import cc3d
+
+    from ct_inertia.grey.start import eroded, grown
+
+    ends = grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])].ravel()
+    values, count = np.unique(ends, return_counts=True)
+    value = float(values[np.argmax(count)])
+    if count.max() < 4:
+        return None, None
+    solid = eroded(np.pad(grey == np.float32(value), 1, constant_values=True))[1:-1, 1:-1, 1:-1]
+    if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
+        return None, None
+    labels = cc3d.connected_components(solid, connectivity=6)
+    ends = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
+    touching = np.zeros(int(labels.max()) + 1, dtype=bool)
+    touching[np.concatenate(ends)] = True
+    touching[0] = False
+    outside = grown(touching[labels]) & (grey == np.float32(value))
+    return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
+
+
+def _lies_beside_bone(grey: Grey, outside: Mask, levels: Array) -> bool:
+    """Return whether a constant is air that the export has clipped: it lies next to bone then."""
+    from ct_inertia.grey.start import grown
+
+    bone = grey > np.float32(0.5 * (levels[0] + levels[-1]))
+    beside = bone
+    for _ in range(_BESIDE):
+        beside = grown(beside)
+    beside = beside & ~bone
+    return bool(np.count_nonzero(outside & beside) >= 0.5 * np.count_nonzero(beside))
+
+
+def material_levels(grey: Grey, noise: float, voxel_mm3: float, outside: Mask | None) -> Array:
+    """Return the grey levels of the materials, ascending: the modes of voxels inside a material.
+
+    A global threshold moves with the field of view, for bone may be 0.15 % of it; here only voxels whose six
+    neighbours agree with them are counted, so that blurred edges hardly count and each material stands out however
+    little of it there is. A level between the lowest and the highest must fill cubes of three voxels: in a gap one or
+    two voxels wide, and where the edges of thin bone run together, the blur has a level that belongs to no material.
+
+    Raises
+    ------
+    StapeskitError
+        Only one material: nothing but noise.
+    """
+    apart = max(2.5 * noise, 0.04 * (float(grey.max()) - float(grey.min())))
+    mean, flat = _crosses(grey, _FLAT_NOISE * noise)
+    if outside is not None:
+        flat &= ~outside[1:-1, 1:-1, 1:-1]
+    width = apart / _BINS
+    low = float(grey.min()) - width
+    inside = mean[flat]
+    histogram = np.bincount(((inside - np.float32(low)) * np.float32(1.0 / width)).astype(np.int64))
+    top = _bright_rest(grey, histogram, low, width, noise, voxel_mm3)
+    levels = _modes(histogram, low, width)
+    kept = [
+        level
+        for k, level in enumerate(levels)
+        if k in (0, len(levels) - 1) or _is_solid(np.abs(mean - np.float32(level)) < _SAME_NOISE * noise)
+    ]
+    if top is not None and (not kept or top > kept[-1] + 8.0 * noise):
+        kept.append(top)
+    if len(kept) < 2:
+        raise _one_material()
+    return np.array(kept)
+
+
+def _crosses(grey: Grey, scatter: float) -> tuple[Grey, Mask]:
+    """Return the mean over each voxel's cross of seven but the outermost, and whether it scatters no more.
+
+    With d the six differences to the middle voxel, the sum of squares about the mean of seven is
+    sum(d^2) - sum(d)^2 / 7: small numbers, whatever the grey level.
+    """
+    shape = tuple(n - 2 for n in grey.shape)
+    mean, flat = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=bool)
+    limit = np.float32(6.0 * scatter**2)
+    inner = (slice(1, -1), slice(1, -1))
+    for k in range(shape[0]):
+        middle = grey[k + 1][inner]
+        around = [grey[k][inner], grey[k + 2][inner]]
+        layer = grey[k + 1]
+        around += [layer[:-2, 1:-1], layer[2:, 1:-1], layer[1:-1, :-2], layer[1:-1, 2:]]
+        total, square = np.zeros_like(middle), np.zeros_like(middle)
+        for other in around:
+            step = other - middle
+            total += step
+            square += step * step
+        mean[k] = middle + total * np.float32(1.0 / 7.0)
+        flat[k] = square - total * total * np.float32(1.0 / 7.0) < limit
+    return mean, flat
+
+
+def _modes(histogram: NDArray[np.int64], low: float, width: float) -> list[float]:
+    """Return the separate peaks of the histogram, ascending."""
+    if histogram.sum() < _LEAST_INTERIOR:
+        return []
+    padded = np.pad(histogram.astype(float), _BINS)
+    centres = low + (np.arange(len(padded)) - _BINS + 0.5) * width
+    bell = np.exp(-0.5 * (np.arange(-10, 11) / _SMOOTH_BINS) ** 2)
+    smooth = np.convolve(padded, bell / bell.sum(), mode="same")
+    peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
+    peaks = peaks[np.argsort(-smooth[peaks])]
+    kept = _distinct(peaks, padded, smooth, [], _VALLEY)
+    if len(kept) == 2:
+        # Noise and wide blur fill the valley between air and a third material, less than half as bright.
+        below = peaks[(peaks > min(kept)) & (peaks < 0.5 * (kept[0] + kept[1]))]
+        kept = _distinct(below, padded, smooth, kept, _SHALLOW_VALLEY)
+    near = [slice(max(0, peak - 6), peak + 7) for peak in sorted(kept)]
+    return [float(padded[part] @ centres[part] / padded[part].sum()) for part in near]
+
+
+def _distinct(
+    peaks: NDArray[np.intp], histogram: Array, smooth: Array, kept: list[int], valley: float
+) -> list[int]:
+    """Return the bins kept, with peaks (n,) that are far from them, and behind a valley of that share."""
+    kept = list(kept)
+    for peak in peaks.tolist():
+        mass = histogram[max(0, peak - 6) : peak + 7].sum()
+        far = all(abs(peak - other) > _BINS for other in kept)
+        lows = [smooth[min(peak, other) : max(peak, other) + 1].min() for other in kept]
+        if mass >= _LEAST_INTERIOR and far and all(one < valley * smooth[peak] for one in lows):
+            kept.append(peak)
+    return kept
+
+
+def _is_solid(mask: Mask) -> bool:
+    """Return whether voxels of a level fill more cubes of three than those of a blurred edge do."""
+    inner = mask[2:] & mask[1:-1] & mask[:-2]
+    inner = inner[:, 2:] & inner[:, 1:-1] & inner[:, :-2]
+    cubes = int(np.count_nonzero(inner[:, :, 2:] & inner[:, :, 1:-1] & inner[:, :, :-2]))
+    return cubes >= max(_LEAST_INTERIOR, _LEAST_SOLID * np.count_nonzero(mask))
+
+
+def _bright_rest(
+    grey: Grey, histogram: NDArray[np.int64], low: float, width: float, noise: float, voxel_mm3: float
+) -> float | None:
+    """Return a level for what is brighter than every interior voxel: bone too thin to have an inside."""
+    total = np.cumsum(histogram)
+    base = float(np.median(grey))
+    if total.size and total[-1]:
+        base = low + (float(np.searchsorted(total, 0.999 * total[-1])) + 0.5) * width
+    bright = grey[grey > np.float32(base + 8.0 * noise)]
+    return float(np.percentile(bright, 90)) if bright.size * voxel_mm3 >= 0.05 else None
+
+
+def _one_material() -> StapeskitError:
+    return StapeskitError.of(
+        "the scan",
+        "a picture of bone in air",
+        "one material only, and noise",
+        next_step="Check that this is the reconstructed volume, or give --threshold",
+    )

@@ -1,0 +1,172 @@
+"""Why no stapes was found, in words: sizes first, other units, inverted grey values, a body left open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.find.overview import Overview, material_levels
+from ct_inertia.find.pieces import Piece, classify, label_pieces, with_holes
+from stapeskit.arrays import Array
+from stapeskit.faults import Fault, StapeskitError
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from ct_inertia.find.choose import Reading
+
+_SHOWN = 4  # bodies that a message lists
+_LENGTH_MM = 3.5  # of a stapes
+_UNITS = {1e-3: "micrometres", 10.0: "centimetres", 25.4: "inches", 1e3: "metres"}
+"""What a spacing may have been given in, by the millimetres of one unit."""
+
+
+def no_stapes(
+    overview: Overview, tried: Sequence[tuple[Reading, NDArray[np.int32], list[Piece]]]
+) -> StapeskitError:
+    """Return the error that no stapes was found, with its cause."""
+    size = np.array(overview.grey.shape[::-1]) * overview.spacing_mm
+    picture = " x ".join(f"{v:.3g}" for v in size)
+    voxel = " x ".join(f"{v:.4g}" for v in overview.spacing_mm / overview.step)
+    fault = _wrong_scale(overview, tried, picture, voxel)
+    if fault is None and _is_inverted(overview):
+        fault = Fault(
+            "the grey values",
+            "brighter in bone than in air",
+            "a stapes that is darker than what surrounds it: they are inverted",
+            next_step="Invert the image where it was exported",
+        )
+    if fault is None:
+        seen = sorted((p for _, _, found in tried for p in found), key=lambda p: -p.volume_mm3)[:_SHOWN]
+        listed = "; ".join(f"{p.volume_mm3:.3g} mm3, {p.length_mm:.3g} mm long" for p in seen) or "no bone"
+        fault = Fault(
+            "the scan",
+            "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
+            f"a picture of {picture} mm with voxels of {voxel} mm, and in it {listed}",
+            next_step="Check the voxel size (--spacing); name the body with --seed X,Y,Z (scan mm) or --box, or correct "
+            "it with --labels",
+        )
+    return StapeskitError(fault)
+
+
+def _wrong_scale(
+    overview: Overview,
+    tried: Sequence[tuple[Reading, NDArray[np.int32], list[Piece]]],
+    picture: str,
+    voxel: str,
+) -> Fault | None:
+    """Recognise a body of the right shape and the wrong size, or a picture far too small or large for an ear."""
+    for _, pieces, found in tried:
+        for piece in found[:6]:
+            scale = piece.length_mm / _LENGTH_MM
+            if 0.6 < scale < 1.7 or piece.at_border:
+                continue
+            spacing = overview.spacing_mm / scale
+            shrunk = Piece(
+                piece.label,
+                piece.low,
+                piece.high,
+                piece.volume_mm3 / scale**3,
+                piece.extents_mm / scale,
+                piece.centre,
+                piece.at_border,
+            )
+            inside = pieces[piece.box] == piece.label
+            if shrunk.usual and with_holes(shrunk, inside, spacing).arched:
+                return _scale_fault(piece.length_mm, scale, picture, voxel)
+    largest = float(np.max(np.array(overview.grey.shape[::-1]) * overview.spacing_mm))
+    if largest < 1.0 or largest > 500.0:
+        return Fault(
+            "the voxel spacing",
+            "in millimetres: a scan of a stapes is 4 to 100 mm wide",
+            f"a picture of {picture} mm with voxels of {voxel} mm",
+            next_step="State the voxel size in mm with --spacing",
+        )
+    return None
+
+
+def _scale_fault(length_mm: float, scale: float, picture: str, voxel: str) -> Fault:
+    unit = next((name for factor, name in _UNITS.items() if 0.6 < scale * factor < 1.7), None)
+    unit = unit or next((name for factor, name in _UNITS.items() if 0.6 < scale / (1.0 / factor) < 1.7), None)
+    guess = "" if unit is None else f"; the spacing may be in {unit}"
+    return Fault(
+        "the voxel spacing",
+        "right, in millimetres: a stapes is 3 to 4 mm high",
+        f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm high{guess}",
+        next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
+    )
+
+
+def _is_inverted(overview: Overview) -> bool:
+    """Return whether the grey values, turned over, show a stapes."""
+    from ct_inertia.find.choose import readings
+
+    grey = -overview.grey
+    try:
+        levels = material_levels(grey, overview.noise, overview.voxel_mm3, overview.unmeasured)
+    except StapeskitError:
+        return False
+    for reading in readings(levels, None):
+        pieces, found = label_pieces(grey > np.float32(reading.between), overview.spacing_mm)
+        for piece in found:
+            if piece.usual and not np.any(piece.low == 0) and classify(pieces, piece, overview.spacing_mm).arched:
+                return True
+    return False
+
+
+def no_bone_at_seed(seed_mm: Array | None) -> StapeskitError:
+    """Return the error that a seed lies in no bone that can hold a stapes."""
+    place = "" if seed_mm is None else ", ".join(f"{v:g}" for v in np.asarray(seed_mm))
+    return StapeskitError.of(
+        "--seed",
+        "a point inside the stapes, scan coordinates in mm",
+        f"{place}: without bone around it that can be one",
+        next_step="Read the coordinates off the viewer (LPS, mm)",
+    )
+
+
+def rivals_fault(equal: Sequence[tuple[Piece, Array]]) -> Fault:
+    """Return the fault that several bodies can be the stapes equally well; each with its place in scan mm."""
+    listed = "; ".join(
+        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm" for piece, place in equal[:_SHOWN]
+    )
+    return Fault(
+        "the scan",
+        "one with a single body that can be the stapes",
+        f"{len(equal)}: {listed}",
+        next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
+    )
+
+
+def check_not_open(body: Piece, named: bool) -> None:
+    """Refuse a body that the border of the scan crops and that has no size of a stapes.
+
+    Raises
+    ------
+    StapeskitError
+        The field of view ends within the body, and nobody named it.
+    """
+    if named or not body.at_border or body.usual:
+        return
+    extents = " x ".join(f"{v:.2g}" for v in body.extents_mm)
+    raise StapeskitError.of(
+        "the field of view",
+        "larger than the stapes, and to show where it ends",
+        f"a body of {body.volume_mm3:.2f} mm3 ({extents} mm) that the border of the scan crops",
+        next_step="Export 1 mm more around the stapes, or separate it from other bone with --labels",
+    )
+
+
+def unusual_notice(piece: Piece) -> tuple[Notice, ...]:
+    """Return what speaks against a piece that was taken for the stapes."""
+    extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
+    size = f"{piece.volume_mm3:.2f} mm3, {extents} mm"
+    if piece.holes is not None and piece.holes != 1 and not piece.perforated:
+        text = f"The body taken for the stapes has {piece.holes} holes instead of one between its crura ({size})."
+    elif not piece.usual:
+        text = f"The body taken for the stapes is unusual for one ({size}): check it, and the voxel spacing."
+    else:
+        return ()
+    return (Notice("stapes_uncertain", text + " Look at it in the report; name another one with --seed."),)
