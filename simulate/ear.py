@@ -44,8 +44,6 @@ class Ear:
     density_sd : float
         Relative standard deviation with which the study states the density, drawn around the true one.
     ligament : Ligament
-    fluid_mass_kg : float
-        Moves along y with the stapes and is not in its mass.
     loose_masses : tuple of (x, y, z in mm, kg)
         Point masses on the stapes that the scan does not show.
     gap_mm : float
@@ -77,7 +75,6 @@ class Ear:
     density_gradient: float = 0.0
     density_sd: float = 0.01
     ligament: Ligament = field(default_factory=Ligament)
-    fluid_mass_kg: float = 0.0
     loose_masses: tuple[tuple[float, float, float, float], ...] = ()
     gap_mm: float = 0.2
     bridges: int = 0
@@ -113,11 +110,10 @@ class Ear:
         return uniform_mass(self.solid.moments(), self.density_kg_m3)
 
     def moving_mass_si(self) -> Array:
-        """Return the mass matrix (6, 6) of all that moves: bone, loose masses and fluid."""
+        """Return the mass matrix (6, 6) of all that moves: bone and loose masses."""
         matrix = self.mass().matrix()
         for x, y, z, mass_kg in self.loose_masses:
             matrix = matrix + matrix_from_parameters(point_mass(mass_kg, (x, y, z)))
-        matrix[1, 1] += self.fluid_mass_kg
         return matrix
 
     def footplate_from_plate(self) -> RigidTransform:

@@ -57,6 +57,9 @@ class Ligament:
     drift, step, run_change : float
         Relative change of K and D from the first to the last line, from the middle line on, and from one run
         to the next.
+    fluid_mass_kg : float
+        Fluid of the cochlea that the bone carries along and the piston displaces: its inertia works against
+        the deflection along y.
     """
 
     stiffness_si: Array = field(default_factory=PAPER_STIFFNESS.copy)
@@ -67,6 +70,7 @@ class Ligament:
     drift: float = 0.0
     step: float = 0.0
     run_change: float = 0.0
+    fluid_mass_kg: float = 0.0
 
     def __post_init__(self) -> None:
         count = len(self.dof)
@@ -81,12 +85,16 @@ class Ligament:
         return np.asarray(factor(omega, usual if self.exponent is None else self.exponent))
 
     def dynamic_stiffness(self, freq_hz: Array, run: int = 0) -> ComplexArray:
-        """Return K + s(w) D of a run, (L, n, n), with its changes over time."""
+        """Return K + s(w) D - w^2 (fluid) of a run, (L, n, n), with its changes over time."""
         factor = self.damping_factor(2.0 * np.pi * freq_hz)
         dynamic = self.stiffness_si + factor[:, None, None] * self.damping_si
         course = 1.0 + self.drift * np.linspace(0.0, 1.0, len(freq_hz))
         course[len(freq_hz) // 2 :] += self.step
-        return np.asarray(dynamic * (course * (1.0 + self.run_change * run))[:, None, None])
+        dynamic = dynamic * (course * (1.0 + self.run_change * run))[:, None, None]
+        if self.fluid_mass_kg:
+            piston = self.dof.index("y")
+            dynamic[:, piston, piston] -= (2.0 * np.pi * freq_hz) ** 2 * self.fluid_mass_kg
+        return np.asarray(dynamic)
 
     def scaled(self, factors: ArrayLike) -> Ligament:
         """Return the ligament with rows and columns of K and D multiplied by factors (n,)."""

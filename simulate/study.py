@@ -43,7 +43,7 @@ class Truth:
     parameters_si : ndarray, (10,)
         About the footplate centre in footplate axes.
     mass_matrix_si, moving_mass_matrix_si : ndarray, (6, 6)
-        Of the bone alone, and of all that moves (loose masses and fluid, too).
+        Of the bone alone, and of all that moves (loose masses, too).
     stated_density_kg_m3, stated_density_sd_kg_m3 : float
         What the study says.
     scan_from_footplate, scan_from_plate, plate_from_footplate : RigidTransform
