@@ -230,7 +230,9 @@ def _quality(fit: KDFit) -> list[Notice]:
     if not found.converged and not fit.solution.weak.shape[1]:
         notices.append(Notice("not_converged", "The fit stopped before it settled; do not trust the result."))
     if found.data.floored:
-        text = "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that allows."
+        text = (
+            "The motion has no noise: it was taken as known to 8 digits, and K and D as well as that allows."
+        )
         notices.append(Notice("noise_free", text))
     if found.n_dof > 0 and found.weights is None:
         if chdtrc(found.n_dof, found.chi2) < MISFIT_P:

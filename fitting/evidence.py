@@ -27,7 +27,7 @@ _LEAST_ODDS = -4.0  # log odds of a score below which a refit changes nothing: a
 _LAW_CHANCE = 0.02  # that another damping law than the stated one holds
 _HOPELESS = 2.0  # times chi2 that another law leaves after a few steps, to be given up
 LOOK_ALIKE = 3.0
-"""Log odds within which another cause is reported with the best: e^3 = 20."""
+"""Log odds within which explanations cannot be distinguished, none being one of them: e^3 = 20."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,9 @@ class Search:
 
     @property
     def best(self) -> Alternative | None:
-        """The likeliest alternative where it is likelier than none."""
+        """The likeliest alternative where it is clearly likelier than none."""
         likely = [other for other in self.alternatives if other.determined]
-        return likely[0] if likely and likely[0].log_odds > 0.0 else None
+        return likely[0] if likely and likely[0].log_odds > LOOK_ALIKE else None
 
     @property
     def look_alikes(self) -> tuple[Alternative, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fitting import entries
 from fitting.checks import active_constraints
+from fitting.evidence import LOOK_ALIKE
 from fitting.likelihood import LOAD, PLANE
 from fitting.model import NORMALISATION
 from fitting.plane import INPLANE_DOF
@@ -291,10 +292,10 @@ def _causes(fit: KDFit) -> dict[str, Any] | None:
 def found_from(sd: float, prior_sd: float, chance: float) -> float:
     """Return the size from which an unknown is found in four of five measurements, in its unit.
 
-    Its log odds are above zero for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
+    Its log odds are above LOOK_ALIKE for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
     """
     wide = sd**2 + prior_sd**2
-    needed = np.log(wide / sd**2) - 2.0 * np.log(chance)
+    needed = np.log(wide / sd**2) - 2.0 * np.log(chance) + 2.0 * LOOK_ALIKE
     return float(np.sqrt(needed / (1.0 / sd**2 - 1.0 / wide)) + 0.84 * sd)
 
 

@@ -1,0 +1,122 @@
+"""Estimators of textbooks: identities with least squares, bias by noise, constraints; five and six degrees of freedom."""
+
+import numpy as np
+import pytest
+
+from fitting import entries
+from fitting.model import modes, passive
+from tests.fit.fit_cases import (
+    TRUTH,
+    M,
+    StatedMass,
+    codes,
+    exact_motion,
+    fit,
+    paper_motion,
+    record,
+    six_parameters,
+)
+
+
+def test_pinv_is_the_paper_s_equation_5():
+    motion, _ = paper_motion(0.02, 1, 60)
+    result = fit(motion, M, estimator="pinv")
+    q, base = motion.q[0]
+    omega = 2.0 * np.pi * motion.freq_hz
+    rows, right = [], []
+    for line in range(60):
+        dq = q[line] - base[line]
+        block = np.zeros((3, 12), dtype=complex)
+        for place, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+            block[i, place] += dq[j]
+            if i != j:
+                block[j, place] += dq[i]
+        block[:, 6:] = 1j * omega[line] * block[:, :6]
+        rows.append(block)
+        right.append(omega[line] ** 2 * M @ q[line])
+    a, b = np.concatenate(rows), np.concatenate(right)
+    a, b = np.concatenate([a.real, a.imag]), np.concatenate([b.real, b.imag])
+    size = np.linalg.norm(a, axis=0)
+    assert result.values == pytest.approx(np.linalg.lstsq(a / size, b, rcond=None)[0] / size, rel=1e-6)
+
+
+def test_noise_of_the_regressor_biases_pinv_and_not_ml():
+    errors = {"pinv": [], "ml": []}
+    bias = []
+    for seed in range(12):
+        motion, _ = paper_motion(0.1, seed, 60)
+        for name, found in errors.items():
+            result = fit(motion, M, estimator=name)
+            found.append((result.values - TRUTH) / np.abs(TRUTH))
+        book = fit(motion, M, estimator="pinv").solution.textbook
+        bias.append(book.bias / entries.sizes(*entries.split(book.found.theta[:12], 3)))
+    mean = {name: np.mean(found, axis=0)[[0, 3, 5]] for name, found in errors.items()}
+    assert np.abs(mean["pinv"]).max() > 5.0 * np.abs(mean["ml"]).max()
+    assert np.mean(bias, axis=0)[[0, 3, 5]] == pytest.approx(mean["pinv"], rel=0.6, abs=0.01)
+    assert "attenuation_bias" in codes(fit(motion, M, estimator="pinv"))
+
+
+def test_constrained_is_least_squares_where_nothing_is_active():
+    motion, _ = paper_motion(0.005, 2)
+    one, other = (
+        fit(motion, M, estimator="constrained"),
+        fit(motion, M, estimator="constrained", constraint="psd"),
+    )
+    assert one.values == pytest.approx(other.values, rel=1e-12)
+    assert one.solution.textbook.active == ()
+    assert one.stiffness[0, 0] == pytest.approx(1722.0, rel=0.02)
+
+
+@pytest.mark.parametrize("constraint", ["eigenvalues", "psd"])
+def test_constraints_hold_and_are_said(constraint):
+    held = 0
+    for seed in range(6):
+        motion, _ = paper_motion(0.6, seed, 20)
+        result = fit(motion, M, estimator="constrained", constraint=constraint)
+        held += bool(result.solution.textbook.active)
+        if constraint == "psd":
+            assert passive(result.stiffness)
+            assert passive(result.damping)
+        assert modes(M, result.stiffness, result.damping).max_real_1_s < 1e-3 * 2e4
+        assert bool(result.solution.textbook.active) == ("constraint_active" in codes(result))
+    assert held
+
+
+def test_bounds_are_kept():
+    motion, _ = paper_motion(0.02, 2, 60)
+    result = fit(motion, M, estimator="constrained", upper={"K11": 1500.0}, lower={"D11": 0.03})
+    assert result.stiffness[0, 0] <= 1500.0 * (1.0 + 1e-3)
+    assert result.damping[0, 0] >= 0.03 * (1.0 - 1e-3)
+    assert any("K11" in word for word in result.solution.textbook.active)
+
+
+@pytest.mark.parametrize(
+    "dof", [("x", "y", "alpha", "beta", "gamma"), ("x", "y", "z", "alpha", "beta", "gamma")]
+)
+def test_more_free_degrees_of_freedom(dof):
+    from simulate.ligament import Ligament, ring_ligament
+    from stapeskit.spatial import DOF_NAMES
+
+    ring = ring_ligament()
+    keep = [DOF_NAMES.index(name) for name in dof]
+    masked = np.isin(np.arange(6), keep)
+    stiffness = np.where(np.outer(masked, masked) | np.eye(6, dtype=bool), ring.stiffness_si, 0.0)
+    damping = np.where(np.outer(masked, masked) | np.eye(6, dtype=bool), ring.damping_si, 0.0)
+    ligament = Ligament(stiffness_si=stiffness, damping_si=damping, dof=DOF_NAMES)
+    errors = []
+    for seed in range(3):
+        freq, q = exact_motion(100, in_plane=0.1, ligament=ligament, directions="yxz")
+        rng = np.random.default_rng(seed)
+        level = 0.02 * np.abs(q).mean(axis=(2, 3), keepdims=True) * np.array([1, 1, 1, 1e3, 1e3, 1e3])
+        draws = rng.standard_normal((2, *q.shape)) * np.sqrt(0.5)
+        covariance = np.zeros((*q.shape, 6), dtype=complex)
+        covariance[..., np.arange(6), np.arange(6)] = np.broadcast_to(level**2, q.shape)
+        motion = record(freq, q + level * (draws[0] + 1j * draws[1]), covariance)
+        result = fit(motion, StatedMass(six_parameters(), {}), dof=dof)
+        block = np.ix_(keep, keep)
+        errors.append(
+            (result.values - entries.join(stiffness[block], damping[block]))
+            / np.sqrt(np.diag(result.covariance))
+        )
+    assert np.mean(np.abs(errors) < 1.96) > 0.88
+    assert np.abs(errors).max() < 5.0

@@ -1,0 +1,224 @@
+"""Noise-free data give K and D exactly; motion that is not what its file says is named; nothing ends in a traceback."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.mass import read_mass_csv
+from fitting.options import KDOptions
+from simulate.ligament import ring_ligament
+from stapeskit.faults import StapeskitError
+from tests.fit.fit_cases import (
+    DOF,
+    ROWS,
+    TRUTH,
+    K,
+    M,
+    StatedMass,
+    codes,
+    exact_motion,
+    fit,
+    full_mass,
+    paper_motion,
+    record,
+    ring_ear,
+    six_parameters,
+)
+
+ESTIMATORS = ("ml", "pinv", "constrained")
+MASS = StatedMass(six_parameters(), {})
+
+
+def relative(result, truth=TRUTH):
+    from fitting import entries
+
+    size = entries.sizes(result.stiffness, result.damping)
+    return np.max(np.abs(result.values - truth) / size)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_noise_free_motion_gives_k_and_d_with_a_tiny_sd(estimator):
+    motion, _ = paper_motion(0.0, None)
+    result = fit(motion, M, estimator=estimator)
+    assert relative(result) < 1e-9
+    share = np.sqrt(np.diag(result.covariance)) / np.abs(result.values)
+    assert np.all(share[[0, 3, 5]] < 1e-6)
+    assert np.all(share > 0.0)
+    assert "noise_free" in codes(result)
+    assert not {"misfit", "not_converged"} & codes(result)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("in_plane", [0.0, 0.2])
+def test_exact_motion_in_six_degrees_of_freedom_that_is_rigid_in_plane(estimator, in_plane):
+    freq, q = exact_motion(in_plane=in_plane)
+    result = fit(record(freq, q, np.zeros((1, 2, 200, 6, 6), complex)), MASS, estimator=estimator)
+    assert relative(result) < 1e-5
+    assert not {"misfit", "not_converged"} & codes(result)
+
+
+@pytest.mark.parametrize("in_plane", [0.0, 0.2])
+def test_exact_ring_with_its_plane_off_the_centre(in_plane):
+    ring = ring_ligament()
+    freq, q = exact_motion(in_plane=in_plane, ligament=ring)
+    motion = record(freq, q, np.zeros((1, 2, 200, 6, 6), complex))
+    block = np.ix_(ROWS, ROWS)
+    truth = [part[block][np.triu_indices(3)] for part in (ring.stiffness_si, ring.damping_si)]
+    result = fit(motion, MASS)
+    assert relative(result, np.concatenate(truth)) < 1e-9
+    assert result.height[0] == pytest.approx(0.1e-3, rel=1e-6)
+    whole = fit(motion, MASS, dof="all")
+    assert np.diag(whole.stiffness) == pytest.approx(np.diag(ring.stiffness_si), rel=1e-6)
+
+
+def test_digits_that_files_keep_are_no_misfit():
+    motion, _ = paper_motion(0.0, None)
+
+    def rounded(values):
+        return np.array([float(f"{value:.8e}") for value in values.ravel()]).reshape(values.shape)
+
+    result = fit(replace(motion, q=rounded(motion.q.real) + 1j * rounded(motion.q.imag)), M)
+    assert relative(result) < 1e-8
+    assert "misfit" not in codes(result)
+
+
+def conjugated(motion):
+    return replace(motion, q=motion.q.conj(), covariance=motion.covariance.conj())
+
+
+def exchanged(motion):
+    return replace(motion, bodies=motion.bodies[::-1])
+
+
+def in_degrees(motion):
+    scale = np.where([name in ("alpha", "beta", "gamma") for name in motion.dof], np.degrees(1.0), 1.0)
+    return replace(motion, q=motion.q * scale, covariance=motion.covariance * np.outer(scale, scale))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (conjugated, "conjugated_motion"),
+        (exchanged, "bodies_exchanged"),
+        (in_degrees, "rotations_in_degrees"),
+    ],
+)
+@pytest.mark.parametrize("estimator", ["ml", "pinv"])
+def test_a_motion_that_is_not_what_it_says_is_named_first(spoil, code, estimator):
+    motion, _ = paper_motion(0.02, 1)
+    result = fit(spoil(motion), M, estimator=estimator)
+    assert result.verdict.level == "do not use"
+    assert result.verdict.reasons[0].code == code
+    assert code not in codes(fit(motion, M, estimator=estimator))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"), [(conjugated, "conjugated_motion"), (exchanged, "bodies_exchanged")]
+)
+def test_the_same_in_six_degrees_of_freedom(spoil, code):
+    ear = ring_ear(1, lines=40)
+    result = fit(replace(spoil(ear.motion), shared=None), ear.mass, estimator="pinv")
+    assert result.verdict.reasons[0].code == code
+
+
+def test_right_motion_of_many_ears_raises_no_suspicion():
+    for seed in range(4):
+        ear = ring_ear(seed, noise=0.03, lines=30)
+        found = codes(fit(ear.motion, ear.mass, unknowns="none"))
+        assert not found & {"conjugated_motion", "bodies_exchanged", "rotations_in_degrees"}
+
+
+def test_sign_of_products_of_inertia_is_stated_or_assumed_aloud():
+    motion, _ = paper_motion(0.01, 2)
+    other = M.copy()
+    other[1, 2] = other[2, 1] = -M[1, 2]
+    from fitting.dof2kd import dof2kd
+
+    assumed, stated = dof2kd(motion, mass=M), dof2kd(motion, mass=other, mass_sign="positive")
+    assert "mass_sign_assumed" in codes(assumed)
+    assert "mass_sign_assumed" not in codes(stated)
+    assert stated.values == pytest.approx(assumed.values, rel=1e-12)
+    assert "mass_sign_assumed" not in codes(dof2kd(motion, mass=np.diag(np.diag(M))))
+
+
+def refused(call):
+    with pytest.raises(StapeskitError) as error:
+        call()
+    return error.value.faults
+
+
+def test_what_cannot_be_fitted_is_refused_by_name():
+    motion, _ = paper_motion(0.02, 1, 40)
+    far = motion.q.copy()
+    far[0, 0, 7] *= 1e9
+    negative = motion.covariance.copy()
+    negative[0, 0, 3, 0, 0] = -1.0
+    together = motion.q.copy()
+    together[0, 0] = together[0, 1]
+    cases = {
+        "--dof": lambda: fit(motion, M, dof="x,y,z"),
+        "--structure and --base": lambda: fit(motion, M, structure="base"),
+        "the band": lambda: fit(motion, M, band=(0.4, 5.0)),
+        "the data": lambda: fit(motion, M, band=(400.0, 420.0)),
+        "the motion y of stapes": lambda: fit(replace(motion, q=far), M),
+        "the noise variances of stapes y": lambda: fit(replace(motion, covariance=negative), M),
+        "the motion of structure and base": lambda: fit(replace(motion, q=together), M),
+        "the mass matrix": lambda: fit(motion, np.eye(4)),
+        "the diagonal of the mass matrix": lambda: fit(motion, 1e15 * M),
+        "--inplane load": lambda: fit(motion, M, inplane="load"),
+    }
+    for thing, call in cases.items():
+        assert refused(call)[0].thing == thing, thing
+    step = refused(cases["the band"])[0].next_step
+    assert "kHz" in step
+
+
+def test_mass_of_a_plain_file(tmp_path):
+    file = tmp_path / "M.csv"
+    np.savetxt(file, M, delimiter=",")
+    assert read_mass_csv(file, DOF) == pytest.approx(M)
+    file.write_text("\n".join(";".join(f"{v:.12g}".replace(".", ",") for v in row) for row in M))
+    assert read_mass_csv(file, DOF) == pytest.approx(M)
+    file.write_text("a,b,c\n1,2,3\n")
+    assert refused(lambda: read_mass_csv(file, DOF))[0].where.numbers == (1,)
+    file.write_text("1,2\n3,x\n")
+    faults = refused(lambda: read_mass_csv(file, DOF))
+    assert faults[0].where.detail == "column 2"
+    file.write_text("1,2,3\n4,5,6\n")
+    assert refused(lambda: read_mass_csv(file, DOF))[0].thing == "M.csv"
+    assert refused(lambda: read_mass_csv(tmp_path / "none.csv", DOF))[0].thing == "--mass"
+
+
+@pytest.mark.parametrize(
+    ("options", "thing"),
+    [
+        ({"unknowns": "flui"}, "--unknowns"),
+        ({"unknowns": "delay=fast"}, "--unknowns delay"),
+        ({"estimator": "pinv", "unknowns": "fluid"}, "--unknowns"),
+        ({"estimator": "pinv", "robust": "t4"}, "--robust"),
+        ({"lower": {"K11": 1.0}}, "--lower and --upper"),
+        ({"estimator": "constrained", "lower": {"K99": 1.0}}, "--lower"),
+        ({"estimator": "constrained", "lower": {"K11": 9.0}, "upper": {"K11": 2.0}}, "--lower K11"),
+        ({"damping": "elastic"}, "damping"),
+    ],
+)
+def test_options_are_checked_before_data(options, thing):
+    assert refused(lambda: KDOptions.of(**options))[0].thing == thing
+
+
+def test_lines_with_missing_values_are_left_out_and_counted():
+    motion, _ = paper_motion(0.02, 1)
+    q = motion.q.copy()
+    q[0, 0, 4:9] = np.nan
+    result = fit(replace(motion, q=q), M)
+    assert result.found.data.dropped == 5
+    assert "lines_dropped" in codes(result)
+    assert result.stiffness[0, 0] == pytest.approx(K[0, 0], rel=0.02)
+
+
+def test_plain_mass_of_six_degrees_of_freedom_must_be_that_of_a_body():
+    wrong = full_mass()
+    wrong[3, 3] *= 100.0
+    motion, _ = paper_motion(0.02, 1, 40)
+    assert refused(lambda: fit(motion, wrong))

@@ -1,0 +1,157 @@
+"""The model against closed forms and the paper's printed numbers: responses, modes, axes, laws, ring."""
+
+import numpy as np
+import pytest
+
+from fitting.axes import principal_axes
+from fitting.entries import join, names, sizes, split
+from fitting.laws import LAWS, Law, causal_rise
+from fitting.mass import frame_slopes
+from fitting.model import modes, moved_eigenvalues, passive, simulate
+from fitting.ring import ellipse_mm, ring_stiffness, ring_test
+from stapeskit.frames import rotation_from_vector
+from stapeskit.spatial import twist_transfer
+from tests.fit.fit_cases import D, K, M, full_mass
+
+PRINTED_D = D.copy()
+PRINTED_D[0, 1] = PRINTED_D[1, 0] = 61.42e-5
+PRINTED_D[0, 2] = PRINTED_D[2, 0] = -36.79e-5
+
+
+def test_entries_and_matrices_are_inverse():
+    assert names(2) == ("K11", "K12", "K22", "D11", "D12", "D22")
+    stiffness, damping = split(join(K, D), 3)
+    assert np.array_equal(stiffness, K)
+    assert np.array_equal(damping, D)
+    assert sizes(K, D)[1] == pytest.approx(np.sqrt(K[0, 0] * K[1, 1]))
+
+
+def test_table_2_of_the_paper():
+    found = modes(M, K, D)
+    assert [mode.frequency_hz for mode in found.pairs] == pytest.approx([1750.7, 2780.4, 3861.1], abs=0.1)
+    assert [mode.undamped_frequency_hz for mode in found.pairs] == pytest.approx(
+        [1764.1, 2807.9, 3912.3], abs=0.1
+    )
+    assert [mode.damping_ratio for mode in found.pairs] == pytest.approx([0.123, 0.140, 0.161], abs=0.001)
+    assert found.stable
+    printed = 1e9 * np.abs([mode.shape[0] for mode in found.pairs])
+    assert printed == pytest.approx([33.48, 33.45, 164.6], rel=0.003)
+
+
+def test_the_printed_damping_is_neither_passive_nor_stable():
+    found = modes(M, K, PRINTED_D)
+    assert not passive(PRINTED_D)
+    assert not found.stable
+    assert found.max_real_1_s == pytest.approx(1.09e5, rel=0.01)
+
+
+def test_principal_axes_of_the_paper():
+    x, z, angle, *values = principal_axes(K)
+    assert (1e3 * x, 1e3 * z) == pytest.approx((-0.2787, -0.2404), abs=1e-4)
+    assert np.degrees(angle) == pytest.approx(1.231, abs=0.001)
+    assert values == pytest.approx([1722.0, 1.2694e-3, 3.6573e-3], rel=1e-4)
+    together = principal_axes(np.stack([K, 2.0 * K]))
+    assert together[1, :3] == pytest.approx(together[0, :3])
+
+
+def test_axes_follow_a_shift_and_a_turn():
+    diagonal, shift, turn = np.diag([1500.0, 1e-3, 3e-3]), np.array([0.2e-3, -0.1e-3]), 0.1
+    rotation = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    # alpha and gamma turn about y as (x, z) do: axis at the angle t is (cos t, -sin t)
+    move = np.array([[1.0, -shift[1], shift[0]], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    k = move.T @ rotation.T @ diagonal @ rotation @ move
+    found = principal_axes(k)
+    assert found[:2] == pytest.approx(shift)
+    assert abs(found[2]) == pytest.approx(turn)
+    assert found[3:] == pytest.approx(np.diag(diagonal))
+
+
+def test_one_degree_of_freedom_is_the_oscillator():
+    mass, stiffness, damping = 3e-6, 1500.0, 0.02
+    found = modes([[mass]], [[stiffness]], [[damping]]).pairs[0]
+    ratio = damping / (2.0 * np.sqrt(stiffness * mass))
+    assert found.undamped_frequency_hz == pytest.approx(np.sqrt(stiffness / mass) / (2.0 * np.pi))
+    assert found.damping_ratio == pytest.approx(ratio)
+    freq = np.array([100.0, 3000.0])
+    omega = 2.0 * np.pi * freq
+    closed = (stiffness + 1j * omega * damping) / (stiffness + 1j * omega * damping - omega**2 * mass)
+    moved = simulate([[mass]], [[stiffness]], [[damping]], freq, np.ones((2, 1)))
+    assert moved[:, 0] == pytest.approx(closed)
+
+
+def test_hysteretic_eigenvalue_in_closed_form():
+    mass, stiffness, loss = 3e-6, 1500.0, 0.3
+    found = modes([[mass]], [[stiffness]], [[loss * stiffness]], Law("hysteretic")).pairs[0]
+    assert found.eigenvalue**2 == pytest.approx(-(stiffness / mass) * (1.0 + 1j * loss), rel=1e-9)
+
+
+def test_fractional_and_relaxation_with_their_viscous_limit():
+    viscous = modes(M, K, D)
+    for law in (Law("fractional", 1.0), Law("relaxation", 1e-12)):
+        found = modes(M, K, D, law)
+        assert [mode.eigenvalue for mode in found.pairs] == pytest.approx(
+            [mode.eigenvalue for mode in viscous.pairs], rel=1e-6
+        )
+
+
+@pytest.mark.parametrize("name", list(LAWS))
+def test_eigenvalues_solve_their_equation_under_every_law(name):
+    law = Law(name, {"fractional": 0.6, "relaxation": 3e-5}.get(name, 0.0))
+    damping = D * (2.0 * np.pi * 2700.0) ** (1.0 - law.time_power)
+    for mode in modes(M, K, damping, law).pairs:
+        value = mode.eigenvalue
+        factor = law.factor(np.array([-1j * value]))[0]
+        pencil = value**2 * M + factor * damping + K
+        root = np.sqrt(np.diag(M))
+        scaled = pencil / np.outer(root, root) / abs(value) ** 2
+        assert np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-9
+
+
+def test_eigenvalues_near_by_are_those_of_each_model():
+    rng = np.random.default_rng(0)
+    factors = 1.0 + 0.05 * rng.standard_normal(20)
+    stack = np.tile(M, (20, 1, 1))
+    for law in (Law(), Law("hysteretic")):
+        damping = D * (2.0 * np.pi * 2700.0) ** (1.0 - law.time_power)
+        middle = modes(M, K, damping, law)
+        values, _ = moved_eigenvalues(
+            middle, stack, factors[:, None, None] * K, np.tile(damping, (20, 1, 1)), law
+        )
+        for number in (0, 7):
+            own = modes(M, factors[number] * K, damping, law)
+            assert values[number] == pytest.approx([mode.eigenvalue for mode in own.pairs], rel=1e-8)
+
+
+def test_frame_slopes_are_the_change_of_coordinates():
+    mass, step = full_mass(), 1e-6
+    for axis in range(6):
+        moved = np.zeros(6)
+        moved[axis] = step
+        inverse = np.linalg.inv(twist_transfer(rotation_from_vector(moved[3:]).T, moved[:3]))
+        ahead = inverse.T @ mass @ inverse
+        inverse = np.linalg.inv(twist_transfer(rotation_from_vector(-moved[3:]).T, -moved[:3]))
+        slope = (ahead - inverse.T @ mass @ inverse) / (2.0 * step)
+        assert frame_slopes(mass)[axis] == pytest.approx(slope, rel=1e-6, abs=1e-14)
+
+
+def test_power_of_a_passive_model_is_never_negative():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((3, 3))
+    assert passive(root @ root.T)
+    assert not passive(root @ np.diag([1.0, 1.0, -1e-3]) @ root.T)
+
+
+def test_ring_of_springs_around_a_circle_in_closed_form():
+    circle = ellipse_mm(2.0, 2.0, 2000)
+    stiffness, length = ring_stiffness(1e-3 * circle)
+    assert length == pytest.approx(2.0 * np.pi * 1e-3, rel=1e-5)
+    assert np.diag(stiffness) == pytest.approx([length, 0.5e-6 * length, 0.5e-6 * length], rel=1e-5)
+    test = ring_test(1700.0 / length * stiffness, (1700.0, 0.02), 1j * 1e4, circle, np.diag([100.0, 1e-8]))
+    assert test.rocking_ratio == pytest.approx((1.0, 1.0))
+    assert test.shear_pa.value == pytest.approx(1700.0 / length)
+    assert test.loss_factor.value == pytest.approx(200.0 / 1700.0)
+
+
+def test_a_constant_loss_factor_is_not_causal():
+    assert causal_rise(Law(), 0.3, (400.0, 5000.0)) is None
+    assert causal_rise(Law("hysteretic"), 0.3, (500.0, 5000.0)) == pytest.approx(0.6 / np.pi * np.log(10.0))

@@ -1,0 +1,163 @@
+"""The one verdict, what a result says of itself, the plan's promise, and the repetitions that check the intervals."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.checks import judge
+from fitting.montecarlo import scatter
+from fitting.plan import Plan, expect, planned_motion, stated_mass
+from stapeskit.spatial import matrix_from_parameters
+from stapeskit.warnings import VERDICTS, Notice, table
+from tests.fit.fit_cases import DOF, M, codes, fit, paper_motion, ring_ear
+
+
+@pytest.fixture(scope="module")
+def ear():
+    drawn = ring_ear(21, lines=60)
+    return drawn, fit(drawn.motion, drawn.mass)
+
+
+def test_reasons_are_by_weight_and_causes_come_before_what_they_make():
+    listed = [
+        Notice(code, "") for code in ("misfit", "weak_identifiability", "cause_found", "frequency_dependent")
+    ]
+    verdict = judge(listed)
+    assert verdict.level == "do not use"  # misfit and frequency_dependent together
+    assert [reason.code for reason in verdict.reasons] == [
+        "frequency_dependent", "misfit", "cause_found", "weak_identifiability",
+    ]  # fmt: skip
+    alone = judge([Notice("misfit", ""), Notice("cause_found", "")])
+    assert alone.level == "check"
+    assert [reason.code for reason in alone.reasons] == ["cause_found", "misfit"]
+
+
+def test_information_does_not_lower_a_verdict_and_nothing_is_believe():
+    assert judge([]).level == judge([Notice("lines_dropped", "")]).level == "believe"
+    assert judge([Notice("some_new_code", "")]).level == "check"
+
+
+def test_confirmed_warnings_are_listed_and_no_longer_count():
+    notices = [Notice("handedness_unconfirmed", ""), Notice("misfit", "")]
+    verdict = judge(notices, confirmed=["handedness"])
+    assert verdict.confirmed == ("handedness_unconfirmed",)
+    assert [reason.code for reason in verdict.reasons] == ["misfit"]
+    assert judge(notices, confirmed=["handedness", "misfit"]).level == "believe"
+    assert judge(notices, unused=["handedness_unconfirmed"]).confirmed == ()
+
+
+def test_every_code_of_the_room_has_an_entry():
+    import ast
+    from pathlib import Path
+
+    import fitting
+
+    found = set()
+    for path in Path(fitting.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Notice" and node.args:
+                if isinstance(node.args[0], ast.Constant):
+                    found.add(node.args[0].value)
+    own = {code for code, entry in table().items() if entry.room == "fitting"}
+    assert found <= own
+    assert own - found <= {
+        "fluid_found",
+        "undetermined",
+        "imprecise",
+        "conjugated_motion",
+        "bodies_exchanged",
+    }
+    assert {entry.verdict for entry in table().values()} <= set(VERDICTS)
+
+
+def test_json_summary_and_verdict_say_the_same(ear):
+    _, result = ear
+    content = result.content()
+    assert content["verdict"]["sentence"] == dict(result.summary())["verdict"] == result.verdict.sentence
+    assert result.verdict.sentence in repr(result)
+    text = json.dumps(content, allow_nan=False)
+    assert json.loads(text)["schema"] == "stapeskit.kd/1"
+    needed = (
+        "dof", "model", "estimator", "stiffness_si", "stiffness_sd_si", "damping_si", "damping_sd_si",
+        "noise_only_sd_si", "covariance_si", "parameters", "verdict", "budget", "stable", "max_real_eigenvalue_1_s",
+        "passive", "modes", "overdamped_roots_1_s", "principal_axes", "fit", "identifiability", "warnings",
+        "provenance",
+    )  # fmt: skip
+    assert not [key for key in needed if key not in content]
+
+
+def test_sources_and_bound_agree_with_the_whole(ear):
+    _, result = ear
+    variance = np.diag(result.covariance)
+    assert np.all(np.diag(result.noise_covariance) < variance * (1.0 + 1e-6))
+    assert np.all(result.bound**2 < variance * 1.02)
+    assert np.all(result.bound > 0.3 * np.sqrt(variance))  # of this model: not that of a plane known exactly
+    for source, part in result.budget.items():
+        if source != "ligament_plane":
+            assert np.all(np.diag(part) > -0.05 * variance), source
+    relative = np.sqrt(np.diag(result.budget["mass.density"]))[0] / result.stiffness[0, 0]
+    assert relative == pytest.approx(0.02, rel=0.1)
+
+
+def test_density_sd_reaches_k_and_no_mode(ear):
+    drawn, result = ear
+    exact = fit(drawn.motion, replace(drawn.mass, contributions={}))
+    grown = result.covariance[0, 0] - exact.covariance[0, 0]
+    assert np.sqrt(grown) / result.stiffness[0, 0] == pytest.approx(0.02, rel=0.1)
+    assert result.derived.frequency_sd_hz == pytest.approx(exact.derived.frequency_sd_hz, rel=0.1)
+
+
+def test_frame_and_plot_and_table(ear):
+    _, result = ear
+    frame = result.to_frame()
+    assert list(frame["entry"]) == list(result.parameters)
+    assert frame["value"].to_numpy() == pytest.approx(result.values)
+    assert frame["unit"].iloc[0] == "N/m"
+    drawn = result.plot()
+    assert len(drawn.axes) == 6
+
+
+def test_repetitions_scatter_as_the_intervals_say(ear):
+    _, result = ear
+    found = scatter(result, 12)
+    ratio = found.standard_deviation / np.sqrt(np.diag(result.covariance))
+    assert found.failed == 0
+    assert np.median(ratio) < 1.4
+    assert np.median(ratio) > 0.6
+
+
+def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
+    plan = Plan.of(lines=80)
+    ways = expect(plan)
+    promised = ways[0].fit
+    source = stated_mass(plan)
+    mass = matrix_from_parameters(source.mass.parameters)
+    stated, modes = [], []
+    for seed in range(4):
+        motion = planned_motion(plan, mass, np.random.default_rng(seed))
+        result = fit(motion, source.mass)
+        own = np.diag(result.covariance - result.model_error @ result.model_error.T)
+        stated.append(np.sqrt(own / np.diag(promised.covariance)))
+        modes.append(result.derived.frequency_sd_hz / promised.derived.frequency_sd_hz)
+    assert np.median(stated, axis=0) == pytest.approx(np.ones(12), abs=0.1)
+    assert np.median(modes) == pytest.approx(1.0, abs=0.25)
+    names = [way.name for way in ways]
+    quiet = ways[names.index("half the noise (4 times the averages)")]
+    assert np.all(quiet.relative <= ways[0].relative * 1.02)
+
+
+def test_weak_data_are_called_undetermined():
+    result = fit(paper_motion(1.5, 3, 20)[0], M)
+    assert result.verdict.level == "do not use"
+    assert "undetermined" in {reason.code for reason in result.verdict.reasons}
+    assert any("undetermined" in text for _, text in result.summary())
+
+
+def test_warnings_travel_with_motion():
+    motion, _ = paper_motion(0.02, 1, 40)
+    told = replace(motion, notices=(Notice("conjugated_laser", "One laser."),))
+    result = fit(told, M)
+    assert "conjugated_laser" in codes(result)
+    assert result.dof == DOF
