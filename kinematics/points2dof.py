@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from kinematics.faults.checks import CHECKS, Screened, empty_faults, phase_convention, screen_zeros
 from kinematics.faults.correct import Correction, corrected
 from kinematics.faults.diagnose import diagnose
 from kinematics.faults.search import Diagnosis
@@ -36,7 +37,6 @@ from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts, SeriesFacts
 from kinematics.repeats import pool_repeats
 from kinematics.results import MotionResult
-from kinematics.screening import Screened, screen
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
@@ -92,9 +92,11 @@ def measure_motion(
     placed = measurement.mapped(placement.transform)
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in placed.bodies), options.dof)
-    screened = screen(placed, options.dof)
-    notices += [*far_away(placed), *uncommon_lines(placed), *screened.notices]
-    fitted = _fit(screened.measurement, options)
+    raise_all(empty_faults(placed))
+    screened = [screen_zeros(body, placed.runs, options.dof) for body in placed.bodies]
+    notices += [*far_away(placed), *uncommon_lines(placed), *_cheap_checks(placed)]
+    notices += [notice for one in screened for notice in one.notices]
+    fitted = _fit(replace(placed, bodies=tuple(one.body for one in screened)), options)
     progress("looking for faults")
     diagnoses = _search(fitted, options)
     found = fitted.placed.bodies
@@ -292,6 +294,11 @@ def _on_bone(
     return check_surfaces(measurement, placement, mass.record, surfaces)
 
 
+def _cheap_checks(placed: Measurement) -> list[Notice]:
+    """Return units and names that look wrong; the sign of phases is tested on the fitted motion."""
+    return [notice for check in CHECKS if check is not phase_convention for notice in check(placed)]
+
+
 @dataclass(frozen=True)
 class _Fitted:
     """The fits of a placed measurement, by (run, body)."""
@@ -359,7 +366,10 @@ def _correct(
 
 
 def _verdicts(
-    fitted: _Fitted, bodies: Sequence[BodyChannels], diagnoses: Mapping[int, Diagnosis], screened: Screened
+    fitted: _Fitted,
+    bodies: Sequence[BodyChannels],
+    diagnoses: Mapping[int, Diagnosis],
+    screened: Sequence[Screened],
 ) -> tuple[ChannelVerdict, ...]:
     """Return the verdict of every channel in every run, then those that the user left out."""
     placed = fitted.placed
@@ -368,9 +378,7 @@ def _verdicts(
         for number, body in enumerate(bodies):
             fit = fitted.fits[run, number]
             weight = fit.solution.weight / max(float(np.max(fit.solution.weight)), 1e-300)
-            unused = {
-                channel: word for (r, b, channel), word in screened.unused.items() if (r, b) == (run, number)
-            }
+            unused = screened[number].unused[run]
             verdicts += channel_verdicts(name, body, diagnoses[number], fit.channel_rms_m, weight, unused)
     return (*verdicts, *left_out_verdicts(placed.runs, placed.left_out))
 
@@ -429,4 +437,4 @@ def _provenance(
     return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
 
 
-__all__ = ["MotionResult", "Screened", "check_inputs", "file_facts", "measure_motion"]
+__all__ = ["MotionResult", "check_inputs", "file_facts", "measure_motion"]
