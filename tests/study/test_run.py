@@ -1,0 +1,117 @@
+"""A study is right, keeps what is finished, repeats nothing, and gives one verdict everywhere."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+
+from pipeline.report import study_page, summary_rows
+from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
+from pipeline.study import read_study
+from simulate import Truth
+from stapeskit.faults import StapeskitError
+from stapeskit.outputs import MANIFEST
+
+
+def test_k_and_d_lie_within_their_uncertainty(finished: StudyResult, small: tuple[Path, Truth]) -> None:
+    truth, kd = small[1], json.loads((finished.out / "kd.json").read_text())
+    upper = np.triu_indices(3)
+    difference = np.concatenate([
+        (np.array(kd["stiffness_si"]) - truth.stiffness_si)[upper],
+        (np.array(kd["damping_si"]) - truth.damping_si)[upper],
+    ])  # fmt: skip
+    covariance = np.array(kd["covariance_si"])
+    size = np.sqrt(np.diag(covariance))
+    distance = (difference / size) @ np.linalg.solve(covariance / np.outer(size, size), difference / size)
+    assert distance < chdtri(12, 1e-4)
+
+
+def test_nine_files_and_one_record(finished: StudyResult) -> None:
+    names = {path.name for path in finished.out.iterdir()}
+    assert names <= {name for stage in FILES.values() for name in stage} | {MANIFEST}
+    assert {"mass.json", "dof.csv", "kd.json", "report.html"} <= names
+
+
+def test_one_verdict_in_the_same_words_everywhere(finished: StudyResult) -> None:
+    level = finished.fit.verdict.level
+    kd = json.loads((finished.out / "kd.json").read_text())
+    assert kd["verdict"]["level"] == level
+    assert dict(summary_rows(finished))["verdict"] == finished.fit.verdict.sentence
+    assert finished.fit.verdict.sentence in repr(finished.fit)
+    assert level in study_page(finished).html()
+
+
+def test_a_finished_scan_is_not_measured_again(
+    finished: StudyResult, small: tuple[Path, Truth], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished.out, out)
+    study = tmp_path / "study.toml"
+    text = (small[0] / "study.toml").read_text()
+    for path in small[0].iterdir():
+        if path.name != "study.toml":
+            (tmp_path / path.name).symlink_to(path)
+    study.write_text(text.replace("[fit]", "[fit]\nband_hz = [600, 4000]"))
+    before = (out / "mass.json").stat().st_mtime_ns
+    again = run_study(study, out)
+    assert again.reused == ("scan",)
+    assert (out / "mass.json").stat().st_mtime_ns == before
+    assert again.fit.found.data.count < finished.fit.found.data.count
+
+
+def test_what_is_finished_stays_when_a_later_stage_fails(
+    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
+) -> None:
+    for path in small[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    fiducials = (tmp_path / "fiducials.csv").read_text().splitlines()
+    moved = [
+        fiducials[0],
+        *(",".join([row.split(",")[0], *("9.9" for _ in row.split(",")[1:])]) for row in fiducials[1:]),
+    ]
+    (tmp_path / "fiducials.csv").write_text("\n".join(moved) + "\n")
+    out = tmp_path / "out"
+    with pytest.raises(StapeskitError):
+        scan2kd(tmp_path / "study.toml", out=out)
+    assert not (out / "kd.json").exists()
+
+
+def test_cheap_checks_come_first(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    for path in small[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    text = (tmp_path / "ldv.csv").read_text().splitlines()
+    cells = text[2].split(",")
+    cells[text[0].split(",").index("freq_hz")] = "-5"
+    (tmp_path / "ldv.csv").write_text("\n".join([*text[:2], ",".join(cells), *text[3:]]) + "\n")
+    with pytest.raises(StapeskitError) as raised:
+        check_study(read_study(tmp_path / "study.toml"))
+    assert "freq_hz" in raised.value.faults[0].thing
+    with pytest.raises(StapeskitError):
+        scan2kd(tmp_path / "study.toml", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_is_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    shutil.copytree(small[0], tmp_path / "ear")
+    (tmp_path / "ear" / "dof.csv").write_text("mine\n")
+    with pytest.raises(StapeskitError):
+        scan2kd(tmp_path / "ear" / "study.toml", out=tmp_path / "ear")
+    assert (tmp_path / "ear" / "dof.csv").read_text() == "mine\n"
+
+
+def test_confirmed_warnings_do_not_lower_the_verdict(
+    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
+) -> None:
+    codes = [reason.code for reason in finished.fit.verdict.reasons]
+    for path in small[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    study = tmp_path / "study.toml"
+    listed = ", ".join(f'"{code}"' for code in codes)
+    study.write_text(study.read_text().replace("[study]", f"[study]\nconfirmed = [{listed}]"))
+    shutil.copytree(finished.out, tmp_path / "out")
+    assert run_study(study, tmp_path / "out").fit.verdict.level == "believe"

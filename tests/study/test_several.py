@@ -1,0 +1,63 @@
+"""Several studies: a folder each; a crash costs one ear; failed ears are listed with their reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pipeline.several import End, folder_names, run_here, run_studies
+from pipeline.study import read_study, study_template
+from simulate import Truth
+from stapeskit.faults import StapeskitError
+
+
+def test_folders_have_different_names() -> None:
+    paths = [Path("a/study.toml"), Path("b/study.toml"), Path("c/ear.toml"), Path("d/Ear.toml")]
+    assert folder_names(paths) == ["a", "b", "ear", "Ear-2"]
+    assert folder_names([Path("cohort.csv.toml"), Path("x/cohort.csv.toml")])[0] != "cohort.csv"
+
+
+def test_a_failed_ear_stands_in_the_table_with_its_reason(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    names = []
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        for path in small[0].iterdir():
+            (folder / path.name).write_bytes(path.read_bytes())
+        names.append(folder / "study.toml")
+    (tmp_path / "two" / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")
+    lines: list[str] = []
+    result = run_studies(names, tmp_path / "out", run_here(2), report=lines.append)
+    assert {name: end.code for name, end in result.ends.items()} == {"one": 0, "two": 2}
+    assert len(lines) == 2
+    table = pd.read_csv(tmp_path / "out" / "cohort.csv").fillna("")
+    assert list(table["study"]) == [result.cohort.ears[0].name, "two"]
+    assert table["error"].iloc[1]
+    assert table["verdict"].iloc[0] in ("believe", "check", "do not use")
+
+
+def test_a_runner_reports_every_end(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    def runner(studies, out, force, ended):
+        for name in studies:
+            ended(name, End(2, "its machine was switched off."))
+
+    result = run_studies([small[0] / "study.toml"], tmp_path / "out", runner)
+    assert [end.code for end in result.ends.values()] == [2]
+    assert not result.cohort.laws
+
+
+def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth]) -> None:
+    with pytest.raises(StapeskitError):
+        run_studies([small[0] / "study.toml"], small[0].parent.parent, run_here(1))
+
+
+def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
+    text = study_template()
+    for name in ("scan.tif", "ldv.csv", "points.csv", "fiducials.csv"):
+        (tmp_path / name).touch()
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    study = read_study(tmp_path / "study.toml")
+    assert study.scan.file == tmp_path / "scan.tif"
+    assert set(study.inputs()) >= {"study", "scan.file", "ldv.file"}
