@@ -98,12 +98,13 @@ def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]
 
 def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:
     """Return whether the other channels see a motion along the beams of channels that read zero."""
-    others = np.setdiff1d(np.arange(len(body.points)), dead)
+    whole = np.all(np.isfinite(body.value[run]), axis=1)
+    others = np.setdiff1d(np.flatnonzero(whole), dead)
     arms, beams = body.arms_m, body.directions
     if len(others) < len(dof) or observability(arms[others], beams[others], dof)[-1] < 1e-3:
         return True
     rows = point_rows(arms, beams)[:, dof_indices(dof)]
-    y = np.nan_to_num(body.value[run, others])
+    y = body.value[run, others]
     y = y[:, np.any(y != 0.0, axis=0)]
     if y.shape[1] == 0:
         return False

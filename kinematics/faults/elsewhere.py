@@ -23,6 +23,7 @@ _FAR = 14.0  # squares over their typical size: 1e-3 of values by chance (exp(-1
 _MOST_FAR = 0.1  # share of values up to which they are single ones
 _LOUD_LINE = 5.0  # median square of a line over that of most
 _MOST_LOUD = 0.2  # share of lines up to which they are some
+_LONGEST = 3  # lines of a stretch, in the mean: a body that bends does so over a band
 _MAINS_HZ, _NEAR_MAINS_HZ = (50.0, 60.0), 0.5
 _LEAST_GAIN = 10.0  # log likelihood that a scatter must gain: odds of 20 000
 _IN_ORDER = 0.8  # rank correlation with the order of the file
@@ -80,9 +81,13 @@ def _single_values(readings: Readings, state: State) -> list[Cause]:
     typical = float(np.median(known)) / np.log(2.0)
     with np.errstate(invalid="ignore"):
         far = squares > _FAR * typical
-    lines = np.nanmedian(np.where(np.isfinite(squares), squares, np.nan), axis=0) / np.log(2.0)
-    loud = np.nan_to_num(lines) > _LOUD_LINE * float(np.nanmedian(lines))
-    if 1 < np.count_nonzero(loud) < _MOST_LOUD * len(loud):
+    every = np.isfinite(squares).any(axis=0)
+    lines = np.zeros(squares.shape[1])
+    lines[every] = np.nanmedian(squares[:, every], axis=0) / np.log(2.0)
+    loud = lines > _LOUD_LINE * float(np.median(lines[every]))
+    stretches = np.count_nonzero(np.diff(np.concatenate([[0], loud.astype(int)])) == 1)
+    isolated = np.count_nonzero(loud) <= _LONGEST * stretches
+    if 1 < np.count_nonzero(loud) < _MOST_LOUD * len(loud) and isolated:
         return [_loud_lines(readings, loud)]
     count = int(np.count_nonzero(far))
     if 3 + 1e-3 * known.size < count < _MOST_FAR * known.size:

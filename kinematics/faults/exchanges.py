@@ -32,8 +32,8 @@ def exchanges(
 ) -> list[Exchange]:
     """List the exchanges in which a suspected channel takes part.
 
-    Two points change places when they have equally many channels, two lasers with all their channels, two
-    beams at one point.
+    Two points change places when they have equally many channels: their positions alone (names in points.csv)
+    or with their beams (names of rows). Two lasers change with all their channels, two beams at one point.
     """
     points = layout.by_point(live)
     names = {layout.points[channel] for channel in suspects}
@@ -42,6 +42,8 @@ def exchanges(
         first, second = points[one], points[other]
         if (one in names or other in names) and len(first) == len(second):
             found.append(_exchange("points", geometry, first, second))
+            if np.any(np.abs(geometry.directions[first] - geometry.directions[second]) > 1e-6):
+                found.append(_exchange("rows", geometry, first, second))
     for name in names & set(points):
         found += [_exchange("beams", geometry, [a], [b]) for a, b in combinations(points[name], 2)]
     for first, second in combinations(layout.by_laser(live).values(), 2):
@@ -52,14 +54,13 @@ def exchanges(
 
 def _exchange(what: str, geometry: Geometry, first: Sequence[int], second: Sequence[int]) -> Exchange:
     one, other = list(first), list(second)
-    if what == "points":
-        positions = geometry.positions_m.copy()
+    positions, directions = geometry.positions_m.copy(), geometry.directions.copy()
+    if what in ("points", "rows"):
         positions[one], positions[other] = geometry.positions_m[other[0]], geometry.positions_m[one[0]]
-        changed = replace(geometry, positions_m=positions)
-    else:
-        directions = geometry.directions.copy()
+    if what != "points":
         directions[one], directions[other] = geometry.directions[other], geometry.directions[one]
-        changed = replace(geometry, directions=directions)
+    changed = replace(geometry, positions_m=positions, directions=directions)
+    what = "points" if what == "rows" else what
     return Exchange(what, tuple(first), tuple(second), changed)
 
 

@@ -1,0 +1,161 @@
+"""Faults are found, called by their name, and files without one are left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.faults.correct import corrected
+from kinematics.faults.detectable import detectable
+from kinematics.faults.diagnose import diagnose
+from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
+from simulate import KINDS as SIMULATED
+from tests.motion.bodies import as_measurement, fitted, recorded
+
+ONE_BODY = (
+    "gain", "phase", "delay", "sign", "drift", "noise", "direction", "position", "point_sign", "laser_gain",
+    "laser_sign", "laser_direction", "axes",
+)  # fmt: skip
+
+
+def diagnosed(recording, stated=True):
+    """Return body, fits and diagnosis of a recording."""
+    measurement = as_measurement(recording, stated)
+    body, fits, known = fitted(measurement)
+    return body, fits, diagnose(body, fits, recording.freq_hz, known)
+
+
+def verdicts(found):
+    """Return the verdict of each channel at fault."""
+    return {channel: one.verdict for one in reversed(found.findings) for channel in one.channels}
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("kind", ONE_BODY)
+def test_a_fault_is_called_by_its_name(kind, stated):
+    assert kind in SIMULATED
+    named = 0
+    for seed in (1, 2, 3):
+        recording = recorded(seed, points=10, faults=[{"kind": kind}])
+        found = diagnosed(recording, stated)[2]
+        named += verdicts(found) == dict(recording.culprits)
+    assert named >= 2
+
+
+def test_two_faults_at_once_are_both_found():
+    faults = [{"kind": "gain", "point": "3"}, {"kind": "sign", "point": "7"}]
+    named = 0
+    for seed in range(4):
+        recording = recorded(seed, points=10, faults=faults)
+        named += verdicts(diagnosed(recording)[2]) == dict(recording.culprits)
+    assert named == 4
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("missing", [0.0, 0.15])
+def test_files_without_fault_raise_few_alarms(stated, missing):
+    alarms = 0
+    for seed in range(40):
+        recording = recorded(100 + seed, points=6, lines=60, missing=missing)
+        alarms += bool(verdicts(diagnosed(recording, stated)[2]))
+    assert alarms <= 3  # 1 % expected: more than 3 of 40 has a probability of 7e-4
+
+
+def test_stated_errors_of_positions_are_expected():
+    alarms = sum(
+        bool(verdicts(diagnosed(recorded(200 + seed, points=6, position_sd_mm=0.03))[2]))
+        for seed in range(12)
+    )
+    assert alarms <= 2
+
+
+def test_a_body_that_bends_is_flexible():
+    named = 0
+    for seed in (1, 2, 3):
+        recording = recorded(seed, points=10, faults=[{"kind": "flexible"}])
+        found = diagnosed(recording)[2]
+        named += set(verdicts(found).values()) == {"flexible"}
+    assert named >= 2
+
+
+def test_a_point_that_moves_on_its_own_is_the_only_one_accused():
+    recording = recorded(5, points=10)
+    other = recorded(6, points=10)
+    value = recording.velocity_m_s.copy()
+    value[:, 9:12] = other.velocity_m_s[:, 9:12]
+    changed = replace(recording, velocity_m_s=value)
+    assert set(verdicts(diagnosed(changed)[2])) == {9, 10, 11}
+
+
+def test_noise_larger_than_stated_everywhere_is_no_fault():
+    recording = recorded(7)
+    louder = replace(recording, sd_m_s=recording.sd_m_s / 1.5)
+    found = diagnosed(louder)[2]
+    assert found.findings == ()
+    assert found.noise_level == pytest.approx(1.5, rel=0.05)
+
+
+def test_gains_that_differ_everywhere_are_one_cause():
+    recording = recorded(8, points=12)
+    factor = 1.0 + 0.02 * np.random.default_rng(8).normal(size=36)
+    changed = replace(recording, velocity_m_s=recording.velocity_m_s * factor[:, None])
+    _body, _, found = diagnosed(changed)
+    assert found.findings == ()
+    assert [cause.code for cause in found.causes] == ["gains_scattered"]
+
+
+def test_exact_data_have_no_fault():
+    _body, _fits, found = diagnosed(recorded(9, exact=True), stated=False)
+    assert found.findings == ()
+
+
+def test_estimates_lie_within_their_sd():
+    pulls = []
+    for seed in range(8):
+        recording = recorded(seed, points=10, faults=[{"kind": "gain", "size": 0.06}])
+        (one,) = diagnosed(recording)[2].findings
+        pulls.append((one.values[0] - 0.06) / one.sd[0])
+    assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.8
+
+
+def test_a_corrected_laser_agrees_with_the_others():
+    recording = recorded(3, points=10, faults=[{"kind": "laser_gain", "size": 0.2}])
+    body, _, found = diagnosed(recording)
+    fixed = corrected(body, found, recording.freq_hz)
+    assert len(fixed.names) == len(fixed.parameters) == len(fixed.covariance) == 1
+    measurement = replace(as_measurement(recording), bodies=(fixed.body,))
+    _, (after,), _ = fitted(measurement)
+    freedom = np.sum(after.n_dof)
+    assert np.sum(after.chi2) < freedom + 5.0 * np.sqrt(2.0 * freedom)
+    wrong = sorted(recording.culprits)
+    factor = body.value[:, wrong] / fixed.body.value[:, wrong]
+    assert np.allclose(factor, 1.2, rtol=0.01)
+
+
+def test_a_fault_of_the_detectable_size_is_found_as_often_as_promised():
+    clean = recorded(11, lines=48)
+    now = diagnosed(clean)[2].first
+    size = {(one.kind, one.place.channels): one.size for one in detectable(now)}
+    exact = recorded(11, lines=48, exact=True).velocity_m_s.copy()
+    exact[:, 4] *= 1.0 + size["gain", (4,)]
+    found = 0
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        noise = clean.sd_m_s * rng.normal(size=(*clean.sd_m_s.shape, 2)).view(complex)[..., 0]
+        found += not diagnosed(replace(clean, velocity_m_s=exact + noise))[2].first.clean()
+    assert found >= 11  # 90 % expected: less than 11 of 16 has a probability of 1 %
+
+
+def test_the_table_of_channels_has_one_row_each(tmp_path):
+    recording = recorded(1, points=5, faults=[{"kind": "sign", "point": "2", "laser": 1}])
+    body, (fit,), found = diagnosed(recording)
+    rows = channel_verdicts("1", body, found, fit.channel_rms_m, fit.solution.weight, {0: "unused"})
+    assert [row.verdict for row in rows] == ["unused", *["ok"] * 3, "sign", *["ok"] * 10]
+    assert all(row.verdict in WORDS for row in rows)
+    assert np.isnan(rows[0].p_value)
+    assert rows[4].p_value < 1e-6
+    write_channels(tmp_path / "dof.channels.csv", rows)
+    lines = (tmp_path / "dof.channels.csv").read_text().splitlines()
+    assert len(lines) == 16
+    assert lines[0] == "run,body,point,dir_x,dir_y,dir_z,residual_rms_m,weight,verdict,estimate,p_value"
+    assert [notice.code for notice in fault_notices(body, found)] == ["channel_sign"]

@@ -1,0 +1,137 @@
+"""The fit at many lines: exact data, its bound, coverage, gaps, and robust estimates that state their sd."""
+
+import numpy as np
+import pytest
+
+from kinematics.fit.lsq import solve
+from kinematics.fit.rigid_fit import fit_lines
+from tests.motion.bodies import as_measurement, fitted, recorded
+
+
+def noise_of(rng, shape):
+    """Return noise whose real and imaginary parts have unit variance."""
+    return rng.normal(size=(*shape, 2)).view(complex)[..., 0]
+
+
+def basis_of(rng, points, beams=3):
+    """Return orthonormal rows (c, m) of random points: six motions of 3D beams, three of parallel ones."""
+    places = rng.uniform(-1.0, 1.0, (points, 3)) * [1.0, 0.3, 0.7]
+    if beams == 1:
+        rows = np.column_stack([np.ones(points), places[:, 2], -places[:, 0]])
+    else:
+        directions = np.tile(np.eye(3), (points, 1))
+        rows = np.hstack([directions, np.cross(np.repeat(places, 3, axis=0), directions)])
+    return np.linalg.svd(rows, full_matrices=False)[0]
+
+
+def test_exact_data_give_the_true_motion():
+    recording = recorded(1, exact=True)
+    _body, (fit,), _ = fitted(as_measurement(recording, stated=False))
+    truth = recording.motion_m["stapes"][0]
+    assert np.max(np.abs(fit.q - truth) / np.abs(truth).max(axis=0)) < 1e-12
+    assert np.all(np.isfinite(fit.covariance))
+
+
+@pytest.mark.parametrize("case", ["equal", "channels", "values", "gaps", "one channel dead", "block of gaps"])
+def test_mean_squares_reach_the_bound_and_intervals_cover(case):
+    rng = np.random.default_rng(5)
+    basis, lines = basis_of(rng, 9), 6000
+    shape = {"channels": (27, 1), "values": (27, lines)}.get(case, (1, 1))
+    sd = 10.0 ** rng.uniform(-0.5, 0.5, shape) if case in ("channels", "values") else np.ones((1, 1))
+    truth = noise_of(rng, (6, lines)) * 100.0
+    value = basis @ truth + sd * noise_of(rng, (27, lines))
+    if case == "gaps":
+        value[rng.random(value.shape) < 0.1] = np.nan
+    if case == "one channel dead":
+        value[3] = np.nan
+    if case == "block of gaps":
+        value[5, 1000:4000] = np.nan
+    fit = solve(basis, value, sd)
+    error = fit.z - truth
+    inverse = np.linalg.inv(fit.covariance)
+    ratio = np.einsum("il,lij,jl->l", error.conj(), inverse, error).real / 6
+    assert abs(np.mean(ratio) - 1.0) < 4.0 / np.sqrt(6 * lines)
+    spread = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2).T / 2.0)
+    inside = np.mean([np.abs(error.real) < 1.96 * spread, np.abs(error.imag) < 1.96 * spread])
+    assert abs(inside - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / (12 * lines))
+    freedom = 2 * (np.isfinite(value).sum(axis=0) - 6)
+    assert abs(np.sum(fit.chi2) / np.sum(freedom) - 1.0) < 4.0 * np.sqrt(2.0 / np.sum(freedom))
+    assert np.nanmax(np.abs(fit.level - 1.0)) < 6.0 * np.sqrt(2.0 / lines)
+
+
+def test_lines_with_weights_of_their_own_agree_with_a_plain_solver():
+    rng = np.random.default_rng(2)
+    basis = basis_of(rng, 4)
+    sd = 10.0 ** rng.uniform(-3, 3, (12, 40))
+    value = noise_of(rng, (12, 40))
+    value[rng.random(value.shape) < 0.15] = np.nan
+    fit = solve(basis, value, sd)
+    for line in range(40):
+        used = np.isfinite(value[:, line])
+        rows = basis[used] / sd[used, line, None]
+        want = np.linalg.lstsq(rows, value[used, line] / sd[used, line], rcond=None)[0]
+        if fit.good[line]:
+            assert np.linalg.norm(fit.z[:, line] - want) < 1e-5 * np.linalg.norm(want)
+    assert np.count_nonzero(fit.good) > 30
+
+
+def test_lines_that_do_not_determine_the_motion_are_missing():
+    rng = np.random.default_rng(3)
+    value = noise_of(rng, (9, 30))
+    value[4:, 7] = np.nan
+    fit = solve(basis_of(rng, 3), value, np.ones((1, 1)))
+    assert np.flatnonzero(~fit.good).tolist() == [7]
+    assert np.isnan(fit.z[:, 7]).all()
+    assert np.isnan(fit.chi2[7])
+
+
+@pytest.mark.parametrize("kind", ["huber", "t4"])
+@pytest.mark.parametrize(("points", "beams"), [(3, 3), (4, 3), (5, 1)])
+def test_robust_estimates_of_few_points_state_their_sd(kind, points, beams):
+    ratios = []
+    for draw in range(20):
+        rng = np.random.default_rng([draw, points])
+        basis = basis_of(rng, points, beams)
+        fit = solve(basis, noise_of(rng, (len(basis), 300)), np.ones((1, 1)), kind)
+        stated = np.mean(np.diagonal(fit.covariance, axis1=1, axis2=2), axis=0)
+        ratios.append(np.sqrt(stated / np.mean(np.abs(fit.z) ** 2, axis=1)))
+    assert np.min(ratios) > 0.8
+    assert np.max(ratios) < 1.3
+
+
+@pytest.mark.parametrize("kind", ["huber", "t4"])
+def test_robust_estimates_withstand_outliers(kind):
+    rng = np.random.default_rng(4)
+    basis = basis_of(rng, 12)
+    noise = noise_of(rng, (36, 800))
+    noise[rng.random(noise.shape) < 0.05] *= 30.0
+    fit = solve(basis, noise, np.ones((1, 1)), kind)
+    plain = solve(basis, noise, np.ones((1, 1)))
+    variance = np.mean(np.abs(fit.z) ** 2)
+    assert variance < 0.15 * np.mean(np.abs(plain.z) ** 2)
+    stated = np.mean(np.diagonal(fit.covariance, axis1=1, axis2=2))
+    assert 0.8**2 < stated / variance < 1.3**2
+
+
+def test_noise_that_is_not_stated_is_found_from_the_residuals():
+    ratios = []
+    for seed in range(12):
+        recording = recorded(seed, lines=200)
+        _body, (fit,), known = fitted(as_measurement(recording, stated=False))
+        assert not known
+        spread = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2) / 2.0)
+        error = fit.q - recording.motion_m["stapes"][0]
+        ratios.append(np.mean(np.abs(error) ** 2 / (2.0 * spread**2)))
+    assert abs(np.mean(ratios) - 1.0) < 0.1
+
+
+def test_velocities_are_fitted_as_displacements():
+    recording = recorded(3)
+    measurement = as_measurement(recording)
+    body, (fit,), _ = fitted(measurement)
+    omega = 2j * np.pi * recording.freq_hz
+    sd = recording.sd_m_s[0] / np.abs(omega)
+    other = fit_lines(fit.beams, body.value[0] / omega, sd, np.ones(len(omega), dtype=complex))
+    assert np.allclose(fit.q, other.q, rtol=1e-9, atol=0.0)
+    assert np.allclose(fit.covariance, other.covariance, rtol=1e-9, atol=0.0)
+    assert np.allclose(fit.channel_rms_m, other.channel_rms_m, rtol=1e-9)

@@ -1,0 +1,135 @@
+"""Cheap checks of a measurement: what they warn of, and that sound files pass."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.faults.checks import check_measurement, empty_faults, screen_zeros
+from kinematics.measurement import BodyChannels, Measurement, from_arrays
+from simulate import Ear, Experiment, simulate_recording, simulate_truth
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform
+from stapeskit.spatial import DOF_NAMES
+from tests.motion.bodies import as_measurement, recorded
+
+
+@pytest.fixture(scope="module")
+def ear():
+    """Stapes and base of a simulated ear."""
+    recording = simulate_recording(simulate_truth(Ear()), Experiment(in_footplate=True, lines=120))
+    bodies = {}
+    for name in ("stapes", "base"):
+        own = recording.channels(name)
+        bodies[name] = {
+            "points": [recording.point[c] for c in own],
+            "positions_m": 1e-3 * recording.position_mm[own],
+            "directions": recording.direction[own],
+            "value": recording.velocity_m_s[:, own],
+            "sd": recording.sd_m_s[:, own],
+        }
+    return from_arrays(bodies, recording.freq_hz)
+
+
+def with_values(measurement, change, **other):
+    """Return a measurement with changed values."""
+    bodies = tuple(replace(body, value=change(body.value)) for body in measurement.bodies)
+    return replace(measurement, bodies=bodies, **other)
+
+
+def codes(measurement):
+    """Return the codes of the warnings."""
+    return {notice.code for notice in check_measurement(measurement)}
+
+
+def test_a_sound_file_passes(ear):
+    assert check_measurement(ear) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda value: value * 1e3, "unit_slip"),
+        (lambda value: value * 1e-6, "unit_slip"),
+        (lambda value: value.conj(), "phase_convention"),
+        (lambda value: np.abs(value) * np.exp(1j * np.deg2rad(np.angle(value))), "unit_slip"),
+        (
+            lambda value: (
+                (120.0 + 20.0 * np.log10(np.abs(value) / 1e-3) / 3.0) * np.exp(1j * np.angle(value))
+            ),
+            "unit_slip",
+        ),
+    ],
+)
+def test_units_and_phases(ear, change, code):
+    assert code in codes(with_values(ear, change))
+
+
+def test_units_of_points_and_frequencies(ear):
+    small = tuple(replace(body, positions_m=body.positions_m * 1e-3) for body in ear.bodies)
+    assert "unit_slip" in codes(replace(ear, bodies=small))
+    assert "unit_slip" in codes(replace(ear, freq_hz=ear.freq_hz * 1e-3))
+
+
+def test_one_body_in_another_unit(ear):
+    stapes, base = ear.bodies
+    louder = replace(ear, bodies=(stapes, replace(base, value=base.value * 1e-3)))
+    assert any(notice.code == "unit_slip" and "base" in notice.text for notice in check_measurement(louder))
+
+
+def test_exchanged_bodies():
+    one, other = (as_measurement(recorded(seed)).bodies[0] for seed in (1, 2))
+    names = {"a": (one, other), "b": (other, one)}
+    bodies = tuple(
+        replace(place, body=name, value=values.value, sd=None) for name, (place, values) in names.items()
+    )
+    assert "label_swap" in codes(Measurement("footplate", ("1",), recorded(1).freq_hz, bodies))
+
+
+def test_rows_of_zeros_are_set_aside_where_the_body_moves():
+    body = as_measurement(recorded(1)).bodies[0]
+    value = body.value.copy()
+    value[:, 4] = 0.0
+    value[:, 7] = np.nan
+    screened = screen_zeros(replace(body, value=value), ("1",), DOF_NAMES)
+    assert screened.unused == ({4: "zeros", 7: "unused"},)
+    assert np.isnan(screened.body.value[:, 4]).all()
+    assert [notice.code for notice in screened.notices] == ["zero_rows"]
+
+
+def test_zeros_are_believed_where_nothing_moves():
+    body = as_measurement(recorded(1, exact=True)).bodies[0]
+    only_y = recorded(1, exact=True).direction @ np.eye(3)
+    value = np.outer(only_y[:, 0], np.ones(body.value.shape[2]) * 1e-4)[None] + 0j
+    still = np.abs(only_y[:, 0]) < 1e-9
+    value[:, still] = 0.0
+    screened = screen_zeros(replace(body, value=value), ("1",), DOF_NAMES)
+    assert all(channel not in screened.unused[0] for channel in np.flatnonzero(still))
+
+
+def test_a_body_without_values_is_a_fault():
+    measurement = as_measurement(recorded(1))
+    (fault,) = empty_faults(with_values(measurement, lambda value: value * np.nan))
+    assert "stapes" in fault.thing
+
+
+def test_mapping_moves_points_and_beams_together():
+    measurement = as_measurement(recorded(2))
+    turn = RigidTransform.from_parts(np.eye(3)[[1, 2, 0]], [1.0, -2.0, 3.0], "new", "footplate")
+    moved = measurement.mapped(turn)
+    body, old = moved.bodies[0], measurement.bodies[0]
+    assert moved.frame == "new"
+    assert np.allclose(1e3 * body.positions_m, turn.points(1e3 * old.positions_m))
+    assert np.allclose(body.directions @ body.file_from_here.T, old.directions)
+    assert np.allclose(measurement.mirrored("x").mirrored("x").bodies[0].positions_m, old.positions_m)
+
+
+def test_shapes_and_units_of_a_measurement_are_checked():
+    body = as_measurement(recorded(2)).bodies[0]
+    with pytest.raises(StapeskitError) as error:
+        BodyChannels("a", body.points[:-1], body.positions_m, 2.0 * body.directions, body.value)
+    assert len(error.value.faults) >= 3
+    with pytest.raises(StapeskitError):
+        Measurement("footplate", ("1",), recorded(2).freq_hz[::-1], (body,))
+    with pytest.raises(StapeskitError):
+        as_measurement(recorded(2)).mirrored("w")
