@@ -50,6 +50,10 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from stapeskit.command import Progress
 
+USUAL_POSITION_SD_M = 10e-6
+"""Error of a position that the search expects where none is stated: half the spot of a laser under a
+microscope."""
+
 _MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
 
 
@@ -340,7 +344,7 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
     """Look for faults in every body, all of its runs together."""
     placed = fitted.placed
     sd = _laser_sd(options)
-    priors = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
+    lasers = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
     runs = range(len(placed.runs))
     return {
         number: diagnose(
@@ -348,7 +352,10 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
             [fitted.fits[run, number] for run in runs],
             placed.freq_hz,
             all(fitted.stated[run, number] for run in runs),
-            priors,
+            replace(
+                lasers,
+                position_m=np.where(body.position_sd_m >= 0.0, body.position_sd_m, USUAL_POSITION_SD_M),
+            ),
             placed.line_spread,
         )
         for number, body in enumerate(placed.bodies)
