@@ -201,7 +201,7 @@ class Likelihood:
         white = (whitening @ (operator @ data.y[:, :, None]))[:, :, 0]
         back = gain @ whitening.conj().swapaxes(1, 2)
         fitted = data.y - (back @ white[:, :, None])[:, :, 0]
-        looked: tuple[ComplexArray, ...] = (white, whitening, np.asarray(back), np.asarray(fitted))
+        looked: tuple[ComplexArray, ...] = tuple(map(np.asarray, (white, whitening, back, fitted)))
         self._known = (theta.copy(), looked)
         return looked
 

@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting import entries
-from fitting.axes import principal_axes
+from fitting.budget import budget_of, known_exactly
+from fitting.derived import Derived, derived_of
 from fitting.evidence import Alternative
 from fitting.kd import Solution
 from fitting.laws import Law
-from fitting.model import Modes, modes, moved_eigenvalues, passive
+from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
 from fitting.plane import (
-    PISTON_DOF,
     InPlane,
     Posterior,
     coupling_scale,
     heights,
     in_plane,
     posterior,
-    standard_draws,
 )
 from fitting.solve import Fit, entry_scale
 from stapeskit.arrays import Array
@@ -36,35 +35,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from fitting.checks import Verdict
     from fitting.montecarlo import Scatter
+    from fitting.verdict import Verdict
 
-NOISE, MODEL_ERROR = "channel_noise", "model_error"
-INPLANE_STIFFNESS, PLANE, WEAK = "inplane_stiffness", "ligament_plane", "weak_data"
 _DRAWS = 2000
 _CLUSTERS = 5  # parts of the lines whose residuals are taken as alike where no cause explains a misfit
 _SMALLEST_WEIGHT = 1e-3  # of an alternative that changes the intervals
-
-
-@dataclass(frozen=True)
-class Derived:
-    """Quantities that follow from K, D and M with their standard deviations.
-
-    Attributes
-    ----------
-    frequency_sd_hz, undamped_sd_hz, ratio_sd : ndarray, (modes,)
-    shape_sd : ndarray, (modes, n)
-        Of the magnitudes of the shapes.
-    axes, axes_sd : ndarray, (6,), or None
-        Principal axes (`fitting.axes.NAMES`), for y, alpha, gamma.
-    """
-
-    frequency_sd_hz: Array
-    undamped_sd_hz: Array
-    ratio_sd: Array
-    shape_sd: Array
-    axes: Array | None
-    axes_sd: Array | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -215,44 +191,17 @@ class KDFit(Result):
     @cached_property
     def noise_covariance(self) -> Array:
         """The same from channel noise alone: what is left where every shared error is known."""
-        return self._about_centre(_known_exactly(self.found, np.arange(self.found.at["shared"].start)))
+        return self.about_centre(known_exactly(self.found, np.arange(self.found.at["shared"].start)))
 
-    def _about_centre(self, covariance: Array) -> Array:
+    def about_centre(self, covariance: Array) -> Array:
+        """Return the covariance of K and D (p, p) for one of theta, or of its first unknowns."""
         size = len(covariance)
         return np.asarray(self._to_centre[:, :size] @ covariance @ self._to_centre[:, :size].T)
 
     @cached_property
     def budget(self) -> dict[str, Array]:
-        """Covariance (p, p) by source: of shared errors what goes away where one is known exactly."""
-        found, start = self.found, self.found.at["shared"].start
-        whole = self._about_centre(found.covariance)
-        sources = {NOISE: self.noise_covariance}
-        names = np.array(found.data.sources)
-        for source in dict.fromkeys(found.data.sources):
-            keep = np.concatenate([np.arange(start), start + np.flatnonzero(names != source)])
-            left = np.zeros_like(found.covariance)
-            left[np.ix_(keep, keep)] = _known_exactly(found, keep)
-            sources[source] = whole - self._about_centre(left)
-        if self.solution.plane is not None:
-            inside = self._inplane_part()
-            off = self.draws.draws - self.draws.estimate
-            sources[INPLANE_STIFFNESS] = inside
-            sources[PLANE] = off.T @ off / len(off) - whole - inside
-        if self.model_error.shape[1]:
-            sources[MODEL_ERROR] = self.model_error @ self.model_error.T
-        return sources
-
-    def _inplane_part(self) -> Array:
-        """Return what the stiffness in the plane adds: Y K_cc Y^T with Y as it is."""
-        plane, data = self.solution.plane, self.found.data
-        assert plane is not None  # noqa: S101
-        turned = self.coupling
-        slopes = []
-        for unit in np.eye(len(plane.entries)):
-            parts = entries.split(unit, len(data.columns))
-            slopes.append(np.concatenate([entries.vector(turned @ part @ turned.T) for part in parts]))
-        slope = np.array(slopes).T
-        return np.asarray(slope @ plane.covariance @ slope.T)
+        """Covariance (p, p) by source."""
+        return budget_of(self)
 
     @property
     def coupling(self) -> Array:
@@ -312,7 +261,7 @@ class KDFit(Result):
             information = self.found.likelihood.information(self.found.theta) / max(1.0, self.found.level)
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         inverse = np.linalg.pinv(information / np.outer(size, size), rcond=1e-13) / np.outer(size, size)
-        return np.sqrt(np.maximum(np.diag(self._about_centre(inverse)), 0.0))
+        return np.sqrt(np.maximum(np.diag(self.about_centre(inverse)), 0.0))
 
     @cached_property
     def combinations(self) -> list[tuple[float, dict[str, float]]]:
@@ -328,42 +277,8 @@ class KDFit(Result):
 
     @cached_property
     def derived(self) -> Derived:
-        """Modes and principal axes with their standard deviations, from the draws."""
-        n, law, data = len(self.dof), self.law, self.found.data
-        drawn = self.draws.draws
-        extra = standard_draws(len(drawn), max(self.model_error.shape[1], 1), 1)[
-            :, : self.model_error.shape[1]
-        ]
-        drawn = drawn + extra @ self.model_error.T
-        stiffness, damping = entries.split(drawn, n)
-        shared = self.draws.spread[:, self.found.at["shared"]]
-        changes = np.tensordot(shared, data.mass_changes, 1)[:, data.rows][:, :, data.rows]
-        root = data.root_mass[data.rows]
-        mass = self.mass + changes * np.outer(root, root)
-        values, shapes = moved_eigenvalues(self.modes, mass, stiffness, damping, law)
-        norm = np.linalg.norm(shapes, axis=2) * np.sqrt(1.0 + np.abs(values) ** 2)
-        usual = np.array([np.abs(mode.shape) for mode in self.modes.pairs]).reshape(-1, n)
-        axes = axes_sd = None
-        if self.dof == PISTON_DOF and self.stiffness[0, 0] > 0.0:
-            axes = principal_axes(self.stiffness)
-            good = stiffness[stiffness[:, 0, 0] > 0.05 * self.stiffness[0, 0]]
-            off = principal_axes(good) - axes
-            off[:, 2] = (off[:, 2] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
-            axes_sd = np.sqrt(np.mean(off**2, axis=0))
-        eigen = np.array([mode.eigenvalue for mode in self.modes.pairs])
-        magnitude = np.abs(shapes) / norm[:, :, None]
-
-        def sd(drawn: Array, middle: Array) -> Array:
-            return np.sqrt(np.mean((drawn - middle) ** 2, axis=0))
-
-        return Derived(
-            sd(values.imag, eigen.imag) / (2.0 * np.pi),
-            sd(np.abs(values), np.abs(eigen)) / (2.0 * np.pi),
-            sd(-values.real / np.abs(values), -eigen.real / np.abs(eigen)),
-            sd(magnitude, usual),
-            axes,
-            axes_sd,
-        )
+        """Modes and principal axes with their standard deviations."""
+        return derived_of(self)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -420,24 +335,6 @@ class KDFit(Result):
         with outputs.staged() as stage:
             names = self.write_into(stage, name=name, export=export)
         return tuple(Path(folder) / one for one in names)
-
-
-def _known_exactly(found: Fit, keep: Array) -> Array:
-    """Return the covariance of some unknowns where all others are known: blocks of information and spread."""
-    if len(keep) == len(found.theta):
-        return found.covariance
-    size = np.sqrt(np.diag(found.inverse)) if len(found.inverse) == len(found.theta) else None
-    if size is None:  # a textbook: noise alone is its own block
-        own = np.zeros((len(keep), len(keep)))
-        own[: len(found.inverse), : len(found.inverse)] = found.inverse
-        places = [place for place in keep if place >= found.at["shared"].start]
-        gain = found.covariance[: len(found.inverse)][:, places]
-        own[: len(found.inverse), : len(found.inverse)] += gain @ gain.T
-        return own
-    information = np.linalg.inv(found.inverse / np.outer(size, size))
-    spread = information @ (found.covariance / np.outer(size, size)) @ information
-    inverse = np.linalg.inv(information[np.ix_(keep, keep)])
-    return np.asarray(inverse @ spread[np.ix_(keep, keep)] @ inverse * np.outer(size[keep], size[keep]))
 
 
 def _with_rough_covariance(found: Fit) -> Fit:

@@ -72,7 +72,7 @@ def six_parameters():
 
 def record(freq, q, covariance, dof=DOF_NAMES, shared=None, notices=()):
     """A motion record of runs, stapes and base."""
-    none = np.full(q.shape[:3], np.nan)
+    none = np.zeros(q.shape[:3])
     runs = tuple(str(run + 1) for run in range(len(q)))
     return RigidMotion(
         runs, ("stapes", "base"), dof, freq, q, covariance, none, none, shared=shared, notices=notices

@@ -104,10 +104,10 @@ def test_more_free_degrees_of_freedom(dof):
     damping = np.where(np.outer(masked, masked) | np.eye(6, dtype=bool), ring.damping_si, 0.0)
     ligament = Ligament(stiffness_si=stiffness, damping_si=damping, dof=DOF_NAMES)
     errors = []
-    for seed in range(3):
-        freq, q = exact_motion(100, in_plane=0.1, ligament=ligament, directions="yxz")
+    for seed in range(2):
+        freq, q = exact_motion(60, in_plane=0.1, ligament=ligament, directions="yxz")
         rng = np.random.default_rng(seed)
-        level = 0.02 * np.abs(q).mean(axis=(2, 3), keepdims=True) * np.array([1, 1, 1, 1e3, 1e3, 1e3])
+        level = 0.02 * np.sqrt(np.mean(np.abs(q) ** 2, axis=(0, 1, 2)))
         draws = rng.standard_normal((2, *q.shape)) * np.sqrt(0.5)
         covariance = np.zeros((*q.shape, 6), dtype=complex)
         covariance[..., np.arange(6), np.arange(6)] = np.broadcast_to(level**2, q.shape)

@@ -52,11 +52,14 @@ def test_command_writes_json_page_mat_and_csv(folder, monkeypatch):
     page = (folder / "ear.html").read_text()
     assert content["verdict"]["sentence"] in page
     assert "<script src" not in page
-    with pytest.raises(StapeskitError) as error:
+    with pytest.raises(StapeskitError) as error:  # kd.csv would be dof.csv
         work(["dof.csv", "--mass", "M.csv", "--out", "dof.json"])
-        (folder / "kd.json").write_text("mine")
+    assert "inputs" in error.value.faults[0].expected
+    (folder / "kd.json").write_text("mine")
+    with pytest.raises(StapeskitError) as error:
         work(["dof.csv", "--mass", "M.csv"])
-    assert "kd.json" in str(error.value)
+    assert "kd.json" in error.value.faults[0].got
+    assert (folder / "kd.json").read_text() == "mine"
 
 
 def test_command_finds_nothing_and_says_so(folder, monkeypatch):

@@ -121,7 +121,7 @@ def test_frame_and_plot_and_table(ear):
 
 def test_repetitions_scatter_as_the_intervals_say(ear):
     _, result = ear
-    found = scatter(result, 12)
+    found = scatter(result, 8)
     ratio = found.standard_deviation / np.sqrt(np.diag(result.covariance))
     assert found.failed == 0
     assert np.median(ratio) < 1.4
