@@ -18,6 +18,8 @@ From a micro-CT and a 3D laser Doppler vibrometer to mass, stiffness and damping
 of a stapes.
 
   sample DIR     copy a complete simulated study into DIR
+  new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
+  compare A B    two results side by side: differences, responses
   ct2mass        scan to mass matrix
   points2dof     vibrometer file to rigid-body motion
   dof2kd         motion and mass to stiffness and damping
@@ -29,6 +31,11 @@ try it:
   stapeskit sample ear
   scan2kd ear/study.toml --out results
 """
+_OWN = {
+    "sample": "sample DIR [--force]",
+    "new": "new [DIR] [--yes] [--force]",
+    "compare": "compare A B [--out DIR] [--force]",
+}
 _COMMANDS = {
     "ct2mass": "ct_inertia.cli",
     "points2dof": "kinematics.cli",
@@ -59,38 +66,79 @@ def work(words: list[str]) -> Outcome | None:
 
         outcome: Outcome | None = import_module(_COMMANDS[word]).work(rest)
         return outcome
-    if word == "sample":
-        return _sample(rest)
+    if word in _OWN:
+        if {"-h", "--help"} & {*rest}:
+            sys.stdout.write(f"usage: stapeskit {_OWN[word]}\n\nstapeskit --help says what it does.\n")
+            return None
+        return {"sample": _sample, "new": _new, "compare": _compare}[word](rest)
     from stapeskit.faults import StapeskitError
     from stapeskit.options import unknown
 
-    known = [*_COMMANDS, "sample"]
+    known = [*_COMMANDS, *_OWN]
     step = unknown(word, known).next_step or "Run stapeskit --help to see the commands"
     raise StapeskitError.of("the command", f"one of {', '.join(known)}", word, "", step)
+
+
+def _folders(
+    words: Sequence[str], command: str, counts: tuple[int, ...], flags: tuple[str, ...]
+) -> list[str]:
+    """Return the words that are no flags, when there are as many as the command takes."""
+    from stapeskit.faults import StapeskitError
+
+    folders = [word for word in words if word not in flags]
+    if len(folders) not in counts or any(word.startswith("-") for word in folders):
+        got = " ".join(words) or "nothing"
+        raise StapeskitError.of(f"stapeskit {command}", f"written as: stapeskit {_OWN[command]}", got)
+    return folders
 
 
 def _sample(words: Sequence[str]) -> None:
     """Copy the sample study into the folder that the words name."""
     from pathlib import Path
 
-    from stapeskit.faults import StapeskitError
-
-    folders = [word for word in words if word != "--force"]
-    if {"-h", "--help"} & {*words}:
-        sys.stdout.write("usage: stapeskit sample DIR [--force]\n\nCopy a simulated study into DIR.\n")
-        return
-    if len(folders) != 1 or folders[0].startswith("-"):
-        got = " ".join(words) or "nothing"
-        step = "Write for example stapeskit sample ear"
-        raise StapeskitError.of("stapeskit sample", "given one folder", got, "", step)
     from pipeline.sample import copy_sample
 
-    target = Path(folders[0])
+    target = Path(_folders(words, "sample", (1,), ("--force",))[0])
     files = copy_sample(target, force="--force" in words)
     sys.stdout.write(
         f"{len(files)} files of a simulated ear written into {target}. Run it with:\n"
         f"  scan2kd {target / 'study.toml'} --out results\n"
     )
+
+
+def _new(words: Sequence[str]) -> None:
+    """Write a study.toml for the files of a folder; ask what no file says, unless --yes."""
+    from pathlib import Path
+
+    from pipeline.new_study import new_study
+
+    folders = _folders(words, "new", (0, 1), ("--yes", "--force"))
+    ask = None if "--yes" in words or not sys.stdin.isatty() else input
+    path = new_study(Path(*folders), ask, force="--force" in words)
+    sys.stdout.write(f"{path} written. Look at it, then run: scan2kd {path}\n")
+
+
+def _compare(words: Sequence[str]) -> Outcome:
+    """Compare two results."""
+    from pathlib import Path
+
+    from pipeline.compare import compare, write_comparison
+
+    out, rest = Path("compare_out"), list(words)
+    if "--out" in rest[:-1]:
+        place = rest.index("--out")
+        out = Path(rest[place + 1])
+        del rest[place : place + 2]
+    folders = [Path(word) for word in _folders(rest, "compare", (2,), ("--force",))]
+    found = compare(*folders)
+    inputs = [folder / name for folder in folders for name in ("mass.json", "kd.json", "dof.h5")]
+    files = write_comparison(found, out, inputs, "--force" in rest)
+    rows = [
+        (name, f"{first} | {second}; difference {change}, p = {p}")
+        for name, first, second, change, p in found.rows()
+    ]
+    verdicts = [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
+    return Outcome("two results side by side", [*verdicts, *rows], (), files)
 
 
 def main() -> NoReturn:

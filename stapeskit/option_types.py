@@ -213,7 +213,7 @@ def _dof(value: Any) -> tuple[str, ...]:
 
 
 def _text(value: Any) -> str:
-    require(isinstance(value, str) and value.strip())
+    require(isinstance(value, str))
     return str(value).strip()
 
 

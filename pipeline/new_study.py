@@ -1,0 +1,189 @@
+"""Make a study.toml from the files of a folder; what they do not say is asked, or assumed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.options import toml
+from stapeskit.outputs import Outputs
+
+STUDY = "study.toml"
+ASSUMED_DENSITY = "1900+-200"
+Ask = Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the files of a folder are.
+
+    Attributes
+    ----------
+    scans, measurements : list of Path
+        Every file that can be one.
+    others : dict of str to Path
+        Points, fiducials, labels and landmarks, by their key.
+    """
+
+    scans: list[Path] = field(default_factory=list)
+    measurements: list[Path] = field(default_factory=list)
+    others: dict[str, Path] = field(default_factory=dict)
+
+
+def look(folder: Path) -> Found:
+    """Recognise the files of a folder by their names and first bytes."""
+    from ct_inertia.scan.formats import format_of as scan_format
+    from ct_inertia.scan.opened import ReadOptions
+    from kinematics.readers.formats import format_of as measurement_format
+
+    found = Found()
+    names = {"points.csv": "points", "fiducials.csv": "fiducials", "plate_fiducials.csv": "plate_fiducials"}
+    for path in sorted(Path(folder).iterdir()):
+        lower = path.name.lower()
+        if path.name.startswith(".") or lower.endswith((".toml", ".json", ".md", ".html")):
+            continue
+        if lower in names:
+            found.others[names[lower]] = path
+        elif lower.endswith((".seg.nrrd", "labels.nrrd", "labels.nii.gz", "labels.mha")):
+            found.others["labels"] = path
+        elif lower.endswith((".mrk.json", ".fcsv")) or lower == "landmarks.csv":
+            found.others["landmarks"] = path
+        elif _is(lambda path=path: scan_format(path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
+            found.scans.append(path)
+        elif path.is_file() and _is(lambda path=path: measurement_format(path)):
+            found.measurements.append(path)
+    return found
+
+
+def _is(recognise: Callable[[], object]) -> bool:
+    try:
+        recognise()
+    except (StapeskitError, OSError, ValueError):
+        return False
+    return True
+
+
+def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> Path:
+    """Write a study.toml beside the files of an ear and return its path.
+
+    Parameters
+    ----------
+    ask : callable, optional
+        Takes a question, returns the answer, empty for "not known"; None: everything is assumed.
+
+    Raises
+    ------
+    StapeskitError
+        The folder has no scan or no vibrometer file, or several and no answer which; or a study.toml of
+        another origin.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise StapeskitError.of("the folder", "an existing folder", folder, "", "Check its name")
+    found = look(folder)
+    scan = _one("scan", found.scans, folder, ask)
+    ldv = _one("vibrometer file", found.measurements, folder, ask)
+    answers = {name: _answer(ask, question, check) for name, (question, check) in QUESTIONS.items()}
+    outputs = Outputs("stapeskit new", folder, [STUDY], [], force)
+    with outputs.staged() as stage:
+        (stage / STUDY).write_text(
+            study_text(folder.resolve().name, scan, ldv, found, answers), encoding="utf-8"
+        )
+    return folder / STUDY
+
+
+def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
+    if not files:
+        step = f"Put the {what} there, or write the study by hand: scan2kd --template"
+        raise StapeskitError.of(f"the folder {folder}", f"with a {what}", "none", "", step)
+    if len(files) == 1:
+        return files[0]
+    listed = ", ".join(f"{number} {path.name}" for number, path in enumerate(files, 1))
+    answer = "" if ask is None else ask(f"Which is the {what}? {listed}: ").strip()
+    chosen = [path for number, path in enumerate(files, 1) if answer in (str(number), path.name)]
+    if not chosen:
+        step = "Name one by its number, or move the others away"
+        raise StapeskitError.of(f"the {what}", "one file", listed, "", step)
+    return chosen[0]
+
+
+def _density(text: str) -> None:
+    from ct_inertia.options import MassOptions
+
+    MassOptions.of(scan=Path(__file__), density=text)
+
+
+def _side(text: str) -> None:
+    raise_all([] if text in ("left", "right") else [Fault("the side", "left or right", text)])
+
+
+def _direction(text: str) -> None:
+    try:
+        good = len(parts := [float(part) for part in text.split(",")]) == 3 and math.hypot(*parts) > 0.0
+    except ValueError:
+        good = False
+    raise_all([] if good else [Fault("the direction", "three numbers x,y,z", text, "", "For example -1,0,0")])
+
+
+QUESTIONS: dict[str, tuple[str, Callable[[str], None]]] = {
+    "density_kg_m3": ("Density of the bone, kg/m3, as VALUE+-SD (empty: 1900+-200 is assumed): ", _density),
+    "side": ("Left or right ear (empty: not known): ", _side),
+    "anterior": ("Direction towards anterior in scan axes, x,y,z (empty: not known): ", _direction),
+}
+"""What no file says: key of [scan], question, check of the answer."""
+
+
+def _answer(ask: Ask | None, question: str, check: Callable[[str], None]) -> str:
+    """Return a right answer, or an empty one; a wrong one is asked again."""
+    while ask is not None:
+        answer = ask(question).strip()
+        try:
+            if answer:
+                check(answer)
+        except StapeskitError as error:
+            question = f"{error} {question}"
+            continue
+        return answer
+    return ""
+
+
+def study_text(name: str, scan: Path, ldv: Path, found: Found, answers: Mapping[str, str]) -> str:
+    """Return a study of about eleven keys, each with a comment."""
+
+    def line(key: str, value: object, comment: str, known: bool = True) -> str:
+        return f"{'' if known else '# '}{key} = {toml(value)}  # {comment}"
+
+    density, side, anterior = (answers[key] for key in QUESTIONS)
+    direction = [float(part) for part in anterior.split(",")] if anterior else [-1.0, 0.0, 0.0]
+    scan_lines = [
+        line("file", scan.name, "volume, folder of slices, or mesh"),
+        line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", known=False),
+        line(
+            "density_kg_m3",
+            density or ASSUMED_DENSITY,
+            "of the bone" if density else "ASSUMED: state your own",
+        ),
+        line("side", side or "left", "names z superior or inferior", known=bool(side)),
+        line("anterior", direction, "towards anterior in scan axes; its sign counts", known=bool(anterior)),
+    ]
+    for key, comment in (("labels", "a cut made elsewhere"), ("landmarks", ""), ("plate_fiducials", "")):
+        if key in found.others:
+            scan_lines.append(
+                line(key, found.others[key].name, comment or f"{key.replace('_', ' ')} in the scan")
+            )
+    ldv_lines = [line("file", ldv.name, "vibrometer file")]
+    for key, comment in (("points", "positions of the points"), ("fiducials", "ties vibrometer and plate")):
+        here = found.others.get(key)
+        ldv_lines.append(line(key, here.name if here else f"{key}.csv", comment, known=here is not None))
+    fit_lines = [line("dof", ["y", "alpha", "gamma"], "degrees of freedom of K and D")]
+    parts = {
+        "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
+        "scan": scan_lines,
+        "ldv": ldv_lines,
+        "fit": fit_lines,
+    }
+    head = "# One ear. Run it with: scan2kd study.toml. All keys: scan2kd --template"
+    return head + "".join(f"\n\n[{table}]\n" + "\n".join(lines) for table, lines in parts.items()) + "\n"

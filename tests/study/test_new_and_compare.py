@@ -1,0 +1,71 @@
+"""A study file from a folder of files, and two results side by side."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pipeline.compare import compare, write_comparison
+from pipeline.new_study import look, new_study
+from pipeline.run import StudyResult
+from pipeline.study import read_study
+from simulate import Truth
+from stapeskit.faults import StapeskitError
+
+
+@pytest.fixture
+def files(small: tuple[Path, Truth], tmp_path: Path) -> Path:
+    for name in ("scan.nrrd", "ldv.csv", "points.csv", "fiducials.csv"):
+        shutil.copyfile(small[0] / name, tmp_path / name)
+    return tmp_path
+
+
+def test_files_are_recognised_and_the_study_can_be_read(files: Path) -> None:
+    found = look(files)
+    assert [path.name for path in found.scans] == ["scan.nrrd"]
+    assert [path.name for path in found.measurements] == ["ldv.csv"]
+    study = read_study(new_study(files))
+    assert study.scan.file == files / "scan.nrrd"
+    assert study.ldv.points == files / "points.csv"
+    assert study.scan.density_kg_m3.value == 1900.0
+
+
+def test_answers_are_checked_and_asked_again(files: Path) -> None:
+    answers = iter(["heavy", "1850+-40", "upper", "right", "0,0,0", "-1,0.2,0"])
+    asked = []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    study = read_study(new_study(files, ask))
+    assert len(asked) == 6
+    assert (study.scan.density_kg_m3.value, study.scan.density_kg_m3.sd) == (1850.0, 40.0)
+    assert study.scan.side == "right"
+    assert study.scan.anterior == (-1.0, 0.2, 0.0)
+
+
+def test_a_folder_without_a_scan_is_refused_and_a_study_of_mine_is_kept(files: Path) -> None:
+    (files / "study.toml").write_text("mine")
+    with pytest.raises(StapeskitError):
+        new_study(files)
+    assert (files / "study.toml").read_text() == "mine"
+    (files / "scan.nrrd").unlink()
+    with pytest.raises(StapeskitError) as raised:
+        new_study(files, force=True)
+    assert "scan" in raised.value.faults[0].expected
+
+
+def test_a_result_does_not_differ_from_itself(finished: StudyResult, tmp_path: Path) -> None:
+    shutil.copytree(finished.out, tmp_path / "again")
+    found = compare(finished.out, tmp_path / "again")
+    assert all(entry.difference == 0.0 for entry in found.differences)
+    paths = write_comparison(found, tmp_path / "out", [finished.out / "kd.json"])
+    table = pd.read_csv(paths[1])
+    assert {"K_y_y", "D_y_y", "mass"} <= set(table["quantity"])
+    assert (table["p_value"].dropna() == 1.0).all()
+    with pytest.raises(StapeskitError):
+        compare(finished.out, tmp_path)
