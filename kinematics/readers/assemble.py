@@ -76,10 +76,10 @@ def read_measurement(
     if facts.mapping is not None and not faults and not any(format_of(path, True).mapped for path in paths):
         want = "left out: no MATLAB or HDF5 file and no wide table is read"
         faults.append(Fault("--mapping", want, facts.mapping.name))
-    if not faults and facts.series is not None and not any(recording.from_series for recording in recordings):
+    if facts.series is not None and not faults and not any(recording.from_series for recording in recordings):
         faults.append(Fault("--channels", "left out: no file holds time series", facts.series.channels.name))
     raise_all(faults)
-    inputs = {"ldv" if number == 0 else f"ldv {number + 1}": path for number, path in enumerate(paths)}
+    inputs = {"ldv" if number == 1 else f"ldv {number}": path for number, path in enumerate(paths, 1)}
     for path in paths:
         inputs |= companion_files(path, facts)
     if points is not None:
@@ -89,20 +89,24 @@ def read_measurement(
 
 @dataclass(frozen=True)
 class _Grid:
-    """Lines, quantity and runs of a measurement, and the lines of each recording among them."""
+    """Lines, order of the quantity and runs of a measurement, and the lines of each recording among them.
+
+    ``common_sd`` (r, L) is the noise of the reference of runs whose channels were all recorded together.
+    """
 
     freq_hz: Array
     order: int
     takes: Sequence[tuple[str, str]]
     lines: Mapping[int, NDArray[np.intp]]
+    common_sd: Array
 
     def take_of(self, entry: Entry) -> int:
         """Return the place of the run and repeat of a row."""
         return self.takes.index((entry.channel.run, entry.channel.repeat))
 
-    def lines_of(self, entry: Entry) -> NDArray[np.intp]:
-        """Return which lines the frequencies of a row are."""
-        return self.lines[id(entry.recording)]
+    def shares_reference(self, take: int) -> bool:
+        """Return whether the noise of the reference is common to all channels of a run."""
+        return bool(np.any(self.common_sd[take] > 0.0))
 
 
 def assemble(
@@ -134,25 +138,14 @@ def assemble(
     raise_all([*unknown_files(facts, [one.file for one in recordings]), *unused_options(recordings, facts)])
     notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
     recordings = [with_noise(with_facts(one, facts)) for one in recordings]
-    raise_all(_value_faults(recordings))
-    entries = [
-        Entry(one, row, channel, None if one.common_sd is None else one.common_sd[row])
-        for one in recordings
-        for row, channel in enumerate(one.channels)
-    ]
-    entries, added = with_bodies(entries, points, facts)
-    notices += added
-    entries, added = with_runs(entries, facts)
-    notices += added
+    raise_all(fault for one in recordings for fault in _value_faults(one))
+    entries = [Entry(one, row, channel) for one in recordings for row, channel in enumerate(one.channels)]
+    entries, about_bodies = with_bodies(entries, points, facts)
+    entries, about_runs = with_runs(entries, facts)
     raise_all(_direction_faults(entries))
-    notices += _reference_notices(entries)
-    freq_hz, lines, added = common_grid([one.freq_hz for one in recordings])
-    takes = list(dict.fromkeys((entry.channel.run, entry.channel.repeat) for entry in entries))
-    order = Counter(entry.channel.order for entry in entries).most_common(1)[0][0]
-    grid = _Grid(freq_hz, order, takes, dict(zip(map(id, recordings), lines, strict=True)))
-    channels = len({(e.channel.body, e.channel.point, e.channel.beam_key) for e in entries})
-    check_filled(len(takes) * channels, len(freq_hz), sum(one.value.size for one in recordings), "")
-    entries, common_sd = _common_noise(entries, grid)
+    about_reference = _reference_notices(entries)
+    grid, about_lines = _grid_of(recordings, entries)
+    notices += [*about_bodies, *about_runs, *about_reference, *about_lines]
     faults: list[Fault] = []
     bodies = []
     for name in dict.fromkeys(entry.channel.body for entry in entries):
@@ -160,64 +153,62 @@ def assemble(
         with collect_faults(faults):
             body, missing = _body(name, mine, points, grid)
             bodies.append(body)
-            added += missing
+            notices += missing
     raise_all(faults)
     present = np.array([np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies])
-    raise_all(grid_faults(freq_hz, present, [body.body for body in bodies]))
-    repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
-    several = len({run for run, _ in takes}) < len(takes)
+    raise_all(grid_faults(grid.freq_hz, present, [body.body for body in bodies]))
+    repeats = tuple(Repeat(run, repeat) for run, repeat in grid.takes)
+    several = len({run for run, _ in grid.takes}) < len(grid.takes)
     return Measurement(
         frame,
         tuple(repeat.name if several else repeat.run for repeat in repeats),
-        freq_hz,
+        grid.freq_hz,
         tuple(bodies),
-        QUANTITY_OF_ORDER[order],
-        notices=unique([*notices, *added]),
+        QUANTITY_OF_ORDER[grid.order],
+        notices=unique(notices),
         repeats=repeats if several else (),
-        common_sd=common_sd,
+        common_sd=grid.common_sd if np.any(grid.common_sd > 0.0) else None,
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
 
 
-def _value_faults(recordings: Sequence[Recording]) -> list[Fault]:
-    """List numbers that no motion can have, one sentence for each kind and file."""
+def _grid_of(recordings: Sequence[Recording], entries: Sequence[Entry]) -> tuple[_Grid, list[Notice]]:
+    """Join the lines of all files; find the runs, the most common quantity and the noise of references."""
+    freq_hz, lines, notices = common_grid([one.freq_hz for one in recordings])
+    takes = list(dict.fromkeys((entry.channel.run, entry.channel.repeat) for entry in entries))
+    channels = len({(e.channel.body, e.channel.point, e.channel.beam_key) for e in entries})
+    check_filled(len(takes) * channels, len(freq_hz), sum(one.value.size for one in recordings), "")
+    order = Counter(entry.channel.order for entry in entries).most_common(1)[0][0]
+    common_sd = np.zeros((len(takes), len(freq_hz)))
+    grid = _Grid(freq_hz, order, takes, dict(zip(map(id, recordings), lines, strict=True)), common_sd)
+    for take in range(len(takes)):
+        mine = [entry for entry in entries if grid.take_of(entry) == take]
+        noise = [None if e.recording.common_sd is None else e.recording.common_sd[e.row] for e in mine]
+        first = noise[0]
+        if first is not None and all(one is not None and np.array_equal(one, first) for one in noise):
+            common_sd[take, grid.lines[id(mine[0].recording)]] = np.nan_to_num(first)
+    return grid, notices
+
+
+def _value_faults(one: Recording) -> list[Fault]:
+    """List numbers that no motion can have, one sentence for each kind."""
+    limits = (
+        ("the frequencies", one.freq_hz, LOWEST_HZ, HIGHEST_HZ),
+        ("the values", np.abs(one.value), 0.0, LARGEST),
+        ("the coordinates of the points, in mm", np.abs(1e3 * one.points_m), 0.0, FARTHEST_MM),
+        ("the standard deviations", one.sd, 0.0, LARGEST),
+        ("the coherence", one.coherence, 0.0, 1.0),
+        ("the number of averages", one.n_avg, 1.0, LARGEST),
+    )
     faults = []
-
-    def check(
-        bad: NDArray[np.bool_], thing: str, expected: str, one: Recording, numbers: NDArray[np.generic]
-    ) -> None:
-        if np.any(bad):
-            row = int(np.argwhere(bad)[0][0])
-            more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
-            got = f"{numbers[bad][0]:.6g}{more}"
-            where = one.channels[row].where if len(bad) == len(one.channels) else one.file
-            faults.append(Fault(thing, expected, got, where or one.file, "Export it again"))
-
-    for one in recordings:
-        freq = one.freq_hz
-        check(
-            (freq < LOWEST_HZ) | (freq > HIGHEST_HZ), "the frequencies", f"below {HIGHEST_HZ:g} Hz", one, freq
-        )
-        large = (np.abs(one.value.real) > LARGEST) | (np.abs(one.value.imag) > LARGEST)
-        check(large, "the values", f"finite and below {LARGEST:g}, or NaN where missing", one, one.value)
-        far = np.any(np.abs(one.points_m) > 1e-3 * FARTHEST_MM, axis=1)
-        check(far, "the position of a point", f"within {FARTHEST_MM:g} mm", one, one.points_m[:, 0])
-        if one.sd is not None:
-            bad = (one.sd < 0.0) | (one.sd > LARGEST)
-            check(bad, "the standard deviations", f"positive and below {LARGEST:g}", one, one.sd)
-        if one.coherence is not None:
-            check(
-                (one.coherence < 0.0) | (one.coherence > 1.0),
-                "the coherence",
-                "within 0 and 1",
-                one,
-                one.coherence,
-            )
-        if one.n_avg is not None:
-            check(
-                (one.n_avg < 1.0) | np.isinf(one.n_avg), "the number of averages", "1 or more", one, one.n_avg
-            )
+    for thing, numbers, low, high in limits:
+        bad = (numbers < low) | (numbers > high) if numbers is not None else np.zeros(0)
+        if numbers is not None and np.any(bad):
+            where = one.channels[int(np.argwhere(bad)[0][0])].where if bad.ndim == 2 else ""
+            got = f"{numbers[bad][0]:.6g}" + (f" and {np.sum(bad) - 1} more" if np.sum(bad) > 1 else "")
+            want = f"from {low:g} to {high:g}, or NaN where missing"
+            faults.append(Fault(thing, want, got, where or one.file, "Export it again"))
     return faults
 
 
@@ -226,15 +217,10 @@ def _direction_faults(entries: Sequence[Entry]) -> list[Fault]:
     for entry in entries:
         if np.any(np.isnan(entry.channel.direction)):
             without.setdefault(entry.channel.body, []).append(entry.channel.point)
+    want = "given with the direction of the beam"
     step = "State the direction towards the laser head with --beam z, -y or X,Y,Z"
     return [
-        Fault(
-            f"points {list_some(names, 8)} of body {body}",
-            "given with the direction of the beam",
-            "none",
-            "",
-            step,
-        )
+        Fault(f"points {list_some(names, 8)} of body {body}", want, "none", "", step)
         for body, names in without.items()
     ]
 
@@ -245,17 +231,21 @@ def _reference_notices(entries: Sequence[Entry]) -> list[Notice]:
     for entry in entries:
         where = str(entry.channel.where) or entry.recording.file
         by_run.setdefault(entry.channel.run, {}).setdefault(entry.channel.per, where)
-    faults = []
-    for run, by_unit in by_run.items():
-        if len(by_unit) > 1:
-            kinds = [
-                f"{f'responses per {per}' if per else 'amplitudes'} ({at})" for per, at in by_unit.items()
-            ]
-            step = "Export all points as responses to one reference, or all as amplitudes"
-            where = f"run {run}" if len(by_run) > 1 else ""
-            faults.append(Fault("the values of one run", "of one unit", " and ".join(kinds[:3]), where, step))
-    raise_all(faults)
-    units = sorted({per for by_unit in by_run.values() for per in by_unit} - {""})
+    step = "Export all points as responses to one reference, or all as amplitudes"
+    raise_all(
+        Fault(
+            "the values of one run",
+            "of one unit",
+            " and ".join(
+                f"{f'responses per {per}' if per else 'amplitudes'} ({at})" for per, at in units.items()
+            ),
+            f"run {run}",
+            step,
+        )
+        for run, units in by_run.items()
+        if len(units) > 1
+    )
+    units = sorted({per for one in by_run.values() for per in one} - {""})
     if not units:
         return []
     text = (
@@ -269,33 +259,33 @@ def _body(
     name: str, entries: Sequence[Entry], points: Points | None, grid: _Grid
 ) -> tuple[BodyChannels, list[Notice]]:
     """Fill the arrays of one body; report positions that differ and channels that are there twice."""
-    keys = list(dict.fromkeys((entry.channel.point, entry.channel.beam_key) for entry in entries))
-    place_of = {key: n for n, key in enumerate(keys)}
-    shape = (len(grid.takes), len(keys), len(grid.freq_hz))
+    first: dict[tuple[str, tuple[float, ...]], Channel] = {}
+    for entry in entries:
+        first.setdefault((entry.channel.point, entry.channel.beam_key), entry.channel)
+    row_of = {key: row for row, key in enumerate(first)}
+    shape = (len(grid.takes), len(first), len(grid.freq_hz))
     value, sd = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
     known = {entry.recording.relative for entry in entries if entry.recording.sd is not None}
     relative = False not in known
     filled: dict[tuple[int, int], Entry] = {}
-    first: dict[int, Channel] = {}
     faults: list[Fault] = []
     for entry in entries:
         channel, one = entry.channel, entry.recording
-        row, take = place_of[channel.point, channel.beam_key], grid.take_of(entry)
-        first.setdefault(row, channel)
+        row, take = row_of[channel.point, channel.beam_key], grid.take_of(entry)
         own = ~np.isnan(one.value[entry.row].real)
-        lines = grid.lines_of(entry)[own]
+        lines = grid.lines[id(one)][own]
         other = filled.setdefault((take, row), entry)
         if other is not entry and not np.all(np.isnan(value[take, row, lines].real)):
             step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
             got = f"two that share frequencies ({other.channel.where} and {channel.where})"
             faults.append(Fault(f"the channel {channel.name}", "there once in a run", got, "", step))
-        factor = (2j * np.pi * one.freq_hz[own]) ** (grid.order - channel.order)
-        factor = factor if grid.order != channel.order else np.ones(len(lines))
+        change = grid.order - channel.order
+        factor = (2j * np.pi * one.freq_hz[own]) ** change if change else np.ones(len(lines))
         value[take, row, lines] = one.value[entry.row, own] * factor
         if one.sd is not None and one.relative == relative:
             spread = one.sd[entry.row, own]
-            if entry.common_sd is not None:
-                spread = np.hypot(spread, entry.common_sd[own] * np.abs(one.value[entry.row, own]))
+            if one.common_sd is not None and not grid.shares_reference(take):
+                spread = np.hypot(spread, one.common_sd[entry.row, own] * np.abs(one.value[entry.row, own]))
             sd[take, row, lines] = spread * np.abs(factor)
     positions = _positions(name, entries, points, faults)
     raise_all(faults)
@@ -304,17 +294,17 @@ def _body(
     if known and unused:
         text = f"{unused} values of body {name} have no standard deviation and were not used."
         notices.append(Notice("sd_missing", text))
-    names = tuple(point for point, _ in keys)
-    spread_m = [np.nan if points is None else points.sd_m.get((name, point), np.nan) for point in names]
+    names = tuple(point for point, _ in first)
+    listed = {} if points is None else points.sd_m
     body = BodyChannels(
         name,
         names,
         np.array([positions[point] for point in names]) if positions else None,
-        np.array([first[row].direction for row in range(len(keys))]),
+        np.array([channel.direction for channel in first.values()]),
         value,
         sd if known else None,
         relative,
-        np.array(spread_m, dtype=float),
+        np.array([listed.get((name, point), np.nan) for point in names], dtype=float),
     )
     return body, notices
 
@@ -323,50 +313,25 @@ def _positions(
     body: str, entries: Sequence[Entry], points: Points | None, faults: list[Fault]
 ) -> dict[str, Array]:
     """Return the positions of the points of a body, m: of the points file, else of the files."""
-    positions: dict[str, Array] = {}
-    where_of: dict[str, str] = {}
+    found: dict[str, tuple[Array, str]] = {}
+    if points is not None:
+        found = {
+            point: (place, points.file) for (name, point), place in points.positions_m.items() if name == body
+        }
     for entry in entries:
         point, place, where = entry.channel.point, entry.channel.position_m, str(entry.channel.where)
-        if points is not None and (body, point) in points.positions_m:
-            positions.setdefault(point, points.positions_m[body, point])
-            where_of.setdefault(point, points.file)
         if np.any(np.isnan(place)):
             continue
-        known = positions.setdefault(point, place)
+        known, source = found.setdefault(point, (place, where))
         if np.any(np.abs(known - place) > _SAME_PLACE_M + 1e-5 * np.abs(known)):
-            got = f"{_millimetres(known)} ({where_of[point]}) and {_millimetres(place)} mm"
+            got = f"{(1e3 * known).tolist()} ({source}) and {(1e3 * place).tolist()} mm"
             step = "Correct it; --length-unit states the unit where a file does not"
             faults.append(Fault(f"the position of point {point} of body {body}", "one", got, where, step))
-            positions[point] = place
-        where_of.setdefault(point, where)
-    lacking = [entry.channel.point for entry in entries if entry.channel.point not in positions]
-    if lacking and positions:
+            found[point] = (place, where)
+    measured = {entry.channel.point: None for entry in entries}
+    lacking = [point for point in measured if point not in found]
+    if lacking and len(lacking) < len(measured):
         step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
         thing = f"points {list_some(lacking, 8)} of body {body}"
         faults.append(Fault(thing, "given with positions, as others are", "none", "", step))
-    return positions
-
-
-def _millimetres(position: Array) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.6g}" for value in position) + ")"
-
-
-def _common_noise(entries: Sequence[Entry], grid: _Grid) -> tuple[list[Entry], Array | None]:
-    """Return the noise of the reference (r, L) in runs whose channels were all recorded together.
-
-    Their entries lose it; elsewhere it stays with the entries, as a part of the noise of each channel.
-    """
-    common, changed = np.zeros((len(grid.takes), len(grid.freq_hz))), list[Entry]()
-    for number in range(len(grid.takes)):
-        mine = [entry for entry in entries if grid.take_of(entry) == number]
-        first = mine[0].common_sd
-        together = first is not None and all(
-            entry.common_sd is not None and np.array_equal(entry.common_sd, first) for entry in mine
-        )
-        if together and first is not None:
-            common[number, grid.lines_of(mine[0])] = np.nan_to_num(first)
-            mine = [replace(entry, common_sd=None) for entry in mine]
-        changed += mine
-    rank = {id(entry.recording): place for place, entry in enumerate(entries)}
-    changed.sort(key=lambda entry: (rank[id(entry.recording)], entry.row))
-    return changed, common if np.any(common > 0.0) else None
+    return {point: found[point][0] for point in measured if point in found}

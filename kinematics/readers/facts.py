@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.frames import axis_vector
 
 
@@ -48,7 +48,7 @@ class SeriesFacts:
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What the user states where files are silent; the attributes are options of the command.
+    """What the user states where files are silent: options of the command.
 
     Attributes
     ----------
@@ -81,13 +81,7 @@ class FileFacts:
 
     @cached_property
     def direction(self) -> Array | None:
-        """Unit vector (3,) of ``beam``; None without one.
-
-        Raises
-        ------
-        StapeskitError
-            Neither a name of an axis nor three numbers.
-        """
+        """Unit vector (3,) of ``beam``; None without one. As `direction_of`."""
         return direction_of(self.beam) if self.beam else None
 
     @cached_property
@@ -110,32 +104,31 @@ class FileFacts:
         StapeskitError
             A rule is no NAME=FILE.
         """
-        parts = [tuple(part.strip() for part in text.partition("=")[::2]) for text in self.run]
-        for text, (name, file) in zip(self.run, parts, strict=True):
-            if not (name and file):
-                raise StapeskitError.of("--run", "NAME=FILE", text)
-        return tuple((name, file) for name, file in parts)
+        rules = [[part.strip() for part in text.partition("=")[::2]] for text in self.run]
+        raise_all(
+            Fault("--run", "NAME=FILE", text)
+            for text, rule in zip(self.run, rules, strict=True)
+            if not all(rule)
+        )
+        return tuple((name, file) for name, file in rules)
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """Points of one rule: of a file (empty: of any) one name, a range of numbers, or all."""
+    """Points of one rule: of a file (empty: of any) those in ``span``, those of a name, or all (empty)."""
 
-    file: str = ""
+    file: str
     name: str = ""
-    first: int = 0
-    last: int = -1
+    span: range | None = None
 
     def holds(self, file: str, point: str) -> bool:
-        """Return whether a point of a file is meant."""
+        """Return whether a point of a file is meant; a name without a file may be that of a file."""
         if self.file and not is_file(self.file, file):
             return False
-        if self.name:
-            as_file = not self.file and not self.name.isdigit() and is_file(self.name, file)
-            return point == self.name or as_file
-        if self.last >= self.first:
-            return point.isdigit() and self.first <= int(point) <= self.last
-        return True
+        if self.span is not None:
+            return point.isdigit() and int(point) in self.span
+        as_file = not self.file and not self.name.isdigit() and is_file(self.name, file)
+        return point == self.name or as_file
 
 
 def is_file(item: str, file: str) -> bool:
@@ -143,7 +136,7 @@ def is_file(item: str, file: str) -> bool:
     return item in (file, file.rsplit(".", 1)[0])
 
 
-def direction_of(text: str, where: str = "") -> Array:
+def direction_of(text: str, where: Place | str = "", thing: str = "--beam") -> Array:
     """Read ``-z`` or ``0,0.34,0.94`` as a unit vector (3,).
 
     Raises
@@ -160,7 +153,7 @@ def direction_of(text: str, where: str = "") -> Array:
     except ValueError:
         numbers, length = np.zeros(0), 0.0
     if numbers.shape != (3,) or not 0.0 < length < np.inf:
-        raise StapeskitError.of("--beam", "x, -y ... or three numbers X,Y,Z", text, where)
+        raise StapeskitError.of(thing, "x, -y ... or three numbers X,Y,Z", text, where)
     return np.asarray(numbers / length)
 
 
@@ -173,11 +166,11 @@ def _rule(text: str) -> tuple[str, tuple[Chosen, ...]]:
         head, colon, rest = item.strip().rpartition(":")
         file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
         span = re.fullmatch(r"(\d{1,9})\s*-\s*(\d{1,9})", item)
-        first, last = (int(span[1]), int(span[2])) if span else (0, 0)
-        if not item or not name or first > last:
+        numbers = range(int(span[1]), int(span[2]) + 1) if span else None
+        if not item or not name or (numbers is not None and not numbers):
             step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
             raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
-        chosen.append(Chosen(file, "", first, last) if span else Chosen(file, item))
+        chosen.append(Chosen(file, "" if span else item, numbers))
     return name, tuple(chosen)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 STRINGS = "a MATLAB string array"
 """Stands for a variable of MATLAB's class string, which no library reads."""
 
-_DEEPEST = 8  # groups in groups that are read
+_DEEPEST = 8  # groups in groups that are read; links may lead round
 
 
 def read(path: Path, facts: FileFacts) -> Recording:

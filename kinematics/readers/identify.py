@@ -12,8 +12,7 @@ from kinematics.readers.facts import FileFacts, is_file
 from kinematics.readers.points import Points
 from kinematics.readers.recording import Channel, Recording
 from kinematics.readers.units import LENGTHS
-from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, list_some, raise_all
+from stapeskit.faults import Fault, list_some, raise_all
 from stapeskit.warnings import Notice
 
 DEFAULT_BODY = "body"
@@ -21,25 +20,18 @@ DEFAULT_BODY = "body"
 
 DEFAULT_RUN = "1"
 
-_MOST_BODIES = 1000  # more rigid bodies were in no study: the column of bodies holds points
-
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of one recording on its way into the measurement.
-
-    Attributes
-    ----------
-    channel : Channel
-        With the body, run and beam that it gets on the way.
-    common_sd : ndarray, (L,), or None
-        Relative noise of its reference; None where nothing is known, or where the whole run shares it.
-    """
+    """One row of one recording, with the body, run and beam that it gets on its way to the measurement."""
 
     recording: Recording
     row: int
     channel: Channel
-    common_sd: Array | None = None
+
+    def named(self, **names: str) -> Entry:
+        """Return the entry with another body, point or run."""
+        return replace(self, channel=replace(self.channel, **names))  # type: ignore[arg-type]
 
 
 def unused_options(recordings: Sequence[Recording], facts: FileFacts) -> list[Fault]:
@@ -48,18 +40,12 @@ def unused_options(recordings: Sequence[Recording], facts: FileFacts) -> list[Fa
     needed = {
         "beam": any(np.any(np.isnan(channel.direction)) for _, channel in rows),
         "amplitude": any(not one.amplitude_stated and not channel.per for one, channel in rows),
-        "length_unit": any(not one.length_stated for one, _ in rows),
-        "n_avg": any(one.n_avg is None and one.sd is None for one, _ in rows),
+        "length_unit": any(not one.length_stated for one in recordings),
+        "n_avg": any(one.n_avg is None and one.sd is None for one in recordings),
     }
-    step = "Leave it out, or correct the file"
+    want, step = "left out where the files say it, or need none", "Leave it out, or correct the file"
     return [
-        Fault(
-            f"--{name.replace('_', '-')}",
-            "left out where the files say it, or need none",
-            "a value",
-            "",
-            step,
-        )
+        Fault(f"--{name.replace('_', '-')}", want, "a value", "", step)
         for name, need in needed.items()
         if getattr(facts, name) and not need
     ]
@@ -86,30 +72,37 @@ def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
 def with_facts(recording: Recording, facts: FileFacts) -> Recording:
     """Return a recording with beam, averages, amplitude and length unit applied where the file is silent."""
     length = LENGTHS[facts.length_unit] if facts.length_unit and not recording.length_stated else 1.0
-    channels, value, sd = list(recording.channels), recording.value, recording.sd
-    for row, channel in enumerate(channels):
-        if facts.direction is not None and np.any(np.isnan(channel.direction)):
-            channel = replace(channel, direction=facts.direction)
-        channels[row] = replace(channel, position_m=channel.position_m * length) if length != 1.0 else channel
+    channels = []
+    for channel in recording.channels:
+        silent = facts.direction is not None and np.any(np.isnan(channel.direction))
+        beam = facts.direction if facts.direction is not None and silent else channel.direction
+        channels.append(replace(channel, direction=beam, position_m=channel.position_m * length))
+    value, sd, n_avg = recording.value, recording.sd, recording.n_avg
     if facts.amplitude == "rms" and not recording.amplitude_stated:
         peak = np.where([bool(channel.per) for channel in channels], 1.0, np.sqrt(2.0))[:, None]
         value, sd = value * peak, None if sd is None else sd * peak
-    n_avg = recording.n_avg
     if facts.n_avg is not None and n_avg is None and sd is None:
-        n_avg = np.full(value.shape, facts.n_avg)
+        n_avg = np.full(value.shape, float(facts.n_avg))
     return replace(recording, channels=tuple(channels), value=value, sd=sd, n_avg=n_avg)
 
 
 def with_bodies(
     entries: Sequence[Entry], points: Points | None, facts: FileFacts
 ) -> tuple[list[Entry], list[Notice]]:
-    """Give every row its body: by ``--body``, its file or the points file; one body needs none."""
+    """Give every row its body: by ``--body``, its file or the points file; one body needs none.
+
+    Raises
+    ------
+    StapeskitError
+        Points of no body, of several, or missing in the points file; rules that mean no point.
+    """
     used: set[str] = set()
     assigned: list[Entry] = []
     faults: list[Fault] = []
     without: dict[str, list[str]] = {}
-    respelled: dict[str, str] = {}
     unlisted: dict[str, list[str]] = {}
+    respelled: list[str] = []
+    listed_in = "" if points is None else points.file
     for entry in entries:
         file, channel = entry.recording.file, entry.channel
         rules = [
@@ -119,61 +112,45 @@ def with_bodies(
         names = list(dict.fromkeys([*rules, *([channel.body] if channel.body else [])]))
         if not names and points is not None:
             names = points.bodies_of(channel.point)
-        if len(names) > 1:
-            step = "Name each point once, by file where numbers repeat: --body base=base.uff:1-9"
-            got = " and ".join(names)
-            faults.append(Fault(f"point {channel.point}", "of one body", got, channel.where, step))
-        elif not names:
+        if not names:
             without.setdefault(file, []).append(channel.point)
             continue
+        if len(names) > 1:
+            step, got = "Name each point once, by file: --body base=base.uff:1-9", " and ".join(names)
+            faults.append(Fault(f"point {channel.point}", "of one body", got, channel.where, step))
         body, point = names[0], channel.point
         if points is not None:
             try:
-                key = points.key_of(body, point)
+                body, point = points.key_of(body, point)
             except KeyError:
                 if np.any(np.isnan(channel.position_m)) or channel.body:
                     unlisted.setdefault(body, []).append(point)
-                key = (body, point)
-            if key != (body, point):
-                respelled[f"{body} {point}"] = f"{key[0]} {key[1]}"
-            body, point = key
-        assigned.append(replace(entry, channel=replace(channel, body=body, point=point)))
-    for body, names in unlisted.items():
-        step = f"Add them to {points.file if points else ''}, or write both names alike"
-        thing = f"points {list_some(names, 8)} of body {body}"
+        if (body, point) != (names[0], channel.point):
+            respelled.append(f"{names[0]} {channel.point} as {body} {point}")
+        assigned.append(entry.named(body=body, point=point))
+    if without and not assigned and points is None and not facts.body:
+        return [entry.named(body=DEFAULT_BODY) for entry in entries], []
+    for body, missing in unlisted.items():
+        thing, step = f"points {list_some(missing, 8)} of body {body}", f"Add them to {listed_in}"
         faults.append(Fault(thing, "listed in the points file", "no rows of these names", "", step))
-    if without and not assigned and not faults and points is None and not facts.body:
-        only = [replace(entry, channel=replace(entry.channel, body=DEFAULT_BODY)) for entry in entries]
-        return only, []
-    for file, names in without.items():
+    for file, missing in without.items():
         step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
-        faults.append(Fault(f"points {list_some(names, 12)}", "of a body", "none", file, step))
+        faults.append(Fault(f"points {list_some(missing, 12)}", "of a body", "none", file, step))
     known = list_some((entry.channel.point for entry in entries), 20)
-    for name in dict.fromkeys(name for name, _ in facts.bodies):
-        if name not in used:
-            want = f"points that were measured ({known})"
-            faults.append(Fault(f"--body {name}", want, "others", "", "Correct the numbers"))
+    for name in dict.fromkeys(name for name, _ in facts.bodies if name not in used):
+        want = f"points that were measured ({known})"
+        faults.append(Fault(f"--body {name}", want, "others", "", "Correct the numbers"))
     raise_all(faults)
-    bodies = {entry.channel.body for entry in assigned}
-    if len(bodies) > _MOST_BODIES:
-        step = "Check which column names the body and which the point"
-        raise StapeskitError.of("the bodies", f"at most {_MOST_BODIES}", len(bodies), "", step)
-    if not respelled:
-        return assigned, unmeasured(assigned, points)
-    listed = list_some((f"{old} as {new}" for old, new in respelled.items()), 3)
-    text = f"names were read as {points.file if points else ''} spells them: {listed}."
-    return assigned, [Notice("names_alike", text), *unmeasured(assigned, points)]
-
-
-def unmeasured(entries: Sequence[Entry], points: Points | None) -> list[Notice]:
-    """Report bodies of the points file that were not measured."""
-    if points is None:
-        return []
-    absent = {body for body, _ in points.positions_m} - {entry.channel.body for entry in entries}
-    if not absent:
-        return []
-    text = f"{points.file} lists points of {', '.join(sorted(absent))}, of which no file has a value."
-    return [Notice("bodies_not_measured", text)]
+    notices = []
+    if respelled:
+        text = f"names were read as {listed_in} spells them: {list_some(respelled, 3)}."
+        notices.append(Notice("names_alike", text))
+    listed = {body for body, _ in points.positions_m} if points is not None else set()
+    absent = listed - {entry.channel.body for entry in assigned}
+    if absent:
+        text = f"{listed_in} lists points of {', '.join(sorted(absent))}, of which no file has a value."
+        notices.append(Notice("bodies_not_measured", text))
+    return assigned, notices
 
 
 def with_runs(entries: Sequence[Entry], facts: FileFacts) -> tuple[list[Entry], list[Notice]]:
@@ -183,24 +160,22 @@ def with_runs(entries: Sequence[Entry], facts: FileFacts) -> tuple[list[Entry], 
     named after its file; files of different points are parts of one.
     """
     labelled = []
-    for entry in entries:
-        stated = [name for name, file in facts.runs if is_file(file, entry.recording.file)]
-        run = " ".join([*stated[:1], *([entry.channel.run] if entry.channel.run else [])])
-        labelled.append(replace(entry, channel=replace(entry.channel, run=run)))
     file_of: dict[tuple[object, ...], str] = {}
     again = False
-    for entry in labelled:
-        channel = entry.channel
-        key = (channel.body, channel.point, channel.beam_key, channel.run, channel.repeat)
-        again |= file_of.setdefault(key, entry.recording.file) != entry.recording.file
+    for entry in entries:
+        channel, file = entry.channel, entry.recording.file
+        stated = next((name for name, of_file in facts.runs if is_file(of_file, file)), "")
+        run = f"{stated} {channel.run}".strip()
+        labelled.append(entry.named(run=run))
+        key = (channel.body, channel.point, channel.beam_key, run, channel.repeat)
+        again |= file_of.setdefault(key, file) != file
     if not again:
-        named = [replace(e, channel=replace(e.channel, run=e.channel.run or DEFAULT_RUN)) for e in labelled]
-        return named, []
+        return [entry.named(run=entry.channel.run or DEFAULT_RUN) for entry in labelled], []
     named = []
     for entry in labelled:
-        stem, run = Path(entry.recording.file).stem, entry.channel.run
-        run = run if facts.runs and run else f"{stem} {run}".strip()
-        named.append(replace(entry, channel=replace(entry.channel, run=run)))
+        run = entry.channel.run
+        own = run if facts.runs and run else f"{Path(entry.recording.file).stem} {run}".strip()
+        named.append(entry.named(run=own))
     listed = list_some((entry.channel.run for entry in named), 6)
     text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
     return named, [Notice("runs_by_file", text)]

@@ -43,18 +43,13 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
     notices : list of Notice
         Whether lines were joined that differ by more than rounding.
     """
-    different: dict[bytes, Array] = {}
-    for grid in grids:
-        different.setdefault(np.ascontiguousarray(grid).tobytes(), grid)
-    if len(different) == 1:
-        count = len(grids[0])
-        return np.asarray(grids[0], dtype=float), [np.arange(count)] * len(grids), []
+    keys = [np.ascontiguousarray(grid, dtype=float).tobytes() for grid in grids]
+    different = dict(zip(keys, grids, strict=True))
     joined, widest = np.empty(0), 0.0
     for grid in different.values():
         _, apart, limit = _nearest(joined, grid)
         matched = apart <= limit
-        rounding = SAME_LINE * grid
-        widest = max(widest, float(np.max(apart[matched & (apart > rounding)], initial=0.0)))
+        widest = max(widest, float(np.max(apart[matched & (apart > SAME_LINE * grid)], initial=0.0)))
         joined = np.sort(np.concatenate([joined, grid[~matched]]))
     places = {key: _nearest(joined, grid)[0] for key, grid in different.items()}
     notices = []
@@ -64,7 +59,7 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
             "(within 1 % of the line spacing and 1e-4 of the frequency)."
         )
         notices.append(Notice("frequencies_matched", text))
-    return joined, [places[np.ascontiguousarray(grid).tobytes()] for grid in grids], notices
+    return joined, [places[key] for key in keys], notices
 
 
 def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
@@ -84,10 +79,9 @@ def _nearest(lines: Array, grid: Array) -> tuple[Index, Array, Array]:
     """Return the nearest of ascending lines to each frequency, how far it is, and how far it may be."""
     if not len(lines):
         return np.zeros(len(grid), dtype=np.intp), np.full(len(grid), np.inf), np.zeros(len(grid))
-    after = np.clip(np.searchsorted(lines, grid), 1, max(len(lines) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(lines) - 1)
-    nearest = np.where(grid - lines[before] <= lines[after] - grid, before, after)
+    above = np.clip(np.searchsorted(lines, grid), 0, len(lines) - 1)
+    below = np.maximum(above - 1, 0)
+    nearest = np.where(grid - lines[below] <= lines[above] - grid, below, above)
     spacing = np.minimum(_spacing(lines)[nearest], _spacing(grid))
     limit = np.maximum(np.minimum(OF_SPACING * spacing, MOST * grid), SAME_LINE * grid)
     return nearest, np.abs(lines[nearest] - grid), limit
@@ -109,29 +103,20 @@ def grid_faults(freq_hz: Array, present: NDArray[np.bool_], names: Sequence[str]
         Where each body was measured.
     """
     faults: list[Fault] = []
-    lines = [np.flatnonzero(row) for row in present]
-    measured = [number for number in range(len(names)) if len(lines[number])]
-    for number in measured[1:]:
-        one, other = lines[measured[0]], lines[number]
-        low, high = max(one[0], other[0]), min(one[-1], other[-1])
-        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (one, other))
-        common = len(np.intersect1d(one, other))
+    measured = [(name, np.flatnonzero(row)) for name, row in zip(names, present, strict=True) if np.any(row)]
+    for name, lines in measured[1:]:
+        first_name, first = measured[0]
+        low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
+        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (first, lines))
+        common = len(np.intersect1d(first, lines))
         if common and 2 * common >= within:
             continue
-        grids = " and ".join(_describe(freq_hz[rows]) for rows in (one, other))
-        faults.append(
-            Fault(
-                f"the frequencies of bodies {names[measured[0]]} and {names[number]}",
-                "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured",
-                f"{grids}, {common} of them in common",
-                next_step="Measure both bodies on one grid, or resample one of them",
-            )
-        )
+        spans = [
+            f"{len(rows)} lines from {freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz"
+            for rows in (first, lines)
+        ]
+        want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
+        got = f"{' and '.join(spans)}, {common} of them in common"
+        step = "Measure both bodies on one grid, or resample one of them"
+        faults.append(Fault(f"the frequencies of bodies {first_name} and {name}", want, got, "", step))
     return faults
-
-
-def _describe(freq_hz: Array) -> str:
-    if len(freq_hz) < 4:
-        return ", ".join(f"{value:.8g}" for value in freq_hz) + " Hz"
-    first = ", ".join(f"{value:.8g}" for value in freq_hz[:2])
-    return f"{first}, ... {freq_hz[-1]:.8g} Hz ({len(freq_hz)} lines)"

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Mapping as Names
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,9 @@ _CHOICES = {
     "amplitude": ("peak", "rms"),
     "convention": ("+", "-"),
     "position_unit": ("m", "mm", "um"),
+    "phase_unit": tuple(PHASES),
 }
+_NUMBERS = {"direction": (str, list), "n_avg": (str, int, float)}
 _PAIRS = (("value",), ("value_re", "value_im"), ("magnitude", "phase"))
 
 
@@ -94,19 +96,13 @@ def read_mapping(path: Path) -> Mapping:
         No TOML, an unknown key (the nearest is named), a value of the wrong kind, no frequency or no signal;
         all faults together.
     """
-    if not path.is_file():
-        raise StapeskitError.of("--mapping", "an existing TOML file", path.name, "", "Check its name")
     try:
         document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except ValueError as fault:
-        raise StapeskitError.of("a mapping", "a TOML file", fault, path.name) from fault
+    except (OSError, ValueError) as fault:
+        got = getattr(fault, "strerror", None) or fault
+        raise StapeskitError.of("--mapping", "a TOML file", got, path.name) from fault
     signals = document.pop("signal", [])
-    faults = _text_faults(document, [entry.name for entry in fields(Mapping)], path.name)
-    faults += [
-        Fault(key, f"one of {', '.join(values)}", document[key], path.name)
-        for key, values in _CHOICES.items()
-        if document.get(key) and document[key] not in values
-    ]
+    faults = _faults(document, Mapping, path.name)
     if not document.get("frequency"):
         faults.append(Fault("frequency", "the name of a column or variable", "none", path.name))
     if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
@@ -114,10 +110,7 @@ def read_mapping(path: Path) -> Mapping:
         signals = []
     for number, entry in enumerate(signals, 1):
         where = f"{path.name}, signal {number}"
-        texts = {key: value for key, value in entry.items() if key not in ("direction", "n_avg")}
-        faults += _text_faults(texts, [item.name for item in fields(Signal)], where)
-        if entry.get("phase_unit") and str(entry["phase_unit"]).lower() not in PHASES:
-            faults.append(Fault("phase_unit", "deg or rad", entry["phase_unit"], where))
+        faults += _faults(entry, Signal, where)
         if not any(all(entry.get(key) for key in pair) for pair in _PAIRS):
             wanted = "given as " + ", or as ".join(" and ".join(pair) for pair in _PAIRS)
             faults.append(Fault("the values of a signal", wanted, ", ".join(entry) or "none", where))
@@ -125,14 +118,16 @@ def read_mapping(path: Path) -> Mapping:
     return Mapping(**document, signal=tuple(Signal(**entry) for entry in signals))
 
 
-def _text_faults(table: dict[str, Any], known: Iterable[str], where: str) -> list[Fault]:
-    """List keys that are not known, each with the nearest that is, and values that are no texts."""
-    names, faults = list(known), []
+def _faults(table: Names[str, Any], kind: type[Mapping | Signal], where: str) -> list[Fault]:
+    """List keys that are not known, each with the nearest that is, and values of another kind."""
+    names, faults = [entry.name for entry in fields(kind)], []
     for key, value in table.items():
         if key not in names:
             near = difflib.get_close_matches(key, names, 1)
             step = f"Did you mean {near[0]}?" if near else "Remove it"
             faults.append(Fault("a key", f"one of {', '.join(names)}", key, where, step))
-        elif not isinstance(value, str):
-            faults.append(Fault(key, "a text in quotes", value, where))
+        elif isinstance(value, bool) or not isinstance(value, _NUMBERS.get(key, (str,))):
+            faults.append(Fault(key, "a text in quotes" if key not in _NUMBERS else "a number", value, where))
+        elif value and value not in _CHOICES.get(key, (value,)):
+            faults.append(Fault(key, f"one of {', '.join(_CHOICES[key])}", value, where))
     return faults

@@ -42,8 +42,8 @@ class Points:
         """
         if (body, point) in self.positions_m:
             return body, point
-        wanted = (body.strip().casefold(), point.strip().casefold())
-        alike = [key for key in self.positions_m if (key[0].casefold(), key[1].casefold()) == wanted]
+        wanted = [name.strip().casefold() for name in (body, point)]
+        alike = [key for key in self.positions_m if [name.casefold() for name in key] == wanted]
         if len(alike) != 1:
             raise KeyError((body, point))
         return alike[0]
@@ -94,15 +94,10 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
         Names every missing column, and the table that the header seems to be of.
     """
     missing = [name for name in names if name not in header]
-    if not missing:
-        return
-    stems = {name.removesuffix("_mm") for name in missing if name.endswith("_mm")}
-    others = [name for name in header if name.rpartition("_")[0] in stems]
-    step = "Add the column, or correct its name in the header"
-    if others:
-        step = f"Convert {', '.join(others)} to mm, and name their unit in the header"
-    got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
-    raise StapeskitError.of("the table", "complete", got, where, other_table(header, names) or step)
+    if missing:
+        step = other_table(header, names) or "Add the column in the unit of its name, or correct its name"
+        got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
+        raise StapeskitError.of("the table", "complete", got, where, step)
 
 
 def other_table(header: Sequence[str], names: Sequence[str]) -> str:
@@ -112,35 +107,31 @@ def other_table(header: Sequence[str], names: Sequence[str]) -> str:
     where the header is of the right table, or of none that is known.
     """
     tables = {
-        "vibrometer readings": ({"freq_hz"}, "give it first, without an option"),
-        "fiducials": ({"x_ref_mm"}, "give it with --fiducials"),
-        "points": ({"body", "point", *POSITION}, "give it with --points"),
+        "vibrometer readings: give it first, without an option": {"freq_hz"},
+        "fiducials: give it with --fiducials": {"x_ref_mm"},
+        "points: give it with --points": {"body", "point", *POSITION},
     }
-    for kind, (columns, where) in tables.items():
-        if columns <= set(header):
-            return "" if columns <= set(names) else f"It looks like a table of {kind}: {where}"
-    return ""
+    own = next((kind for kind, columns in tables.items() if columns <= set(header)), "")
+    return f"It looks like a table of {own}" if own and not tables[own] <= set(names) else ""
 
 
 def position_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
     """List the cells of columns in mm that are empty, infinite or impossibly far."""
     faults = []
     for name in columns:
-        values, reported = table.numbers[name], table.invalid_rows(name)
-        bad = ~(np.abs(values) <= FARTHEST_MM) & ~(np.isnan(values) & reported)
+        values = table.numbers[name]
+        bad = ~(np.abs(values) <= FARTHEST_MM) & ~(np.isnan(values) & table.invalid_rows(name))
         for row in np.flatnonzero(bad).tolist():
             got = "an empty or NaN cell" if np.isnan(values[row]) else f"{values[row]:g}"
             step = "Give the number in mm, or leave the row out"
-            where = table.where(row, name)
-            faults.append(Fault(name, f"a number within {FARTHEST_MM:g} mm", got, where, step))
+            want = f"a number within {FARTHEST_MM:g} mm"
+            faults.append(Fault(name, want, got, table.where(row, name), step))
     return faults
 
 
-def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[Fault]:
+def sd_faults(table: Table, sd: Array) -> list[Fault]:
     """List the standard deviations that are not positive and finite, or beyond all positions."""
-    step, want = (
-        "Give the standard deviation per coordinate in mm",
-        f"from {NEAREST_MM:g} to {FARTHEST_MM:g} mm",
-    )
+    step = "Give the standard deviation per coordinate in mm"
+    want = f"from {NEAREST_MM:g} to {FARTHEST_MM:g} mm"
     rows = np.flatnonzero((sd < NEAREST_MM) | (sd > FARTHEST_MM)).tolist()
-    return [Fault(name, want, f"{sd[row]:g}", table.where(row, name), step) for row in rows]
+    return [Fault("sd_mm", want, f"{sd[row]:g}", table.where(row, "sd_mm"), step) for row in rows]

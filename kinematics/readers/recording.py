@@ -5,10 +5,10 @@ Shapes: P rows (channels), L frequency lines.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from kinematics.measurement import QUANTITIES, direction_name
 from kinematics.readers.lines import check_filled, common_grid
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -34,12 +34,17 @@ def unknown_vector() -> Array:
     return np.full(3, np.nan)
 
 
+def from_parts(real: Array, imaginary: Array, factor: float = 1.0) -> ComplexArray:
+    """Return ``factor * (real + i imaginary)``; a complex product would make NaN of infinite parts."""
+    value = np.empty(np.shape(real), dtype=complex)
+    with np.errstate(over="ignore"):
+        value.real, value.imag = real * factor, imaginary * factor
+    return value
+
+
 def scaled(value: ComplexArray, factor: float) -> ComplexArray:
-    """Return ``value * factor`` without a complex product, which would make NaN of infinite parts."""
-    result = np.empty(np.shape(value), dtype=complex)
-    with np.errstate(over="ignore", invalid="ignore"):
-        result.real, result.imag = np.real(value) * factor, np.imag(value) * factor
-    return result
+    """Return ``value * factor``; see `from_parts`."""
+    return from_parts(np.real(value), np.imag(value), factor)
 
 
 def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
@@ -128,7 +133,7 @@ class Recording:
     Raises
     ------
     StapeskitError
-        Shapes that do not match, a direction that is no unit vector, or frequencies that do not ascend.
+        A direction that is no unit vector, or frequencies that do not ascend.
     """
 
     file: str
@@ -148,19 +153,16 @@ class Recording:
     from_series: bool = False
 
     def __post_init__(self) -> None:
-        faults = []
-        want = (len(self.channels), len(self.freq_hz))
-        for name in _MATRICES:
-            matrix = getattr(self, name)
-            if matrix is not None and matrix.shape != want:
-                faults.append(Fault(f"the shape of {name}", str(want), matrix.shape, self.file))
-        if np.any(self.freq_hz < 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
-            faults.append(Fault("the frequencies", "ascending and not negative", "others", self.file))
-        for channel in self.channels:
-            length = float(np.sum(np.minimum(np.abs(channel.direction), 1e3) ** 2)) ** 0.5
-            if abs(length - 1.0) > 1e-3:  # not so for NaN
-                got, step = f"length {length:.4g}", "Divide the direction by its length"
-                faults.append(Fault("a direction", "a unit vector (within 1e-3)", got, channel.where, step))
+        ascending = not np.any(self.freq_hz < 0.0) and not np.any(np.diff(self.freq_hz) <= 0.0)
+        faults = (
+            [] if ascending else [Fault("the frequencies", "ascending and not negative", "others", self.file)]
+        )
+        with np.errstate(over="ignore"):
+            lengths = np.linalg.norm(self.directions, axis=1)
+        for row in np.flatnonzero(np.abs(lengths - 1.0) > 1e-3).tolist():  # not so for NaN
+            got, step = f"length {lengths[row]:.4g}", "Divide the direction by its length"
+            where = self.channels[row].where
+            faults.append(Fault("a direction", "a unit vector (within 1e-3)", got, where, step))
         raise_all(faults)
 
     @property
@@ -192,11 +194,8 @@ class Recording:
     @property
     def units(self) -> str:
         """Unit of ``value``, such as ``m/s`` or ``(m/s)/N``."""
-        names = {
-            f"({SI_UNITS[channel.order]})/{channel.per}" if channel.per else SI_UNITS[channel.order]
-            for channel in self.channels
-        }
-        return " and ".join(sorted(names))
+        kinds = {(SI_UNITS[channel.order], channel.per) for channel in self.channels}
+        return " and ".join(sorted(f"({unit})/{per}" if per else unit for unit, per in kinds))
 
     @property
     def frf(self) -> ComplexArray | None:
@@ -221,17 +220,13 @@ class Recording:
             texts = [getattr(channel, name) for channel in self.channels]
             if any(texts):
                 columns[name] = np.repeat(np.array(texts, dtype=object), lines)
-        for name, vectors in (("dir", self.directions), ("", self.points_m)):
+        for pattern, vectors in (("dir_{}", self.directions), ("{}_m", self.points_m)):
             if not np.all(np.isnan(vectors)):
-                for axis, letter in enumerate("xyz"):
-                    label = f"{name}_{letter}" if name else f"{letter}_m"
-                    columns[label] = np.repeat(vectors[:, axis], lines)
-        columns["freq_hz"] = np.tile(self.freq_hz, count)
-        columns["re"], columns["im"] = self.value.real.ravel(), self.value.imag.ravel()
-        for name in ("sd", "coherence", "n_avg"):
-            matrix = getattr(self, name)
-            if matrix is not None:
-                columns[name] = matrix.ravel()
+                columns |= {pattern.format("xyz"[k]): np.repeat(vectors[:, k], lines) for k in range(3)}
+        columns |= {"freq_hz": np.tile(self.freq_hz, count)}
+        columns |= {"re": self.value.real.ravel(), "im": self.value.imag.ravel()}
+        known = {name: getattr(self, name) for name in ("sd", "coherence", "n_avg")}
+        columns |= {name: matrix.ravel() for name, matrix in known.items() if matrix is not None}
         return pd.DataFrame(columns)
 
     def plot(self) -> Figure:
@@ -247,14 +242,11 @@ class Recording:
         return figure
 
     def __repr__(self) -> str:
-        points = len(dict.fromkeys((channel.body, channel.point) for channel in self.channels))
-        runs = len(dict.fromkeys((channel.run, channel.repeat) for channel in self.channels))
-        span = f"{self.freq_hz[0]:g} to {self.freq_hz[-1]:g} Hz" if len(self.freq_hz) else "no line"
+        points = len({(channel.body, channel.point) for channel in self.channels})
         noise = " with coherence" if self.coherence is not None else " with sd" if self.sd is not None else ""
         return (
-            f"Recording({self.file}: {len(self.channels)} channels at {points} points, {runs} "
-            f"run{'s' if runs > 1 else ''}, {len(self.freq_hz)} lines, {span}, {self.quantity} in "
-            f"{self.units}{noise})"
+            f"Recording({self.file}: {len(self.channels)} channels at {points} points, {len(self.freq_hz)} "
+            f"lines, {self.freq_hz[0]:g} to {self.freq_hz[-1]:g} Hz, {self.quantity} in {self.units}{noise})"
         )
 
 
@@ -271,8 +263,8 @@ class Row:
     common_sd: ArrayLike | None = None
 
 
-def recording_of(file: str, rows: Sequence[Row], **facts: object) -> Recording:
-    """Gather rows with frequencies of their own into one recording; a line at 0 Hz is dropped.
+def recording_of(file: str, rows: Sequence[Row], **facts: Any) -> Recording:
+    """Gather rows with frequencies of their own into one recording; a line at 0 Hz is dropped with a notice.
 
     Parameters
     ----------
@@ -282,49 +274,27 @@ def recording_of(file: str, rows: Sequence[Row], **facts: object) -> Recording:
     Raises
     ------
     StapeskitError
-        There is no row; as `Recording`.
+        There is no row, or no line above 0 Hz; as `Recording`.
     """
-    step = "Export the points with their spectra"
-    raise_all(
-        [Fault("the file", "with values of at least one point", "none", file, step)] if not rows else []
-    )
+    if not rows:
+        step = "Export the points with their spectra"
+        raise StapeskitError.of("the file", "with values of at least one point", "none", file, step)
     grid, places, notices = common_grid([row.freq_hz for row in rows])
     check_filled(len(rows), len(grid), sum(len(row.freq_hz) for row in rows), file)
-    shape = (len(rows), len(grid))
-    matrices: dict[str, Array] = {}
+    kept = grid > 0.0
+    matrices: dict[str, Any] = {}
     for name in _MATRICES:
         parts = [getattr(row, name) for row in rows]
-        if all(part is None for part in parts):
-            continue
-        matrix = np.full(shape, np.nan, dtype=complex if name == "value" else float)
-        for number, part in enumerate(parts):
-            if part is not None:
-                matrix[number, places[number]] = part
-        matrices[name] = matrix
-    known: Mapping[str, object] = dict(facts)
-    earlier = known.get("notices", ())
-    channels = tuple(row.channel for row in rows)
-    described = {**known, **matrices, "notices": (*earlier, *notices)}  # type: ignore[misc]
-    return without_dc(Recording(file, grid, channels=channels, **described))  # type: ignore[arg-type]
-
-
-def without_dc(recording: Recording) -> Recording:
-    """Drop the line at 0 Hz, which holds no motion, with a notice.
-
-    Raises
-    ------
-    StapeskitError
-        There is no other line.
-    """
-    good = recording.freq_hz > 0.0
-    if np.all(good):
-        return recording
-    if not np.any(good):
+        if any(part is not None for part in parts):
+            matrix = np.full((len(rows), len(grid)), np.nan, dtype=complex if name == "value" else float)
+            for number, part in enumerate(parts):
+                if part is not None:
+                    matrix[number, places[number]] = part
+            matrices[name] = matrix if np.all(kept) else matrix[:, kept]
+    if not np.any(kept):
         step = "Export the lines above 0 Hz"
-        raise_all([Fault("the frequencies", "above 0 Hz", "0 Hz alone", recording.file, step)])
-    cut = {
-        name: getattr(recording, name)[:, good] for name in _MATRICES if getattr(recording, name) is not None
-    }
-    text = f"the line at 0 Hz of {recording.file} holds no motion and was dropped."
-    notices = (*recording.notices, Notice("dc_line", text))
-    return replace(recording, freq_hz=recording.freq_hz[good], notices=notices, **cut)
+        raise StapeskitError.of("the frequencies", "above 0 Hz", "0 Hz alone", file, step)
+    if not np.all(kept):
+        notices.append(Notice("dc_line", f"the line at 0 Hz of {file} holds no motion and was dropped."))
+    facts["notices"] = (*facts.get("notices", ()), *notices)
+    return Recording(file, grid[kept], channels=tuple(row.channel for row in rows), **matrices, **facts)

@@ -13,19 +13,17 @@ import numpy as np
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place
 
-UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 CUT = "It looks cut short: export or copy it again"
 
 _NUMBER = re.compile(
     r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
-_WITH_COMMA = re.compile(r"[+-]?\d[\d.,]*")
 _LONGEST_NUMBER = 400  # letters; longer ones are no numbers of a measurement
 
 
 def decoded(content: bytes) -> str:
     """Decode UTF-16 with its mark, UTF-8 or Latin-1, with line feeds at the ends of lines."""
-    if content[:2] in UTF16_MARKS:
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = content[: len(content) // 2 * 2].decode("utf-16", errors="replace")
     else:
         try:
@@ -48,9 +46,8 @@ def shown(text: str, most: int = 60) -> str:
 
 def plain_name(name: str) -> str:
     """Return the name of a point or body; ``1.0``, which a spreadsheet made of ``1``, is ``1``."""
-    name = name.strip()
-    match = re.fullmatch(r"(\d+)[.,]0+", name)
-    return match[1] if match else name
+    match = re.fullmatch(r"(\d+)[.,]0+", name.strip())
+    return match[1] if match else name.strip()
 
 
 def number_of(cell: str, comma: bool = True) -> float | None:
@@ -67,12 +64,11 @@ def cells_of(line: str, separator: str) -> list[str]:
     """Split a line; a blank as separator stands for any number of them."""
     if separator == " ":
         return line.split()
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+        cells = next(csv.reader([line], delimiter=separator), []) if '"' in line else line.split(separator)
     except csv.Error:
         return []
+    return [cell.strip() for cell in cells]
 
 
 def is_row(cells: Sequence[str]) -> bool:
@@ -84,7 +80,7 @@ def is_row(cells: Sequence[str]) -> bool:
 def read_rows(
     lines: Sequence[str], first: int, separator: str, names: Sequence[str], file: str, faults: list[Fault]
 ) -> Array:
-    """Read rows of numbers.
+    """Read rows of numbers; rows of another length and cells that are no number are added to the faults.
 
     Parameters
     ----------
@@ -96,19 +92,24 @@ def read_rows(
         Tab, semicolon, comma or blank; all but the comma allow decimal commas.
     names : sequence of str
         One a column.
-    faults : list of Fault
-        Rows of another length and cells that are no number are added to it.
 
     Returns
     -------
     ndarray, (rows, columns)
         Of the sound rows.
     """
-    joined = "".join(lines)
+    joined = "\n".join(lines)
     comma = separator != "," and "," in joined and "." not in joined
-    numbers = _all_at_once(lines, separator, comma, len(names))
-    if numbers is not None:
-        return numbers
+    if joined.strip() and '"' not in joined and "_" not in joined:
+        try:  # by numpy, which knows no empty cells
+            text = io.StringIO(joined.replace(",", ".") if comma else joined)
+            delimiter = None if separator == " " else separator
+            with np.errstate(over="ignore"):
+                numbers = np.loadtxt(text, delimiter=delimiter, comments=None, ndmin=2)
+            if numbers.shape[1] == len(names):
+                return numbers
+        except ValueError:
+            pass
     sound = []
     for place, line in enumerate(lines, first):
         if not line.strip():
@@ -121,25 +122,8 @@ def read_rows(
             faults.append(Fault("a row", f"of {len(names)} numbers", len(values), where, CUT))
         elif None in values:
             bad = values.index(None)
-            step = "Correct the cell, or empty it where the value is missing"
-            if _WITH_COMMA.fullmatch(cells[bad]):
-                step = "Write decimal points alone, without separators of thousands"
+            step = "Write a plain number without separators of thousands, or leave the cell empty"
             faults.append(Fault(f"column {shown(names[bad])}", "a number", shown(cells[bad]), where, step))
         else:
             sound.append([value for value in values if value is not None])
     return np.array(sound, dtype=float).reshape(-1, len(names))
-
-
-def _all_at_once(lines: Sequence[str], separator: str, comma: bool, columns: int) -> Array | None:
-    """Read rows by numpy, exactly rounded; None where one has another length or no plain number."""
-    text = "\n".join(lines)
-    if not text.strip() or '"' in text or "_" in text:
-        return None
-    text = text.replace(",", ".") if comma else text
-    delimiter = None if separator == " " else separator
-    try:
-        with np.errstate(over="ignore"):
-            numbers = np.loadtxt(io.StringIO(text), delimiter=delimiter, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return numbers if numbers.shape[1] == columns else None

@@ -24,7 +24,6 @@ _RATES = {"s": 1, "sec": 1, "s2": 2, "sec2": 2}
 _MARKS = (("µ", "u"), ("μ", "u"), ("²", "2"), ("¹", "1"), ("⁻", "-"), ("^", ""), ("**", ""), ("·", "*"))
 _DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
 _PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")  # as in m s-1
-_NOTHING = ("", "none", "-", "1", "unknown")
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class MotionUnit:
 
 def is_none(label: str) -> bool:
     """Return whether a label says nothing."""
-    return label.strip().strip("[]()").strip().lower() in _NOTHING
+    return label.strip().strip("[]()").strip().lower() in ("", "none", "-", "1", "unknown")
 
 
 def plain(label: str) -> str:
@@ -68,8 +67,7 @@ def motion_unit(label: str) -> MotionUnit | None:
     text = plain(label)
     if _DENSITY.search(text):
         return None
-    bracketed = re.fullmatch(r"\(([^()]+)\)(?:/(.+))?", text)
-    if bracketed is not None:
+    if bracketed := re.fullmatch(r"\(([^()]+)\)(?:/(.+))?", text):
         inner = motion_unit(bracketed[1])
         if inner is None or inner.per:
             return None
@@ -77,12 +75,10 @@ def motion_unit(label: str) -> MotionUnit | None:
     first, *rest = text.split("/")
     if first.lower() in ("g", "gn", "g_n"):
         return MotionUnit(2, STANDARD_GRAVITY, "/".join(rest))
-    if first not in LENGTHS:
-        return None
     order = 0
     while rest and rest[0].lower() in _RATES and order + _RATES[rest[0].lower()] <= 2:
         order += _RATES[rest.pop(0).lower()]
-    return MotionUnit(order, LENGTHS[first], "/".join(rest).strip("()"))
+    return MotionUnit(order, LENGTHS[first], "/".join(rest).strip("()")) if first in LENGTHS else None
 
 
 def split_amplitude(label: str) -> tuple[str, str]:
