@@ -15,6 +15,7 @@ from stapeskit.arrays import Array
 
 _LEAST_MM3 = calibrated("plate_region.least_mm3")
 _RIM_MM = calibrated("plate_region.rim_mm")
+_BALL_MM = 0.06  # radius of a ball that a plate holds and a blurred rim does not
 _GRID_MM = 0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer one
 _LEAST_DEEP = 300  # voxels of pure plastic or air from which a mean is taken
 _SMOOTH_VOXELS = 0.7  # about the least that leaves no stairs of voxels in the surface
@@ -74,11 +75,15 @@ def find_plate(
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
-    """Return the plate's voxels on the grid of a box, without the blurred rims of bone beyond it."""
+    """Return the plate's voxels on the grid of a box: what a ball fits in, for blurred rims of bone are thin."""
     from ct_inertia.grey.start import grown
 
     there = from_coarse(box, grown(region.mask), region.first, region.step)
-    return np.asarray(there & (quiet > np.float32(0.5 * (region.air + region.plastic))) & ~bone)
+    there &= (quiet > np.float32(0.5 * (region.air + region.plastic))) & ~bone
+    edge = float(box.spacing_mm.max())
+    radius = max(_BALL_MM, 1.5 * edge)
+    core = there & (capped_distance(~there, box.spacing_mm, 1.2 * radius) > np.float32(radius))
+    return np.asarray(there & (capped_distance(core, box.spacing_mm, radius + 2.0 * edge) <= np.float32(radius + edge)))
 
 
 def mask_region(scan: Scan, plate: Mask, first: np.ndarray) -> PlateRegion | None:

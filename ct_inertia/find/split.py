@@ -22,6 +22,7 @@ from stapeskit.arrays import Array
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 """From a gap without bridges to bridges so wide that they meet half way round."""
 
+_FEW_DEPTHS = 3  # for a body that is a whole stapes but for its size: a gap without bridges, and narrow ones
 _FINER_MM = calibrated("split.finer_mm")
 _COARSEST_MM = 0.045  # grid on which a gap of 65 um is still seen
 _MOST_VOXELS = 12_000_000  # of a grid: 50 MB, and some seconds of watersheds
@@ -127,7 +128,8 @@ def splits(
     solid = _of_the_whole(grey > np.float32(between), grid, pieces, whole, overview.step)
     if whole.arched and whole.surrounds < MOST_SURROUNDED:
         yield from _at_necks(grid, solid)
-    for way in _at_gaps(grid, share, solid):
+    complete = whole.possible and whole.empty_arch and not whole.at_border
+    for way in _at_gaps(grid, share, solid, DEPTHS_MM[:_FEW_DEPTHS] if complete else DEPTHS_MM):
         yield way
         if not any(part.usual and part.arched for part in way.parts):
             yield from _united(way)
@@ -163,7 +165,7 @@ def _narrow_gaps(share: Grey, bone: Mask, spacing_mm: Array) -> Mask:
     return np.asarray(open_gaps | (closed(clear, spacing_mm, valley) & ~clear))
 
 
-def _at_gaps(grid: Box, share: Grey, bone: Mask) -> Iterator[Split]:
+def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -> Iterator[Split]:
     """Split bone along its narrow gaps, from gaps without bridges to wide bridges.
 
     Notes
@@ -185,7 +187,7 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask) -> Iterator[Split]:
     least = _LEAST_DEPTH_VOXELS * float(np.mean(spacing))
     depth = capped_distance(gaps, spacing, DEPTHS_MM[-1] + least)
     before: NDArray[np.int32] | None = None
-    for wanted in DEPTHS_MM:
+    for wanted in depths_mm:
         markers = cc3d.connected_components(bone & (depth > np.float32(max(wanted, least))), connectivity=6)
         sizes = np.bincount(markers.ravel())
         kept = sizes * voxel >= _LEAST_MARKER_MM3

@@ -54,23 +54,26 @@ def _surface(
     noise = begin.noise / contrast
     voxel = abs(float(np.linalg.det(transform[:3, :3])))
     thick = _RIM_WIDTHS * fit.sigma_mm
-    where = fit.side(name)
-    shown = np.where(where, fit.fields[name], np.float32(-1.0))
-    share = fit.shares[name]
-    rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near).astype(np.float32)
-    square = np.square(fit.residual * np.float32(1.0 / contrast)) * rim
+    window = fit.windows[name]
+    where = fit.side(name)[window]
+    shown = np.where(where, fit.fields[name][window], np.float32(-1.0))
+    share = fit.shares[name][window]
+    rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]).astype(np.float32)
+    square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
     local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
+    placed = transform.copy()
+    placed[:3, 3] += transform[:3, :3] @ np.array([part.start for part in window[::-1]], dtype=float)
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
     relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
     return BodySurface(
         field=shown,
-        scan_from_index=transform,
+        scan_from_index=placed,
         blur_mm=0.0,
         noise_mm4=noise**2 * begin.correlation * voxel * thick / _RIM_RISE**2,
         correlation_mm=float(1.5 * np.sqrt(2.0)) * fit.sigma_mm,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,
         level_sd_mm=0.5 * relative * slope,
-        one_sd=None if doubt is None else np.where(where, shown + doubt, np.float32(-1.0)),
+        one_sd=None if doubt is None else np.where(where, shown + doubt[window], np.float32(-1.0)),
     )

@@ -24,6 +24,7 @@ from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 _BLUR_SD = calibrated("scene.blur_sd")
+_FLUID_SD = calibrated("media.fluid_sd")
 _SOFT_SD = calibrated("media.soft_sd")
 
 
@@ -202,6 +203,9 @@ def _with_sources(moments: Moments, parts: _Parts, found: list[PlaceMisfit]) -> 
     if parts.soft_share.any():
         soft = 0.5 * (common(parts.soft_share, transform, moments) + by_octants(parts.soft_share, transform, moments))
         moments = moments.with_source("surroundings", _SOFT_SD**2 * soft)
+    if fit.media.touching is not None:
+        wet = np.where(parts.own, fit.shares["plate"], zero) * np.float32(fit.contrasts["plate"] / contrast)
+        moments = moments.with_source("surroundings", _FLUID_SD**2 * common(wet, transform, moments))
     if parts.coat_sd is not None:
         moments = moments.with_source("coat", common(parts.coat_sd, transform, moments))
     if fit.media.void_share is not None:

@@ -31,6 +31,7 @@ _BEYOND_EDGES = 1e-3  # share of bodies below which not even a wrong blur passes
 _STRONG = 0.08  # of bone's contrast: more than what a wrong blur leaves next to an edge
 _LEAST_PART = 0.01  # of the voxels there that must stand out
 _LEAST_MEDIUM = calibrated("media.least_share")
+_FILLED_SD = calibrated("media.filled_sd")
 _VOID_SD = calibrated("media.void_sd")
 _STANDS_OUT = 3.0  # standard deviations from which a void counts as filled
 _REPORTED = 5e-4  # share of the volume from which a medium is named
@@ -169,6 +170,7 @@ class Media:
         self.void_sd = float(np.sqrt(start.noise**2 * start.correlation / square + model**2))
         if self.void_grey < _STANDS_OUT * self.void_sd:
             self.void_grey = 0.0
+        self.void_sd = float(np.hypot(self.void_sd, _FILLED_SD * self.void_grey))
 
     def _find_soft(self, fit: SceneFit, rest: Grey) -> None:
         """Average what bodies leave in voxels that they hardly fill; keep it where it stands out of the noise."""
@@ -181,12 +183,16 @@ class Media:
         width = _MEDIUM_SIGMAS * fit.sigma_mm / start.spacing
         mean = local_ratio(free * rest, free * free, width, 0.02)
         independent = max(1.0, float(np.prod(2.0 * np.sqrt(np.pi) * width)))
-        least = max(_LEAST_MEDIUM * contrast, 4.0 * start.noise * np.sqrt(start.correlation / independent))
+        scatter = start.noise * np.sqrt(start.correlation / independent)
+        least = max(_LEAST_MEDIUM * contrast, 3.0 * scatter)
         close = start.distances["stapes"] <= np.float32(start.reach_mm)
         seen = [
             np.count_nonzero((np.abs(mean) > np.float32(most)) & close & (total < np.float32(share)))
             > _LEAST_PART * np.count_nonzero(close & (total < np.float32(share)))
-            for share, most in ((_BEYOND_EDGES, 2.0 * least), (_CLEAR[1], max(2.0 * least, _STRONG * contrast)))
+            for share, most in (
+                (_BEYOND_EDGES, max(2.0 * _LEAST_MEDIUM * contrast, 5.0 * scatter)),
+                (_CLEAR[1], max(_STRONG * contrast, 5.0 * scatter)),
+            )
         ]
         if self.soft is None and not any(seen):
             return
@@ -240,10 +246,11 @@ def media_notices(fit: SceneFit, soft_share: Grey, moments: Moments, transform: 
     """Report fluid or soft tissue that was subtracted, and hollows that are filled or cannot be seen to be."""
     notices = []
     soft = 100.0 * effect(soft_share, transform, moments)[0] / moments.volume_mm3
-    if abs(soft) > 100.0 * _REPORTED:
+    if abs(soft) > 100.0 * _REPORTED or fit.media.touching is not None:
+        wet = " A fluid touches it, which is modelled as a body of its own." if fit.media.touching is not None else ""
         text = (
             f"Fluid or soft tissue lies around the stapes: {soft:.2f} % of its volume were subtracted as a smooth "
-            "medium, and the budget holds what remains (surroundings). Dry the sample and scan it again for a better "
+            f"medium.{wet} The budget holds what remains (surroundings). Dry the sample and scan it again for a better "
             "value."
         )
         notices.append(Notice("soft_surroundings", text))

@@ -14,7 +14,7 @@ from ct_inertia.bodies import Grey, Mask, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.moments import common
 from ct_inertia.grey.scene import SceneFit
-from ct_inertia.grey.start import mean_by_cells
+from ct_inertia.grey.start import by_cells, mean_by_cells
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -86,10 +86,9 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
         values, index = residual[where], np.argwhere(where)
         mean, error = mean_by_cells(values, index, _CELL_VOXELS)
         error = max(error, noise * float(np.sqrt(fit.start.correlation / count)), 1e-9)
-        key = np.unique(index // _CELL_VOXELS @ np.array([1 << 40, 1 << 20, 1]), return_inverse=True)[1]
-        size = np.bincount(key)
+        size, total = by_cells(values, index, _CELL_VOXELS)
         full = size >= _LEAST_CELL
-        means = np.bincount(key, values)[full] / size[full]
+        means = total[full] / size[full]
         expected = noise * np.sqrt(fit.start.correlation / size[full])
         chi2 = float(np.mean((means / np.maximum(expected, 1e-9)) ** 2)) if full.any() else 0.0
         amount = np.where(where, residual, np.float32(0.0))

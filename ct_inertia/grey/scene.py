@@ -23,7 +23,7 @@ from ct_inertia.grey.storing import Storing
 
 _ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
 _BLUR_ROUNDS = (1, 3, 5)  # rounds after which the blur is fitted
-_MEDIA_ROUNDS = (2, 4, 6, 8)
+_MEDIA_ROUNDS = (2, 5, 8)
 _SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
 _DAMPING = 0.7  # of the local level: the residual answers to it by about its own size
 _GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
@@ -200,6 +200,8 @@ def _adjust_level(fit: SceneFit, name: str) -> None:
     window = fit.windows[name]
     share = fit.shares[name][window]
     rim = (share > _RIM[0]) & (share < _RIM[1]) & fit.side(name)[window] & fit.start.near[window]
+    if name == "stapes" and fit.media.voids is not None:
+        rim &= ~fit.media.voids[window]  # the level would take what fills a hollow
     weight = rim.astype(np.float32)
     left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
     width = _LEVEL_SIGMAS * fit.sigma_mm / fit.start.spacing

@@ -129,16 +129,25 @@ def mean_by_cells(values: NDArray[np.floating], index: NDArray[np.intp], edge: i
 
     Cells are cubes of so many voxels: noise that neighbours share and unevenness both count.
     """
-    key = np.unique(index // edge @ np.array([1 << 40, 1 << 20, 1]), return_inverse=True)[1]
-    count = np.bincount(key)
+    count, total = by_cells(values, index, edge)
     used = count >= 4
     if np.count_nonzero(used) < 4:
         return float(np.mean(values)), float(np.std(values))
     weight = count[used].astype(float)
-    means = np.bincount(key, values)[used] / weight
+    means = total[used] / weight
     mean = float(np.average(means, weights=weight))
     scatter = float(np.average((means - mean) ** 2, weights=weight))
     return mean, float(np.sqrt(scatter / (np.count_nonzero(used) - 1)))
+
+
+def by_cells(
+    values: NDArray[np.floating], index: NDArray[np.intp], edge: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Return number and sum of the values (n,) at indices (n, 3) in each cube of so many voxels, (cells,)."""
+    cells = index // edge
+    size = cells.max(axis=0) + 1
+    key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
+    return np.bincount(key), np.bincount(key, values)
 
 
 def noise_correlation(rest: Grey, inside: Mask) -> float:
