@@ -104,8 +104,7 @@ def estimate(
 def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights: Array) -> tuple[Fit, Array]:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
-    Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs. The
-    bias is -(A^T A)^-1 sum of Re tr(B C dB_k^H): the expectation of dA^H de.
+    Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
     """
     data, entries = likelihood.data, likelihood.at["entries"]
     inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
@@ -119,10 +118,7 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     chi2 = 2.0 * float(np.sum(np.abs(white) ** 2))
     n_dof = degrees(likelihood)
     own = own * max(1.0, chi2 / max(n_dof, 1))
-    across = weights[:, None] * likelihood.slopes(theta, every.repeat(data.count, 0))[entries]
-    pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, across.conj()).real
-    information = equations.matrix.T @ equations.matrix
-    bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
+    bias = _bias(likelihood, theta, equations, weights)
     shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
         ..., 0
     ]
@@ -136,6 +132,27 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     covariance[fixed, fixed] = 0.0
     found = Fit(likelihood, theta, chi2, n_dof, 1, True, covariance, own)
     return found, bias
+
+
+def _bias(
+    likelihood: Likelihood, theta: Array, equations: Equations, weights: Array, rounds: int = 6
+) -> Array:
+    """Return what noise of the regressor does to K and D: -(A^T A)^-1 sum of Re tr(B C dB_k^H).
+
+    It is taken at the estimate without its bias, found in a few rounds.
+    """
+    data, entries = likelihood.data, likelihood.at["entries"]
+    every = np.eye(data.y.shape[1], dtype=complex)[None]
+    information = equations.matrix.T @ equations.matrix
+    bias = np.zeros(entries.stop)
+    for _ in range(rounds):
+        point = theta.copy()
+        point[entries] -= bias
+        operator = weights[:, None] * likelihood.act(point, every)
+        slopes = weights[:, None] * likelihood.slopes(point, every.repeat(data.count, 0))[entries]
+        pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, slopes.conj(), optimize=True).real
+        bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
+    return np.asarray(bias)
 
 
 def _constrained(

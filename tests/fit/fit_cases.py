@@ -1,6 +1,6 @@
 """Simulated motion for the tests of fitting: the paper's stapes, and ears with a ring of springs as ligament.
 
-The ears come from the simulator of the project and plain least squares; nothing of fitting's engine is in them.
+The ears come from the simulator of the project and plain least squares: no engine of fitting is in them.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def ring_ear(
 ):
     """Draw an ear with a ring as ligament, measured with wrong positions, registration, mass and noise.
 
-    ``cause`` is an error that the experimenter does not know: delay (us), gain (%), fluid (mg), drift, step (%).
+    ``cause`` is an error that is not known: delay (us), gain (%), fluid (mg), drift, step (%).
     """
     rng = np.random.default_rng(seed)
     parameters = six_parameters() * rng.uniform(0.85, 1.15)

@@ -1,4 +1,4 @@
-"""Noise-free data give K and D exactly; motion that is not what its file says is named; nothing ends in a traceback."""
+"""Noise-free data give K and D exactly; motion that is not what its file says is named."""
 
 from dataclasses import replace
 

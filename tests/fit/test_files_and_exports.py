@@ -1,4 +1,4 @@
-"""Files: the command, its exports as numbers that give K and D back, outputs that replace nothing of the user."""
+"""Files: the command, exports whose numbers give K and D back, outputs that replace nothing."""
 
 import json
 import subprocess

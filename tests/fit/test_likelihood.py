@@ -1,4 +1,4 @@
-"""The likelihood: exact gradient, distance to the nearest consistent motion, invariances, bound and coverage."""
+"""The likelihood: exact gradient, nearest consistent motion, invariances, bound and coverage."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The one verdict, what a result says of itself, the plan's promise, and the repetitions that check the intervals."""
+"""The one verdict, what a result says of itself, the plan's promise, repetitions that check intervals."""
 
 import json
 from dataclasses import replace
@@ -57,9 +57,9 @@ def test_every_code_of_the_room_has_an_entry():
     found = set()
     for path in Path(fitting.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Notice" and node.args:
-                if isinstance(node.args[0], ast.Constant):
-                    found.add(node.args[0].value)
+            made = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Notice" and node.args
+            if made and isinstance(node.args[0], ast.Constant):
+                found.add(node.args[0].value)
     own = {code for code, entry in table().items() if entry.room == "fitting"}
     assert found <= own
     assert own - found <= {
@@ -81,7 +81,8 @@ def test_json_summary_and_verdict_say_the_same(ear):
     assert json.loads(text)["schema"] == "stapeskit.kd/1"
     needed = (
         "dof", "model", "estimator", "stiffness_si", "stiffness_sd_si", "damping_si", "damping_sd_si",
-        "noise_only_sd_si", "covariance_si", "parameters", "verdict", "budget", "stable", "max_real_eigenvalue_1_s",
+        "noise_only_sd_si", "covariance_si", "parameters", "verdict", "budget", "stable",
+        "max_real_eigenvalue_1_s",
         "passive", "modes", "overdamped_roots_1_s", "principal_axes", "fit", "identifiability", "warnings",
         "provenance",
     )  # fmt: skip
