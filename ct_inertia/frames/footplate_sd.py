@@ -19,12 +19,15 @@ from stapeskit.arrays import Array
 from stapeskit.frames import vector_from_rotation
 
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+_SECTORS = 12  # of the rim: each some tenths of a millimetre long
 _LEAST_CURVATURE = 0.2  # 1/mm: a rim that bends less is none
 _ROUGH = 3e-5  # rad: accuracy of solutions that are only compared, far below the differences that count
 _MOST_STEP_DEG = 6.0
 _RIM_DEG_PER_MM = calibrated("footplate.rim_deg_per_mm")
 _FITTED_RIM_DEG_PER_MM = calibrated("footplate.fitted_rim_deg_per_mm")
 _SHAPE_LEFT = np.array(calibrated("footplate.shape_left"))
+_EDGE_LEFT = calibrated("footplate.edge_left")
+_RIM_NOISE = calibrated("footplate.rim_noise") ** 2
 _GRAIN = calibrated("footplate.grain")
 _BLUR_SHIFT_1_MM = calibrated("footplate.unknown_blur_shift_1_mm")
 _BLUR_TILT_RAD_MM2 = calibrated("footplate.unknown_blur_tilt_rad_mm2")
@@ -81,11 +84,16 @@ def contributions_of(solved: Solved, error: SurfaceError) -> dict[str, Array]:
     if not error.fitted:
         correlation = float(np.sqrt(2.0)) * _GRAIN * resolution
         density += shown_noise(solved, correlation)
-    parts = {"noise": density * influence.white_heights() + influence.rim(_slope_density(density, correlation, error))}
+    across = influence.rim(_slope_density(density, correlation, error))
+    along = influence.rim_heights(_height_density(density, correlation))
+    parts = {"noise": density * influence.white_heights() + _RIM_NOISE * (across + along)}
     if error.misfit_sd_mm is not None:
         parts["misfit"] = influence.common_heights(error.misfit_sd_mm, error.misfit_mm)
     if error.level_sd_mm:
         parts["levels"] = np.diag(np.square([0.0, 1e-3 * error.level_sd_mm, 0.0, 0.0, 0.0, 0.0]))
+    if error.fitted:
+        curvature = np.minimum(influence.curvature, 1.0 / resolution)
+        parts["edges"] = influence.sectors(_EDGE_LEFT * resolution**2 * curvature)
     scale = _SHAPE_LEFT if error.fitted else np.ones(6)
     per_mm = _FITTED_RIM_DEG_PER_MM if error.fitted else _RIM_DEG_PER_MM
     step_deg = min(per_mm * resolution, _MOST_STEP_DEG)
@@ -116,6 +124,10 @@ class Influence:
         Change of (x, y, z in mm, alpha, beta, gamma in rad) per mm of outward height and mm2, at the triangles.
     rims : ndarray, (s, 6)
         The same per mm of outward shift of the rim and mm of its length, at the pieces of the border.
+    lengths, curvature : ndarray, (s,)
+        Of the pieces of the border: length, mm, and how fast the normal turns across it, 1/mm.
+    flat : ndarray, (s, 2)
+        Their places x, z in footplate axes, mm.
     """
 
     def __init__(self, solved: Solved) -> None:
@@ -129,6 +141,7 @@ class Influence:
         middle = (face.segments.mean(axis=1) - face.centroid) @ axes
         self.lengths = np.linalg.norm(face.segments[:, 1] - face.segments[:, 0], axis=1)
         self.middles = face.segments.mean(axis=1) + solved.region.middle
+        self.flat = middle[:, [0, 2]]
         self.rims = np.zeros((len(middle), 6))
         self.rims[:, :3] = middle / self.areas.sum()
         self.rims[:, [3, 5]] = _tilts(local, self.areas, middle) * middle[:, 1:2]
@@ -146,6 +159,26 @@ class Influence:
         """Return what errors of the normal across the rim add, (6, 6), SI, by their line density, rad2 mm."""
         moved = self.rims / self.curvature[:, None]
         return _to_si((moved * (self.lengths * slope_density)[:, None]).T @ moved)
+
+    def rim_heights(self, height_density: float) -> Array:
+        """Return what heights of the rim itself add, which move it outward, (6, 6), SI, by line density, mm3."""
+        sine = float(np.sin(np.radians(FACE_ANGLE_DEG)))
+        return _to_si((self.rims * (self.lengths * height_density)[:, None]).T @ self.rims) * sine**2
+
+    def sectors(self, shift_mm: Array) -> Array:
+        """Return what shifts of the rim (s,), mm, common to a sector of it and independent between, add, (6, 6), SI.
+
+        Notes
+        -----
+        Shape of the edge and place on the grid change along the rim. The sectors are those of a circle that the face
+        is stretched to: by angles on the face itself two of them would be its whole ends.
+        """
+        steps = self.rims * (shift_mm * self.lengths)[:, None]
+        along, across = self.flat.T
+        angle = np.arctan2(across / np.ptp(across), along / np.ptp(along))
+        sector = np.floor(angle / (2.0 * np.pi) * _SECTORS).astype(int) % _SECTORS
+        parts = np.array([steps[sector == k].sum(axis=0) for k in range(_SECTORS)])
+        return _to_si(parts.T @ parts)
 
     def common_heights(self, sd_mm: Callable[[Array], Array], length_mm: float) -> Array:
         """Return what heights add whose standard deviation depends on the place, (6, 6), SI.
@@ -193,6 +226,13 @@ def _slope_density(density: float, correlation_mm: float, error: SurfaceError) -
     low = step_response(k, NORMAL_SCALE_MM)
     lifted = 1.0 + 2.0 * (error.blur_mm / NORMAL_SCALE_MM) ** 2 * (1.0 - low)
     waves = k * low**2 * lifted * np.exp(-0.25 * (correlation_mm * k) ** 2)
+    return density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
+
+
+def _height_density(density: float, correlation_mm: float) -> float:
+    """Return the line density, mm3, along the rim of height noise that is averaged over a length."""
+    k = np.linspace(-60.0 / NORMAL_SCALE_MM, 60.0 / NORMAL_SCALE_MM, 12001)
+    waves = step_response(k, NORMAL_SCALE_MM) ** 2 * np.exp(-0.25 * (correlation_mm * k) ** 2)
     return density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
 
 

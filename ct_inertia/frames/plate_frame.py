@@ -29,7 +29,7 @@ _LEAST_EDGE_MM = 0.5
 _STEEP, _BORDER_STEEP = 0.2, 0.995  # cosine to the main face up to which a side, or the border, ends it
 _COVERED = 0.9  # cosine from which two directions are taken for one
 _LIKE, _ROUNDING_MM = 0.93, 0.1  # cosine and distance of a face that is only the rounded edge of a larger one
-_CURVED_1_MM = 0.15  # a side of 7 mm radius is no plane
+_CURVED_1_MM = 0.15  # a face of 7 mm radius is no plane
 _RIM_MM = calibrated("plate_frame.rim_mm")
 _AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate_frame.agreeing_rad")
 _UNKNOWN_TURN_RAD = 1.0
@@ -109,9 +109,10 @@ def plate_frame(plate: Surface, stapes_mm: Array, level_sd_mm: float = 0.0) -> P
 
 def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
     for face in faces:
-        if not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
+        flat = float(np.max(np.abs(np.linalg.eigvalsh(face.turning_1_mm)))) < _CURVED_1_MM
+        if flat and not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
             return face
-    got = f"{len(faces)} plane faces, none of which has the stapes on its outer side"
+    got = f"{len(faces)} faces, none of which is plane and has the stapes on its outer side"
     raise StapeskitError.of("the plate", "a solid with a plane face towards the stapes", got, next_step=_STEP)
 
 

@@ -1,0 +1,321 @@
+"""The whole way: meshes, labels and scans to files; the loop through labels; refusals; pages drawn again."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ct_inertia.api import ct2mass
+from ct_inertia.cli import work
+from ct_inertia.exports.write import EXPORTS
+from ct_inertia.options import EXPORTS as EXPORT_NAMES
+from ct_inertia.options import MassOptions
+from ct_inertia.report.sections import page_from
+from ct_inertia.results import MassResult
+from simulate import Ear, Scan, Stapes, Truth, simulate_study, stapes_solid
+from ct_inertia.surface.surface import Surface
+from stapeskit.faults import StapeskitError
+from stapeskit.records.mass import read_mass_json
+from stapeskit.records.measured_mass import measured_mass
+from stapeskit.registration import displacement
+from stapeskit.warnings import table
+from tests.mass.population import measure, write_labels
+
+
+@functools.cache
+def study() -> tuple[Path, Truth]:
+    """Return the folder of a simulated scan with noise that neighbours share, and its truth."""
+    folder = Path(tempfile.mkdtemp(prefix="stapes"))
+    scan = Scan(voxel_um=32.0, noise=0.06, noise_correlation_voxels=0.8, samples=4, seed=11)
+    truth = simulate_study(Ear(gap_mm=0.15), scan, None, folder)
+    write_labels(folder / "truth.seg.nrrd", truth)
+    return folder, truth
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _tidy() -> object:
+    yield
+    if study.cache_info().currsize:
+        shutil.rmtree(study()[0])
+
+
+def options(**more: object) -> dict[str, object]:
+    folder, truth = study()
+    anterior = tuple(float(v) for v in truth.scan_from_footplate.rotation[:, 0])
+    return {"scan": str(folder / "scan.tif"), "anterior": anterior, "coat": 0, "side": "left", **more}
+
+
+@functools.cache
+def scanned() -> MassResult:
+    return ct2mass(**options(density=(1900.0, 60.0)))
+
+
+@functools.cache
+def labelled() -> MassResult:
+    return ct2mass(**options(density=(1900.0, 60.0), labels=str(study()[0] / "truth.seg.nrrd")))
+
+
+def test_a_scan_is_measured_within_its_stated_sd() -> None:
+    result, truth = scanned(), study()[1]
+    step = displacement(result.footplate.scan_from_footplate, truth.scan_from_footplate)
+    assert np.all(np.abs(step) < 4.0 * np.sqrt(np.diag(result.footplate.covariance)))
+    volume = result.moments
+    assert abs(volume.volume_mm3 - 1e9 * truth.volume_m3) < 4.0 * volume.volume_sd_mm3
+    parts = dict(result.matrix.contributions)
+    parts.pop("density")
+    sd = np.sqrt(np.diag(sum(parts.values())))
+    exact = truth.parameters_si * (1900.0 / truth.ear.density_kg_m3)
+    assert np.all(np.abs(result.matrix.parameters - exact) < 4.5 * sd)
+
+
+def test_labels_state_no_smaller_sd_than_the_scan_alone() -> None:
+    by_scan, by_labels = scanned(), labelled()
+    ratio = np.sqrt(np.diag(by_labels.footplate.covariance) / np.diag(by_scan.footplate.covariance))
+    assert np.all(ratio > 0.8)
+    assert by_labels.moments.volume_sd_mm3 > 0.7 * by_scan.moments.volume_sd_mm3
+    assert {"noise", "rim", "resolution"} <= set(by_labels.footplate.contributions)
+
+
+def test_own_labels_given_back_weigh_the_same(tmp_path: Path) -> None:
+    first = labelled()
+    first.write(tmp_path / "out", report=False)
+    again = ct2mass(**options(density=(1900.0, 60.0), labels=str(tmp_path / "out" / "labels.seg.nrrd")))
+    root = np.sqrt(np.diag(first.matrix.matrix))
+    change = np.abs(again.matrix.matrix - first.matrix.matrix) / np.outer(root, root)
+    assert np.max(change) < 1e-6
+    assert again.moments.volume_mm3 == pytest.approx(first.moments.volume_mm3, rel=1e-9)
+
+
+def test_labels_alone_are_the_solid_of_their_voxels() -> None:
+    folder, truth = study()
+    result = ct2mass(labels=str(folder / "truth.seg.nrrd"), density=1900.0, anterior=(1.0, 0.0, 0.0))
+    voxels = result.body.labelled.stapes.sum() * result.scan.voxel_mm3
+    assert result.moments.volume_mm3 == pytest.approx(voxels, rel=1e-9)
+    assert abs(result.moments.volume_mm3 - 1e9 * truth.volume_m3) < 3.0 * result.moments.volume_sd_mm3
+    codes = {notice.code for notice in result.notices}
+    assert {"labels_alone", "density_sd_not_given"} <= codes
+    assert "touches_border" not in codes
+    sd = np.sqrt(np.diag(result.footplate.covariance))
+    step = displacement(result.footplate.scan_from_footplate, truth.scan_from_footplate)
+    assert np.all(np.minimum(np.abs(step), np.abs(step[3:].max())) < 5.0 * sd + 1.0)
+
+
+def test_what_is_written_is_what_was_measured(tmp_path: Path) -> None:
+    result = scanned()
+    files = result.write(tmp_path / "out")
+    names = {path.name for path in files}
+    assert names == {"mass.json", "stapes.ply", "plate.ply", "labels.seg.nrrd", "scan_crop.nrrd", "report.html"}
+    record = read_mass_json(tmp_path / "out" / "mass.json")
+    np.testing.assert_allclose(record.mass_matrix.matrix, result.matrix.matrix, rtol=1e-12)
+    np.testing.assert_allclose(record.mass_matrix.covariance, result.matrix.covariance, rtol=1e-9)
+    memory = measured_mass(result)
+    np.testing.assert_array_equal(memory.record.mass_matrix.parameters, record.mass_matrix.parameters)
+    assert set(memory.meshes) == {"stapes", "plate"}
+    labels = memory.labels()
+    assert labels is not None
+    assert set(np.unique(labels.array)) == {0, 1, 2, 3}
+
+
+def test_the_page_is_drawn_again_from_the_folder_and_the_scan(tmp_path: Path) -> None:
+    result = scanned()
+    result.write(tmp_path / "out")
+    page = page_from(tmp_path / "out", study()[0] / "scan.tif")
+    first = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert [section.name for section in page.sections][:2] == ["What was measured", "Mass matrix M"]
+    assert all(f'id="{section.id}"' in first for section in (*page.sections, *page.appendix))
+    without = page_from(tmp_path / "out")
+    assert [section.name for section in without.sections][0] == "Mass matrix M"
+
+
+def test_the_result_prints_draws_and_tabulates_itself() -> None:
+    result = scanned()
+    names = [name for name, _ in result.summary()]
+    assert names[:2] == ["volume", "mass"]
+    assert "anterior" in names
+    assert len(repr(result).splitlines()) < 30
+    frame = result.to_frame()
+    assert len(frame) == 21
+    assert frame["standard_deviation_si"].notna().all()
+    assert result.plot().axes
+    assert "<table>" in result._repr_html_()
+
+
+def test_every_warning_of_a_result_is_in_the_table() -> None:
+    known = table()
+    for result in (scanned(), labelled()):
+        assert {notice.code for notice in result.notices} <= set(known)
+
+
+def test_without_density_one_is_assumed_and_reported_first() -> None:
+    solid = stapes_solid(Stapes())
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "stapes.ply"
+        Surface(solid.vertices_mm, solid.faces).write(path)
+        result = ct2mass(str(path), anterior=(1.0, 0.0, 0.0))
+        assert result.summary()[0][0] == "density"
+    assert result.notices[0].code == "density_assumed"
+    share = result.matrix.standard_deviation[0, 0] / result.matrix.matrix[0, 0]
+    assert share == pytest.approx(200.0 / 1900.0, rel=1e-9)
+    exact = solid.moments()
+    assert result.moments.volume_mm3 == pytest.approx(exact.volume_mm3, rel=1e-12)
+
+
+@pytest.fixture
+def mesh(tmp_path: Path) -> Path:
+    solid = stapes_solid(Stapes())
+    path = tmp_path / "stapes.ply"
+    Surface(solid.vertices_mm, solid.faces).write(path)
+    return path
+
+
+def test_every_export_is_written(mesh: Path, tmp_path: Path) -> None:
+    assert set(EXPORTS) == set(EXPORT_NAMES)
+    kinds = [name for name in EXPORTS if name != "crop"]
+    out = tmp_path / "out"
+    words = [str(mesh), "--density", "1900", "--no-report", "--export", ",".join(kinds), "--faces", "2000"]
+    outcome = work([*words, "--smooth", "5", "--out", str(out)])
+    assert {path.name for path in outcome.files} >= {EXPORTS[name][0] for name in kinds}
+    from scipy.io import loadmat
+
+    content = loadmat(out / "mass.mat")
+    record = read_mass_json(out / "mass.json")
+    np.testing.assert_allclose(content["M"], record.mass_matrix.matrix)
+    assert np.all(np.isnan(content["M_sd"]))  # the density has no sd: none of M is whole
+    import trimesh
+
+    assert len(trimesh.load(out / "stapes.stl").faces) == 2000
+
+
+def test_files_of_the_user_are_not_written_over(mesh: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mass.json").write_text("mine")
+    words = [str(mesh), "--density", "1900", "--no-report", "--out", str(out)]
+    with pytest.raises(StapeskitError):
+        work(words)
+    assert (out / "mass.json").read_text() == "mine"
+    work([*words, "--force"])
+    assert json.loads((out / "mass.json").read_text())["schema"] == "stapeskit.mass/1"
+
+
+def test_labels_that_were_corrected_in_place_stay(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    shutil.copy(study()[0] / "truth.seg.nrrd", folder / "labels.seg.nrrd")
+    before = (folder / "labels.seg.nrrd").read_bytes()
+    labels = str(folder / "labels.seg.nrrd")
+    outcome = work(["--labels", labels, "--density", "1900", "--no-report", "--out", str(folder)])
+    assert (folder / "labels.seg.nrrd").read_bytes() == before
+    assert "labels.measured.seg.nrrd" in {path.name for path in outcome.files}
+
+
+@pytest.mark.parametrize(
+    ("given", "thing"),
+    [
+        ({}, "SCAN"),
+        ({"scan": "mesh", "seed": (1, 2, 3)}, "--seed"),
+        ({"scan": "mesh", "labels": "mesh"}, "--labels"),
+        ({"scan": "mesh", "density": 1.9}, "--density"),
+        ({"scan": "mesh", "density": (1900, 2000)}, "the standard deviation of --density"),
+        ({"labels": "mesh", "threshold": 3}, "--threshold"),
+        ({"labels": "mesh", "spacing": 20.0}, "--spacing"),
+        ({"labels": "mesh", "coat": 0.03}, "--coat"),
+        ({"labels": "mesh", "shape": (3, 3, 3)}, "--shape and --dtype"),
+        ({"labels": "mesh", "close": True}, "--close"),
+        ({"scan": "mesh", "stapes_label": 2}, "--stapes-label and --plate-label"),
+        ({"scan": "mesh", "anterior": (0, 0, 0)}, "anterior"),
+        ({"scan": "mesh", "scale_length": (1, 2, 3)}, "scale_length"),
+        ({"scan": "mesh", "side": "up"}, "side"),
+        ({"scan": "nowhere.tif"}, "scan"),
+        ({"scan": "mesh", "densty": 3}, "densty"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(
+    given: dict[str, object], thing: str, mesh: Path
+) -> None:
+    named = {key: str(mesh) if value == "mesh" else value for key, value in given.items()}
+    with pytest.raises(StapeskitError) as error:
+        MassOptions.of(**named)
+    assert thing in {fault.thing for fault in error.value.faults}
+
+
+def test_a_study_and_a_command_line_make_the_same_options(mesh: Path) -> None:
+    values = {"file": str(mesh), "density_kg_m3": "1900+-60", "anterior": [-0.9, 0.1, 0.0], "coat_um": 0}
+    values.pop("coat_um")
+    from stapeskit.options import parse
+
+    study_options = MassOptions.from_study(values, "study.toml", mesh.parent)
+    words = [str(mesh), "--density", "1900+-60", "--anterior", "-0.9,0.1,0"]
+    (by_words,) = parse("ct2mass", "", (MassOptions,), words)
+    assert by_words == study_options
+
+
+def test_a_label_in_two_bodies_is_refused_and_an_island_left_out(tmp_path: Path) -> None:
+    from ct_inertia.labels import label_volume
+    from ct_inertia.scan.scan import Scan as Grid
+
+    labels = np.zeros((40, 40, 40), dtype=np.uint8)
+    labels[5:20, 5:20, 5:20] = 1
+    labels[30:32, 30:32, 30:32] = 1
+    grid = Grid.from_array(labels, 0.05)
+    volume = label_volume(labels, grid)
+    assert [notice.code for notice in volume.notices] == ["label_islands_left_out"]
+    assert np.count_nonzero(volume.array == 1) == 15**3
+    labels[25:35, 25:35, 25:35] = 1
+    with pytest.raises(StapeskitError) as error:
+        label_volume(labels, grid)
+    assert error.value.faults[0].thing == "the stapes of the label volume"
+
+
+def test_labels_of_another_scan_are_refused() -> None:
+    from ct_inertia.labels import label_volume, labels_on_scan
+    from ct_inertia.scan.scan import Scan as Grid
+
+    labels = np.zeros((30, 30, 30), dtype=np.uint8)
+    labels[8:22, 8:22, 8:22] = 1
+    grey = np.where(labels, 30000, 8000).astype(np.uint16)
+    scan = Grid.from_array(grey, 0.05)
+    for grid in (Grid.from_array(labels, 0.04), Grid.from_array(labels, 0.05, origin_mm=np.array([9.0, 0, 0]))):
+        moved = label_volume(labels[:, :, :28], Grid.from_array(labels[:, :, :28], grid.spacing_mm, origin_mm=grid.origin_mm))
+        with pytest.raises(StapeskitError) as error:
+            labels_on_scan(scan, moved)
+        assert error.value.faults[0].thing == "the label volume"
+    dark = Grid.from_array(np.where(labels, 8000, 30000).astype(np.uint16), 0.05)
+    with pytest.raises(StapeskitError) as error:
+        labels_on_scan(dark, label_volume(labels, scan))
+    assert error.value.faults[0].thing == "the stapes of the label volume"
+
+
+def test_the_help_is_there_at_once() -> None:
+    """Nothing of the measurement is imported for it."""
+    code = (
+        "import sys; sys.argv = ['ct2mass', '--help']\n"
+        "from ct_inertia.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'scipy', 'pyvista', 'vtkmodules', 'matplotlib', 'pandas', 'trimesh', 'skimage'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "--density" in done.stdout
+
+
+def test_stated_intervals_hold_the_truth_of_ears_drawn_at_random() -> None:
+    """Pose and ten parameters of three ears: 48 values, of which 95 % within 1.96 sd are expected."""
+    values = []
+    for seed in (501, 502, 503):
+        case = measure(seed, with_labels=True)
+        values += [*case.pose_z, *case.mass_z]
+    inside = int(np.count_nonzero(np.abs(values) < 1.96))
+    assert inside >= 36  # errors of one ear go together: far below 0.1 % if they were independent
+    assert np.max(np.abs(values)) < 6.0

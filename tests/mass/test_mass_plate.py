@@ -1,0 +1,169 @@
+"""The plate frame: planes of a mesh, conventions of its axes, fiducials; and the gap around the footplate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ct_inertia.frames.fiducials import PlateFiducials, plate_frame_from_fiducials, read_plate_fiducials
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.gap import window_gap
+from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
+from ct_inertia.surface.contour import contour
+from ct_inertia.surface.fields import refined
+from ct_inertia.surface.surface import Surface
+from simulate import Ear, Scan, box, coverage_of, simulate_truth
+from simulate.solids import Solid, joined
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.registration import displacement
+
+POSE = RigidTransform.from_parts(rotation_from_vector([0.2, 0.15, -0.1]), [4.0, 5.0, 6.0], "scan", "plate")
+STAPES = POSE.points([0.2, 1.5, 0.1])
+
+
+def slab(length: float, width: float, pose: RigidTransform = POSE) -> Surface:
+    solid = box([-0.5 * length, -0.5, -0.5 * width], [0.5 * length, 0.0, 0.5 * width]).moved(pose)
+    mesh = refined(Surface(solid.vertices_mm, solid.faces).mesh(), 0.15)
+    return Surface(np.asarray(mesh.points, dtype=float), np.asarray(mesh.regular_faces, dtype=np.int64))
+
+
+def codes(frame: PlateFrame) -> set[str]:
+    return {notice.code for notice in frame.notices}
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 35.0, 80.0, 100.0, 170.0, 260.0])
+def test_the_axes_are_those_of_the_convention(turn_deg: float) -> None:
+    turn = rotation_from_vector([0.0, np.radians(turn_deg), 0.0])
+    pose = POSE @ RigidTransform.from_parts(turn, np.zeros(3), "plate", "plate")
+    frame = plate_frame(slab(4.4, 3.0, pose), STAPES)
+    found = frame.scan_from_plate
+    np.testing.assert_allclose(found.translation_mm, POSE.translation_mm, atol=1e-5)
+    np.testing.assert_allclose(found.rotation[:, 1], POSE.rotation[:, 1], atol=1e-6)
+    assert abs(abs(found.rotation[:, 0] @ pose.rotation[:, 0]) - 1.0) < 1e-9
+    assert found.rotation[0, 0] > 0.0
+    assert codes(frame) == {"plate_axis_sign"}
+    assert not frame.cropped
+
+
+def test_the_stapes_says_which_face_it_is() -> None:
+    below = POSE.points([0.2, -2.0, 0.1])
+    frame = plate_frame(slab(4.4, 3.0), below).scan_from_plate
+    np.testing.assert_allclose(frame.rotation[:, 1], -POSE.rotation[:, 1], atol=1e-6)
+    np.testing.assert_allclose(frame.translation_mm, POSE.points([0.0, -0.5, 0.0]), atol=1e-5)
+
+
+def test_edges_of_one_length_are_reported_as_ambiguous() -> None:
+    assert "plate_axis_ambiguous" in codes(plate_frame(slab(3.0, 2.9), STAPES))
+    assert "plate_axis_ambiguous" not in codes(plate_frame(slab(3.0, 2.8), STAPES))
+
+
+def test_a_plate_that_the_scan_crops_is_reported() -> None:
+    solid = slab(4.4, 3.0)
+    local = POSE.inverse().points(solid.vertices_mm)
+    cropped = Surface(solid.vertices_mm, solid.faces, np.abs(local[:, 2] - 1.5) < 1e-6)
+    frame = plate_frame(cropped, STAPES)
+    assert frame.cropped
+    assert "plate_cropped" in codes(frame)
+
+
+def test_a_ball_is_no_plate() -> None:
+    from simulate import ellipsoid
+
+    ball = ellipsoid([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
+    with pytest.raises(StapeskitError) as error:
+        plate_frame(Surface(ball.vertices_mm, ball.faces), np.array([0.0, 3.0, 0.0]))
+    assert error.value.faults[0].thing == "the plate"
+
+
+@pytest.mark.parametrize("voxel_um", [25.0, 40.0])
+def test_the_plate_of_a_scan_is_found_below_two_micrometres(voxel_um: float) -> None:
+    from scipy.ndimage import gaussian_filter
+
+    truth = simulate_truth(Ear(), Scan(voxel_um=voxel_um, seed=5))
+    placed = truth.placed
+    plates = [solid for solid, material in placed.solids if material == "plastic"]
+    share = sum(coverage_of(solid, placed.shape, placed.voxel_mm, samples=3) for solid in plates)
+    noise = np.random.default_rng(1).normal(0.0, 0.1, share.shape)
+    field = gaussian_filter(gaussian_filter(share, 1.2) + noise, 0.7).astype(np.float32) - np.float32(0.5)
+    transform = np.eye(4)
+    transform[:3, :3] *= placed.voxel_mm
+    frame = plate_frame(contour(field, transform), truth.centre_of_mass_in_scan_mm)
+    step = displacement(truth.scan_from_plate, frame.scan_from_plate)
+    sd = np.sqrt(np.diag(frame.covariance))
+    assert np.all(np.abs(step) < 4.5 * sd + np.array([2e-7] * 3 + [2e-5] * 3))
+    assert np.all(sd < np.array([1e-6] * 3 + [2e-4] * 3))
+
+
+CORNERS = np.array([[2.2, 0.0, 1.5], [-2.2, 0.0, 1.5], [-2.2, 0.0, -1.5], [2.2, 0.0, -1.5]])
+
+
+def test_corners_of_the_face_define_the_frame_in_any_order() -> None:
+    points = POSE.points(CORNERS)
+    for order in ([0, 1, 2, 3], [2, 0, 3, 1]):
+        frame = plate_frame_from_fiducials(PlateFiducials(tuple("abcd"), points[order]), STAPES)
+        np.testing.assert_allclose(frame.scan_from_plate.matrix, POSE.matrix, atol=1e-9)
+        assert frame.source == "fiducials"
+        assert codes(frame) == {"plate_axis_sign"}
+
+
+def test_points_with_places_in_the_plate_are_fitted() -> None:
+    local = np.array([*CORNERS, [0.3, 0.7, -0.4]])
+    frame = plate_frame_from_fiducials(PlateFiducials(tuple("abcde"), POSE.points(local), local), STAPES)
+    np.testing.assert_allclose(frame.scan_from_plate.matrix, POSE.matrix, atol=1e-9)
+
+
+def test_fiducials_are_read_with_what_they_have(tmp_path: Path) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text("name;x_mm;y_mm;z_mm;sd_mm\na;1,5;2;3;0,01\nb;4;5;6;0,02\nc;7;8;1;0,01\n")
+    found = read_plate_fiducials(path)
+    assert found.names == ("a", "b", "c")
+    assert found.plate_mm is None
+    np.testing.assert_allclose(found.scan_mm[0], [1.5, 2.0, 3.0])
+    np.testing.assert_allclose(found.sd_mm, [0.01, 0.02, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("text", "thing"),
+    [
+        ("name,x_mm,y_mm\na,1,2\n", "the columns of --plate-fiducials"),
+        ("name,x_mm,y_mm,z_mm\na,1,2,3\nb,1,2,\nc,4,5,6\n", "z_mm"),
+        ("name,x_mm,y_mm,z_mm\na,1,2,3\na,1,2,4\nc,4,5,6\n", "the names of --plate-fiducials"),
+        ("name,x_mm,y_mm,z_mm\na,1,2,3\nb,1,2,4\n", "--plate-fiducials"),
+        ("name,x_mm,y_mm,z_mm,sd_mm\na,1,2,3,0\nb,1,2,4,1\nc,4,5,6,1\n", "sd_mm"),
+    ],
+)
+def test_wrong_fiducials_are_refused(tmp_path: Path, text: str, thing: str) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text(text)
+    with pytest.raises(StapeskitError) as error:
+        read_plate_fiducials(path)
+    assert thing in {fault.thing for fault in error.value.faults}
+
+
+def test_fiducials_on_a_line_are_refused() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
+    with pytest.raises(StapeskitError):
+        plate_frame_from_fiducials(PlateFiducials(("a", "b", "c"), points), STAPES)
+
+
+@pytest.mark.parametrize("gap_mm", [0.05, 0.12, 0.2])
+def test_the_gap_of_exact_surfaces_is_the_one_that_was_built(gap_mm: float) -> None:
+    ear = Ear(gap_mm=gap_mm)
+    bones = [solid for solid, material in ear.solids() if material == "bone"]
+    wall = joined(*bones[1:])
+    stapes = Surface(bones[0].vertices_mm, bones[0].faces)
+    found = window_gap(footplate_frame(stapes), stapes, Surface(wall.vertices_mm, wall.faces), 0.0, 0.0)
+    assert found is not None
+    assert found.median_mm == pytest.approx(gap_mm, abs=0.003)
+    assert found.harmonic_mm <= found.median_mm + found.spread_mm
+    assert found.rim_share > 0.9
+
+
+def test_without_a_wall_there_is_no_gap() -> None:
+    ear = Ear(bone=False)
+    stapes = Surface(ear.solid.vertices_mm, ear.solid.faces)
+    far = Solid(ear.solid.vertices_mm + [20.0, 0.0, 0.0], ear.solid.faces)
+    assert window_gap(footplate_frame(stapes), stapes, Surface(far.vertices_mm, far.faces), 0.0, 0.0) is None
