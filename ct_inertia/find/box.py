@@ -13,7 +13,10 @@ from stapeskit.arrays import Array
 
 ALONE_MM: float = calibrated("box.largest_block_mm")
 IN_SITU_MM: float = calibrated("box.largest_block_in_situ_mm")
-MARGIN_MM, MARGIN_BLOCKS = 0.25, 16  # around the stapes, the larger of both: room for its blur and for air beyond it
+MARGIN_MM, MARGIN_BLOCKS = (
+    0.25,
+    16,
+)  # around the stapes, the larger of both: room for its blur and for air beyond it
 
 
 def block_for(spacing_mm: Array, most_mm: float) -> Index:
@@ -72,7 +75,8 @@ def read_box(
     else:
         grey, _ = block_means(scan, [int(n) for n in block], part)
         middle = tuple(
-            slice(int(a + n // 2), int(b), int(n)) for a, b, n in zip(first[::-1], last[::-1], block[::-1], strict=True)
+            slice(int(a + n // 2), int(b), int(n))
+            for a, b, n in zip(first[::-1], last[::-1], block[::-1], strict=True)
         )
         single = scan.read(middle)
     transform = scan.scan_from_index.copy()

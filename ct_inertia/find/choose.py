@@ -28,7 +28,9 @@ _LONGEST_MM = 4.4  # of a body of one hole that is left whole where no gap shows
 _LEAST_BONE_MM3 = 0.2  # of a part that is a bone of its own
 _SEED_REACH = 3  # coarse voxels from a seed to the bone that it means
 _LEAST_DEEP = 50  # coarse voxels inside a body from which its own level is read
-_SAME_LEVEL = 0.05  # of the contrast: a threshold that differs by less moves no surface that the first look shows
+_SAME_LEVEL = (
+    0.05  # of the contrast: a threshold that differs by less moves no surface that the first look shows
+)
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,9 @@ def choose(
             continue
         tried.append((reading, pieces, found))
         proposals = list(_propose(scan, overview, (reading, pieces, found), seed, seed_mm))
-        proposals = [one for one in proposals if threshold is not None or not _takes_soft_for_bone(one, overview)]
+        proposals = [
+            one for one in proposals if threshold is not None or not _takes_soft_for_bone(one, overview)
+        ]
         proposals.sort(key=lambda one: -one.body.score)
         if proposals and (best is None or proposals[0].body.score > best.body.score + 0.1):
             best, rivals = proposals[0], proposals[1:]
@@ -326,7 +330,9 @@ def _seed_index(scan: Scan, overview: Overview, seed_mm: Array) -> NDArray[np.in
     index = scan.index_points(seed_mm)
     if np.any(index < -0.5) or np.any(index > scan.size - 0.5):
         ends = scan.scan_points(np.array([np.zeros(3), scan.size - 1.0]))
-        reach = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", *np.sort(ends, axis=0), strict=True))
+        reach = ", ".join(
+            f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", *np.sort(ends, axis=0), strict=True)
+        )
         raise StapeskitError.of(
             "--seed",
             f"inside the scan ({reach} mm)",

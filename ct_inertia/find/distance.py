@@ -52,7 +52,9 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
             _lower(slab, axis, (np.arange(steps[axis] + 1) ** 2 * unit[axis]).astype(far.dtype))
     rows = max(1, _SLAB_VOXELS // max(1, squares.shape[0] * squares.shape[2]))
     for start in range(0, squares.shape[1], rows):
-        _lower(squares[:, start : start + rows], 0, (np.arange(steps[0] + 1) ** 2 * unit[0]).astype(far.dtype))
+        _lower(
+            squares[:, start : start + rows], 0, (np.arange(steps[0] + 1) ** 2 * unit[0]).astype(far.dtype)
+        )
     roots = np.sqrt(squares, dtype=np.float32)
     np.minimum(roots * np.float32(edge), np.float32(cap_mm), out=result[box])
     return result

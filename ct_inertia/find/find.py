@@ -183,7 +183,9 @@ def _cores(box: Box, overview: Overview, chosen: Candidate) -> tuple[Mask, Mask]
         inside = _within(box, split.grid)
         own = inside & (labels == chosen.body.label)
         coarse = from_coarse(box, chosen.pieces, overview.step // 2, overview.step)
-        other = (inside & (labels > 0) & (labels != chosen.body.label)) | ((coarse > 0) & (coarse != chosen.whole.label))
+        other = (inside & (labels > 0) & (labels != chosen.body.label)) | (
+            (coarse > 0) & (coarse != chosen.whole.label)
+        )
         return own, other
     part = chosen.pieces
     own_cells = part == chosen.whole.label

@@ -10,7 +10,12 @@ from ct_inertia.calibrated import calibrated
 from stapeskit.arrays import Array
 
 _LEAN_DEG, _TURNS = (0.0, 12.0, 24.0, 36.0), 12  # cones about the axis and directions on each
-_FINER_DEG = (0.0, 2.5, 5.0, 8.0)  # cones about the best: they reach beyond half of the distance of the wide ones
+_FINER_DEG = (
+    0.0,
+    2.5,
+    5.0,
+    8.0,
+)  # cones about the best: they reach beyond half of the distance of the wide ones
 _FROM_END_MM = calibrated("necks.from_end_mm")
 _WIDENS_WITHIN_MM = calibrated("necks.widens_within_mm")
 _LEAST_BEYOND_MM3, _MOST_BEYOND = calibrated("necks.least_beyond_mm3"), calibrated("necks.most_beyond")

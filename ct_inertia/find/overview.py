@@ -25,7 +25,9 @@ _FLAT_NOISE, _SAME_NOISE = calibrated("overview.flat_noise"), calibrated("overvi
 _LEAST_SOLID = calibrated("overview.least_solid_share")
 _VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")
 _LOUD = calibrated("overview.loud_noise")
-_SMOOTH_BINS = 2.5  # standard deviation of the smoothing of the histogram: a sixth of the distance of two levels
+_SMOOTH_BINS = (
+    2.5  # standard deviation of the smoothing of the histogram: a sixth of the distance of two levels
+)
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,20 @@ from stapeskit.arrays import Array
 _LEAST_MM3 = calibrated("plate_region.least_mm3")
 _RIM_MM = calibrated("plate_region.rim_mm")
 _BALL_MM = 0.06  # radius of a ball that a plate holds and a blurred rim does not
-_GRID_MM = 0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer one
+_GRID_MM = (
+    0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer one
+)
 _LEAST_DEEP = 300  # voxels of pure plastic or air from which a mean is taken
 _SMOOTH_VOXELS = 0.7  # about the least that leaves no stairs of voxels in the surface
 _COLLAR_MM, _MOST_COVERED = 0.15, 0.7  # a plate covers the footplate and some of what stands beside it
 
 
 def find_plate(
-    scan: Scan, overview: Overview, levels: tuple[float, float | None, float], between: float, stapes: tuple[Mask, Piece]
+    scan: Scan,
+    overview: Overview,
+    levels: tuple[float, float | None, float],
+    between: float,
+    stapes: tuple[Mask, Piece],
 ) -> PlateRegion | None:
     """Find the largest body of plastic grey that is no blurred rim of bone; None where there is none.
 
@@ -71,7 +77,14 @@ def find_plate(
     mask = (capped_distance(core, spacing, 1.5 * wide) <= np.float32(wide)) & (soft > middle) & ~solid
     plastic = _mean_inside(grey, core & (from_bone > np.float32(1.5 * _RIM_MM)), plastic)
     air = _mean_inside(grey, (soft < middle) & (from_bone > np.float32(1.5 * _RIM_MM)), air)
-    return _region(scan, grey, (mask, solid), (air, plastic), (first, step), _surrounds(mask, solid, stapes, some, spacing))
+    return _region(
+        scan,
+        grey,
+        (mask, solid),
+        (air, plastic),
+        (first, step),
+        _surrounds(mask, solid, stapes, some, spacing),
+    )
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
@@ -83,7 +96,9 @@ def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
     edge = float(box.spacing_mm.max())
     radius = max(_BALL_MM, 1.5 * edge)
     core = there & (capped_distance(~there, box.spacing_mm, 1.2 * radius) > np.float32(radius))
-    return np.asarray(there & (capped_distance(core, box.spacing_mm, radius + 2.0 * edge) <= np.float32(radius + edge)))
+    return np.asarray(
+        there & (capped_distance(core, box.spacing_mm, radius + 2.0 * edge) <= np.float32(radius + edge))
+    )
 
 
 def mask_region(scan: Scan, plate: Mask, first: np.ndarray) -> PlateRegion | None:
@@ -121,9 +136,9 @@ def _region(
     if used is None:
         return None
     part = tuple(slice(max(0, k.start - 3), k.stop + 3) for k in used)
-    share = (smooth(np.ascontiguousarray(grey[part]), np.full(3, _SMOOTH_VOXELS)) - np.float32(air)) / np.float32(
-        plastic - air
-    )
+    share = (
+        smooth(np.ascontiguousarray(grey[part]), np.full(3, _SMOOTH_VOXELS)) - np.float32(air)
+    ) / np.float32(plastic - air)
     inside = grown(grown(mask[part])) & ~grown(solid[part])
     field = np.where(inside, np.clip(share, -1.0, 1.0), np.minimum(share, 0.0)) - np.float32(0.5)
     start = np.array([k.start for k in part[::-1]])

@@ -111,7 +111,11 @@ def _is_inverted(overview: Overview) -> bool:
     for reading in readings(levels, None):
         pieces, found = label_pieces(grey > np.float32(reading.between), overview.spacing_mm)
         for piece in found:
-            if piece.usual and not np.any(piece.low == 0) and classify(pieces, piece, overview.spacing_mm).arched:
+            if (
+                piece.usual
+                and not np.any(piece.low == 0)
+                and classify(pieces, piece, overview.spacing_mm).arched
+            ):
                 return True
     return False
 
@@ -130,7 +134,8 @@ def no_bone_at_seed(seed_mm: Array | None) -> StapeskitError:
 def rivals_fault(equal: Sequence[tuple[Piece, Array]]) -> Fault:
     """Return the fault that several bodies can be the stapes equally well; each with its place in scan mm."""
     listed = "; ".join(
-        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm" for piece, place in equal[:_SHOWN]
+        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm"
+        for piece, place in equal[:_SHOWN]
     )
     return Fault(
         "the scan",

@@ -15,7 +15,15 @@ from ct_inertia.find.box import from_coarse, read_box
 from ct_inertia.find.distance import capped_distance, closed, used_box
 from ct_inertia.find.necks import Neck, find_necks
 from ct_inertia.find.overview import Overview, smooth_noise
-from ct_inertia.find.pieces import HALF_GAP_MM, MOST_SURROUNDED, USUAL_MM3, Piece, classify, describe, describe_all
+from ct_inertia.find.pieces import (
+    HALF_GAP_MM,
+    MOST_SURROUNDED,
+    USUAL_MM3,
+    Piece,
+    classify,
+    describe,
+    describe_all,
+)
 from ct_inertia.scan.scan import Scan
 from stapeskit.arrays import Array
 
@@ -236,7 +244,9 @@ def _at_necks(grid: Box, bone: Mask) -> Iterator[Split]:
         if boxes[0] is None or boxes[1] is None:
             continue
         left, cut = (
-            _border(grid, describe(labels, k, box, grid.spacing_mm)) for k, box in enumerate(boxes, 1) if box is not None
+            _border(grid, describe(labels, k, box, grid.spacing_mm))
+            for k, box in enumerate(boxes, 1)
+            if box is not None
         )
         if left.usual:
             left = classify(labels, left, grid.spacing_mm, others=False)

@@ -19,12 +19,17 @@ def border_contacts(stapes: Mask, box: Box) -> tuple[BorderContact, ...]:
     contacts = []
     for axis in range(3):
         area = box.voxel_mm3 / float(box.spacing_mm[axis])
-        for end, there, place in (("first", box.begins[axis], 0), ("last", box.ends[axis], stapes.shape[2 - axis] - 1)):
+        for end, there, place in (
+            ("first", box.begins[axis], 0),
+            ("last", box.ends[axis], stapes.shape[2 - axis] - 1),
+        ):
             layer = np.take(stapes, place, axis=2 - axis)
             count = int(np.count_nonzero(layer)) if there else 0
             if count:
                 middle = np.insert(np.argwhere(layer)[:, ::-1].mean(axis=0), axis, place)
-                contacts.append(BorderContact("xyz"[axis], end, count * area, box.scan_points(middle[None])[0]))
+                contacts.append(
+                    BorderContact("xyz"[axis], end, count * area, box.scan_points(middle[None])[0])
+                )
     return tuple(contacts)
 
 

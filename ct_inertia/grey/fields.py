@@ -67,7 +67,9 @@ def share_above(field: Grey, where: Mask) -> Grey:
     middle = flat[place]
     square = np.full(place.size, np.float32(_STEEP**2))
     for stride in (field.shape[1] * field.shape[2], field.shape[2], 1):
-        square += np.maximum(np.abs(flat[place + stride] - middle), np.abs(flat[place - stride] - middle)) ** 2
+        square += (
+            np.maximum(np.abs(flat[place + stride] - middle), np.abs(flat[place - stride] - middle)) ** 2
+        )
     share.ravel()[place] = np.clip(middle / np.sqrt(square) + np.float32(0.5), 0.0, 1.0)
     share *= where
     return share

@@ -12,7 +12,10 @@ from ct_inertia.grey.scene import SceneFit
 from stapeskit.arrays import Array
 
 _RIM = (0.05, 0.95)
-_RIM_WIDTHS, _RIM_RISE = 3.29, 0.9  # of a plane edge between these shares, in widths of the blur; and its rise
+_RIM_WIDTHS, _RIM_RISE = (
+    3.29,
+    0.9,
+)  # of a plane edge between these shares, in widths of the blur; and its rise
 _MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as common
 _MISFIT_HEIGHT = calibrated("surface.misfit_height")
 
@@ -37,9 +40,7 @@ def wall_surface(fit: SceneFit, level: BoneLevel, transform: Array) -> BodySurfa
     return _surface(fit, "other", level, None, transform) if "other" in fit.bodies else None
 
 
-def _surface(
-    fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, transform: Array
-) -> BodySurface:
+def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, transform: Array) -> BodySurface:
     """Return the surface of one body.
 
     Notes

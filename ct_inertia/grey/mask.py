@@ -11,7 +11,9 @@ from ct_inertia.grey.moments import common, voxel_moments
 from ct_inertia.grey.start import eroded, grown
 
 _SMOOTH_VOXELS = 0.8  # of a mask for its surface: it rounds the stairs of voxels
-_THRESHOLD_SD = 1.0 / np.sqrt(12.0)  # of the surface within a voxel, all of it together: a uniform distribution
+_THRESHOLD_SD = 1.0 / np.sqrt(
+    12.0
+)  # of the surface within a voxel, all of it together: a uniform distribution
 
 
 def measure_mask(labelled: Labelled) -> MeasuredBody:

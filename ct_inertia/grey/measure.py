@@ -15,13 +15,18 @@ from ct_inertia.grey.border import border_contacts, border_covariance, border_no
 from ct_inertia.grey.frame_surface import body_surface, wall_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, coat_sd_share, media_notices
 from ct_inertia.grey.misfit import PlaceMisfit, misfit_notice, misfits
-from ct_inertia.grey.moments import blur_covariance, by_octants, common, noise_covariance, partial_volume_moments
+from ct_inertia.grey.moments import (
+    blur_covariance,
+    by_octants,
+    common,
+    noise_covariance,
+    partial_volume_moments,
+)
 from ct_inertia.grey.scene import SceneFit, fit_scene
 from ct_inertia.grey.separation import bone_border, tails_covariance
 from ct_inertia.grey.start import Start, start
 from ct_inertia.grey.storing import Storing, storing_around, storing_notices
 from stapeskit.arrays import Array
-from stapeskit.warnings import Notice
 
 _BLUR_SD = calibrated("scene.blur_sd")
 _FLUID_SD = calibrated("media.fluid_sd")
@@ -190,7 +195,9 @@ def _with_sources(moments: Moments, parts: _Parts, found: list[PlaceMisfit]) -> 
     begin, contrast = fit.start, parts.level.contrast
     stapes = begin.masks["stapes"]
     noise = noise_covariance(begin.noise / contrast, parts.own & ~stapes, transform, moments, fit.sigma_mm)
-    inside = noise_covariance(parts.level.noise / contrast, parts.own & stapes, transform, moments, fit.sigma_mm)
+    inside = noise_covariance(
+        parts.level.noise / contrast, parts.own & stapes, transform, moments, fit.sigma_mm
+    )
     zero = np.float32(0.0)
     air = np.where(parts.own, (np.float32(1.0) - parts.excess) * np.float32(begin.air_sd / contrast), zero)
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
@@ -199,9 +206,13 @@ def _with_sources(moments: Moments, parts: _Parts, found: list[PlaceMisfit]) -> 
     moments = moments.with_source("noise", begin.correlation * (noise + inside)).with_source("levels", levels)
     moments = moments.with_source("psf", blur_covariance(moments, fit.sigma_mm, _BLUR_SD * fit.sigma_mm))
     if parts.foreign.any():
-        moments = moments.with_source("separation", tails_covariance(parts.foreign, parts.behind, transform, moments))
+        moments = moments.with_source(
+            "separation", tails_covariance(parts.foreign, parts.behind, transform, moments)
+        )
     if parts.soft_share.any():
-        soft = 0.5 * (common(parts.soft_share, transform, moments) + by_octants(parts.soft_share, transform, moments))
+        soft = 0.5 * (
+            common(parts.soft_share, transform, moments) + by_octants(parts.soft_share, transform, moments)
+        )
         moments = moments.with_source("surroundings", _SOFT_SD**2 * soft)
     if fit.media.touching is not None:
         wet = np.where(parts.own, fit.shares["plate"], zero) * np.float32(fit.contrasts["plate"] / contrast)

@@ -97,7 +97,9 @@ class Media:
             if plane is None and meet.any():
                 width = _TOUCH_SIGMAS * start.sigma_mm
                 touching = capped_distance(meet, start.spacing[::-1], 1.4 * width) < np.float32(width)
-        return cls(coat if coat is not None and coat.thickness_mm > 0.0 else None, _hollows(start), touching, plane)
+        return cls(
+            coat if coat is not None and coat.thickness_mm > 0.0 else None, _hollows(start), touching, plane
+        )
 
     def plastic(self, fit: SceneFit, field: Grey, window: Window) -> Grey:
         """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a window.
@@ -141,7 +143,9 @@ class Media:
         """Fit the media to what the bodies leave; the soft one only where ``renew`` says so: it is slow."""
         seen: Grey | None = None
         if self.coat is not None:
-            seen = np.float32(self.coat.grey * fit.contrasts["stapes"]) * coat_share(fit, self.coat.thickness_mm)
+            seen = np.float32(self.coat.grey * fit.contrasts["stapes"]) * coat_share(
+                fit, self.coat.thickness_mm
+            )
         if self.voids is not None:
             rest = fit.data - fit.bones()
             rest = rest if seen is None else rest - seen
@@ -247,7 +251,11 @@ def media_notices(fit: SceneFit, soft_share: Grey, moments: Moments, transform: 
     notices = []
     soft = 100.0 * effect(soft_share, transform, moments)[0] / moments.volume_mm3
     if abs(soft) > 100.0 * _REPORTED or fit.media.touching is not None:
-        wet = " A fluid touches it, which is modelled as a body of its own." if fit.media.touching is not None else ""
+        wet = (
+            " A fluid touches it, which is modelled as a body of its own."
+            if fit.media.touching is not None
+            else ""
+        )
         text = (
             f"Fluid or soft tissue lies around the stapes: {soft:.2f} % of its volume were subtracted as a smooth "
             f"medium.{wet} The budget holds what remains (surroundings). Dry the sample and scan it again for a better "

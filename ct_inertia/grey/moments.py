@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Grey, Mask, Moments
 from stapeskit.arrays import Array
 
-_ENOUGH = 100_000  # voxels that a covariance is summed over, evenly picked: off by 0.3 % of its terms' scatter
+_ENOUGH = (
+    100_000  # voxels that a covariance is summed over, evenly picked: off by 0.3 % of its terms' scatter
+)
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2])
 
 
@@ -63,9 +65,7 @@ def integrals(amount: Grey, scan_from_index: Array, about_mm: Array) -> Array:
     total = float(along["z"].sum())
     first = np.array([x @ along["x"], y @ along["y"], z @ along["z"]])
     xy, yz, xz = y @ planes[0] @ x, z @ planes[2] @ y, z @ planes[1] @ x
-    square = np.array(
-        [[x**2 @ along["x"], xy, xz], [xy, y**2 @ along["y"], yz], [xz, yz, z**2 @ along["z"]]]
-    )
+    square = np.array([[x**2 @ along["x"], xy, xz], [xy, y**2 @ along["y"], yz], [xz, yz, z**2 @ along["z"]]])
     axes = scan_from_index[:3, :3]
     voxel = abs(float(np.linalg.det(axes)))
     middle = scan_from_index[:3, 3] + axes @ (0.5 * (np.array(size[::-1]) - 1.0)) - about_mm

@@ -164,7 +164,9 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     """Scale contrasts by data over model deep inside; return whether the stapes' is settled."""
     for name in fit.names:
         window = fit.windows[name]
-        inner = fit.start.near[window] & fit.side(name)[window] & (fit.shares[name][window] > np.float32(_INNER))
+        inner = (
+            fit.start.near[window] & fit.side(name)[window] & (fit.shares[name][window] > np.float32(_INNER))
+        )
         if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
             continue
         data, model = fit.data[window][inner], fit.model[window][inner]

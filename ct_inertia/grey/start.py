@@ -94,7 +94,9 @@ def start(labelled: Labelled) -> Start:
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
-    beside = {name: mask for name, mask in masks.items() if (near & (distances[name] < np.float32(reach))).any()}
+    beside = {
+        name: mask for name, mask in masks.items() if (near & (distances[name] < np.float32(reach))).any()
+    }
     calm = far & (np.abs(grey - np.float32(air)) < 5.0 * noise)
     return Start(
         part,

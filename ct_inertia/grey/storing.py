@@ -155,7 +155,9 @@ def storing_notices(storing: Storing | None) -> list[Notice]:
     return notices
 
 
-def find_storing(stored: NDArray[Any], air: NDArray[Any], bone: NDArray[Any], correlation: float) -> Storing | None:
+def find_storing(
+    stored: NDArray[Any], air: NDArray[Any], bone: NDArray[Any], correlation: float
+) -> Storing | None:
     """Find what storing did to air and bone; None where neither an end of the range nor steps matter.
 
     Parameters
@@ -237,9 +239,16 @@ def stored_level(
         weight = np.exp(fit - fit.max())
         weight /= weight.sum()
         mean = np.array([weight.sum(axis=1) @ levels, weight.sum(axis=0) @ logs])
-        sd = np.array([weight.sum(axis=1) @ (levels - mean[0]) ** 2, weight.sum(axis=0) @ (logs - mean[1]) ** 2])
+        sd = np.array(
+            [weight.sum(axis=1) @ (levels - mean[0]) ** 2, weight.sum(axis=0) @ (logs - mean[1]) ** 2]
+        )
         sd = np.maximum(np.sqrt(sd), 0.5 * np.array([levels[1] - levels[0], logs[1] - logs[0]]))
-        span = [mean[0] - _WITHIN * sd[0], mean[0] + _WITHIN * sd[0], mean[1] - _WITHIN * sd[1], mean[1] + _WITHIN * sd[1]]
+        span = [
+            mean[0] - _WITHIN * sd[0],
+            mean[0] + _WITHIN * sd[0],
+            mean[1] - _WITHIN * sd[1],
+            mean[1] + _WITHIN * sd[1],
+        ]
     return StoredLevel(float(mean[0]), float(np.exp(mean[1])), float(sd[0]), at_low, at_high)
 
 
