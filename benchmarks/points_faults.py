@@ -1,163 +1,181 @@
-"""Are faults of channels found, the culprit named, and the kind of fault right? Random scenes tell.
+"""Faults of channels are found, the culprit is named, the kind is right; 1 % of clean files raise an alarm.
 
-    python benchmarks/points_faults.py --scenes 40 --seed 1
+``--what faults``: bodies at the points of a footplate, a stapes or the bone, seen by three lasers or one, in
+motion with three resonances; each fault at a random place. ``--what gate``: bodies that no search was
+developed on, a flat shell and a rod seen from heads 120 mm away, so that no two beams are parallel; faults of
+names and ranges of points. ``--what clean``: files without a fault.
 
-For each geometry and fault: how often anything was found; the power that no test can exceed (known: Neyman
-and Pearson's test of this very fault, its kind, place and size known); that of the best test that looks for
-all kinds at all places and lets lasers scatter as stated (sought); how often the culprit was named; how often
-the likeliest culprit is the true one when all but its place is known (bound); how often the kind was right;
-and in what share of the scenes other channels are accused. Clean files: how often any alarm was raised, which
-is to be 1 %, and how the p-values of the channels are spread.
+The faults are those of 0.2 with the same sizes; its noise was equal for all channels of a body, and its gate
+drew the motion of a mass on springs.
+
+    python -m benchmarks.points_faults --scenes 10
+    python -m benchmarks.points_faults --what clean --scenes 100 --stated no
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-import time
 from collections.abc import Iterator
-from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks._table import NOTHING, Before, arguments, print_table
+from kinematics.faults.diagnose import diagnose
+from kinematics.faults.verdicts import channel_verdicts
+from kinematics.fit.beams import beam_set
+from kinematics.fit.noise import fit_with_noise
+from kinematics.measurement import from_arrays
+from simulate import (
+    Experiment,
+    MeasurementFault,
+    Recording,
+    measure_motion,
+    resonant_motion,
+    scattered_points,
+)
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.spatial import DOF_NAMES
 
-from benchmarks.fault_bounds import bound, bound_of_search, nameable
-from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, measured, possible, scene
-from legacy.kinematics.errors import KinematicsError
-from legacy.kinematics.fit_options import Options
-from legacy.kinematics.measurement import BodyChannels, Measurement
-from legacy.kinematics.points2dof import Points2Dof, points2dof
-
-
-def judged(
-    case: Scene,
-    seed: int,
-    stated: bool = True,
-    position_sd_mm: float = 0.0,
-    value: NDArray[np.complex128] | None = None,
-) -> Points2Dof:
-    """Run the diagnosis on a scene, by default on readings (channel, freq) with noise of this seed."""
-    flat = len({tuple(d) for d in case.directions}) == 1
-    body = BodyChannels(
-        "stapes",
-        case.points,
-        case.reported,
-        case.directions,
-        (measured(case, seed) if value is None else value)[None],
-        case.sd[None] if stated else None,
-        not stated,
-        np.full(len(case.points), position_sd_mm or np.nan),
-    )
-    data = Measurement("footplate", ("1",), case.freq_hz, (body,), 0)
-    return points2dof(data, options=Options(("y", "alpha", "gamma")) if flat else None)
+SQUARE_DEG = 54.7356
+"""Half angle of the cone on which three lasers are at right angles to each other."""
+FAULTS_BEFORE = Before("points_faults_scenes_40_seed_33_clean_250")
+GATE_BEFORE = Before("faults_gate_faults_fault_points_scenes_20_seed_5")
 
 
-def table(arguments: argparse.Namespace) -> Iterator[str]:
-    """Yield the lines of the markdown table of one setting as they come."""
-    columns = "found | known | sought | culprit named | bound | right kind | others accused"
-    yield f"| geometry | fault | {columns} |"
-    yield "|-|-|-|-|-|-|-|-|-|"
-    sd = arguments.position_um * 1e-3
-    for geometry in GEOMETRIES:
-        for fault in FAULTS if arguments.geometry in geometry else ():
-            if not possible(fault, geometry) or (arguments.fault and arguments.fault not in fault):
+@dataclass(frozen=True)
+class Geometry:
+    """Points of a body (count, on a flat footplate or scattered in a box), and lasers."""
+
+    points: int
+    lasers: int = 3
+    cone_deg: float = SQUARE_DEG
+    flat: bool = False
+    box_mm: tuple[float, float, float] | None = None
+    distance_mm: float | None = None
+
+    def places_mm(self, rng: np.random.Generator) -> Array:
+        """Return the points (count, 3)."""
+        if self.box_mm is None:
+            return scattered_points(rng, self.points, self.flat)
+        return rng.uniform(-1.0, 1.0, (self.points, 3)) * self.box_mm
+
+
+GEOMETRIES = {
+    "footplate, 5 points 3D": Geometry(5, flat=True),
+    "stapes, 10 points 3D": Geometry(10),
+    "stapes, 9 points, lasers at 20 deg": Geometry(9, cone_deg=20.0),
+    "bone, 12 points, lasers at 30 deg": Geometry(12, cone_deg=30.0, box_mm=(4.0, 1.2, 4.0)),
+    "1D, 40 points": Geometry(40, lasers=1, box_mm=(1.4, 0.1, 0.65)),
+}
+STRANGE = {
+    "shell, 5 points, 3 heads": Geometry(5, cone_deg=35.0, box_mm=(1.6, 0.5, 0.8), distance_mm=120.0),
+    "shell, 12 points, 3 heads": Geometry(12, cone_deg=25.0, box_mm=(2.5, 1.2, 0.9), distance_mm=120.0),
+    "rod, 8 points, 2-3 heads": Geometry(8, cone_deg=30.0, box_mm=(0.5, 4.0, 0.5), distance_mm=120.0),
+    "disc, 40 points, 1 head": Geometry(40, lasers=1, box_mm=(1.8, 0.15, 0.8), distance_mm=120.0),
+}
+FAULTS = {
+    "gain 5 %": ("gain", 0.05), "gain 2 %": ("gain", 0.02), "phase 3 deg": ("phase", 3.0),
+    "delay 10 us": ("delay", 1e-5), "sign": ("sign", None), "direction 3 deg": ("direction", 3.0),
+    "noise x4": ("noise", 4.0), "drift 6 %": ("drift", 0.06), "zeros": ("zeros", None),
+    "position 200 um": ("position", 0.2), "point sign": ("point_sign", None),
+    "label swap": ("label_swap", None), "beams swapped": ("beams_swap", None), "axes 2 deg": ("axes", 2.0),
+    "laser gain 5 %": ("laser_gain", 0.05), "laser sign": ("laser_sign", None),
+    "laser direction 3 deg": ("laser_direction", 3.0), "flexible 3 %": ("flexible", 0.03),
+}  # fmt: skip
+GATE_FAULTS = {
+    "names of points": ("label_swap", None), "names of three points": ("label_cycle", None),
+    "range of points": ("range", None),
+}  # fmt: skip
+_THREE_LASERS = ("beams_swap", "axes", "laser_gain", "laser_sign", "laser_direction")
+
+
+def record(geometry: Geometry, fault: tuple[str, float | None] | None, seed: int, lines: int) -> Recording:
+    """Measure one body with a fault; what is left open of the fault is drawn."""
+    rng = np.random.default_rng([seed, 53])
+    faults = () if fault is None else (MeasurementFault(kind=fault[0], size=fault[1]),)
+    experiment = Experiment(
+        lines=lines, lasers=geometry.lasers, beam_cone_deg=geometry.cone_deg, noise_spread=(0.6, 0.8),
+        head_distance_mm=geometry.distance_mm, in_footplate=True, position_sd_mm=0.0, faults=faults,
+        seed=seed,
+    )  # fmt: skip
+    places = geometry.places_mm(rng)
+    motion = resonant_motion(rng, experiment.freq_hz)
+    return measure_motion({"stapes": motion[None]}, {"stapes": places}, experiment)
+
+
+def accused(recording: Recording, stated: bool) -> dict[int, str] | None:
+    """Return the verdict of every channel that is not in order; None where the file is refused."""
+    parts = {
+        "points": recording.point,
+        "positions_m": recording.position_mm * 1e-3,
+        "directions": recording.direction,
+        "value": recording.velocity_m_s,
+        "sd": recording.sd_m_s if stated else None,
+    }
+    one_laser = recording.laser.max() == 0
+    dof = ("y", "alpha", "gamma") if one_laser else DOF_NAMES
+    try:
+        placed = from_arrays({"stapes": parts}, recording.freq_hz)
+        body = placed.bodies[0]
+        zeros = {int(channel): "zeros" for channel in np.flatnonzero(np.all(body.value[0] == 0.0, axis=1))}
+        body.value[:, list(zeros)] = np.nan
+        beams = beam_set("stapes", body.arms_m, body.directions, dof)
+        fit, known, _ = fit_with_noise(placed, 0, body, beams)
+        found = diagnose(body, [fit], placed.freq_hz, known)
+    except StapeskitError:
+        return None
+    verdicts = channel_verdicts("1", body, found, fit.channel_rms_m, fit.solution.weight, zeros)
+    return {channel: one.verdict for channel, one in enumerate(verdicts) if one.verdict != "ok"}
+
+
+def fault_rows(
+    geometries: dict[str, Geometry], faults: dict[str, tuple[str, float | None]], before: Before,
+    scenes: int, lines: int, stated: bool,
+) -> Iterator[list[object]]:  # fmt: skip
+    """Yield, for each geometry and fault, how often it was found, named and of the right kind."""
+    for place, (where, geometry) in enumerate(geometries.items()):
+        for number, (name, fault) in enumerate(faults.items()):
+            if geometry.lasers == 1 and fault[0] in _THREE_LASERS:
                 continue
-            detected = named = right = beside = likeliest = 0
-            best, sought = [], []
-            for number in range(arguments.scenes):
-                seed = 1000 * arguments.seed + number
-                case = scene(
-                    seed, geometry, fault, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd
-                )
-                stated = 0.0 if arguments.positions_unstated else sd
-                try:
-                    result = judged(case, seed, not arguments.no_sd, stated)
-                except KinematicsError as refused:  # found, and no culprit named
-                    detected += 1
-                    if arguments.show:
-                        print(f"{geometry}; {fault}; {seed}; {case.culprits[:6]}: {refused}")
+            counts = np.zeros(4, dtype=int)
+            for scene in range(scenes):
+                recording = record(geometry, fault, 100_000 * place + 1000 * number + scene, lines)
+                right, seen = dict(recording.culprits), accused(recording, stated)
+                if seen is None:  # found, and no culprit named
+                    counts[0] += 1
                     continue
-                accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
-                detected += bool(accused)
-                named += set(accused) == set(case.culprits)
-                right += accused == dict.fromkeys(case.culprits, case.verdict)
-                beside += bool(set(accused) - set(case.culprits))
-                best.append(bound(case, stated) if fault != "zeros" else 1.0)
-                sought.append(
-                    bound_of_search(case, seed, geometry, fault, noise=arguments.noise, lines=arguments.lines)
-                )
-                likeliest += nameable(seed, geometry, fault, noise=arguments.noise, lines=arguments.lines)
-                if arguments.show and accused != dict.fromkeys(case.culprits, case.verdict):
-                    verdicts = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
-                    print(
-                        f"{geometry}; {fault}; {seed}; {case.culprits[:6]}: {sorted(accused)[:8]} {verdicts}"
-                    )
-            n = arguments.scenes
-            yield (
-                f"| {geometry} | {fault} | {detected / n:.3f} | {np.mean(best or 1.0):.3f} | "
-                f"{'-' if sd else f'{np.mean(sought or 1.0):.3f}'} | "
-                f"{named / n:.3f} | {likeliest / n:.3f} | {right / n:.3f} | {beside / n:.2f} |"
-            )
+                counts += [bool(seen), set(seen) == set(right), seen == right, bool(set(seen) - set(right))]
+            shares = [f"{share:.2f}" for share in counts / scenes]
+            old = [before.cell(column, where, name) for column in ("found", "culprit named", "right kind")]
+            beside = before.cell("others accused", where, name)
+            pairs = zip(shares, [*old, beside], strict=True)
+            yield [where, name, *(cell for pair in pairs for cell in pair)]
 
 
-def clean(arguments: argparse.Namespace) -> list[str]:
-    """Return the false alarms and the spread of the p-values of clean files."""
-    from scipy.stats import kstest
-
-    rows = ["| geometry | files with an alarm | p of channels < 0.05 | p-values uniform (KS) |", "|-|-|-|-|"]
-    sd = arguments.position_um * 1e-3
-    for geometry in GEOMETRIES:
-        if arguments.geometry not in geometry:
-            continue
-        alarms, chances = 0, []
-        for number in range(arguments.clean):
-            seed = 500_000 + 1000 * arguments.seed + number
-            case = scene(seed, geometry, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd)
-            stated = 0.0 if arguments.positions_unstated else sd
-            result = judged(case, seed, not arguments.no_sd, stated)
-            wrong = [v for v in result.channels if v.verdict != "ok"]
-            alarms += bool(wrong)
-            if wrong and arguments.show:
-                print(geometry, seed, {(v.point, v.verdict, v.estimate, v.p_value) for v in wrong})
-            chances += [v.p_value for v in result.channels]
-        p = np.array(chances)
-        rows.append(
-            f"| {geometry} | {alarms / max(arguments.clean, 1):.4f} | {np.mean(p < 0.05):.4f} | "
-            f"{kstest(p, 'uniform').pvalue:.2g} |"
-        )
-    return rows
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--scenes", type=int, default=40, help="scenes per fault")
-    parser.add_argument("--clean", type=int, default=200, help="clean scenes per geometry")
-    parser.add_argument("--noise", type=float, default=0.01, help="noise over the rms of the signal")
-    parser.add_argument("--lines", type=int, default=120)
-    parser.add_argument("--position-um", type=float, default=0.0, help="position errors, standard deviation")
-    parser.add_argument("--positions-unstated", action="store_true", help="do not state them")
-    parser.add_argument("--no-sd", action="store_true", help="do not state the noise")
-    parser.add_argument("--geometry", default="", help="only geometries whose name holds this")
-    parser.add_argument("--fault", default="", help="only faults whose name holds this")
-    parser.add_argument("--show", action="store_true", help="tell every scene that went wrong")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    start = time.process_time()
-    if arguments.scenes:
-        for line in table(arguments):
-            print(line, flush=True)
-    if arguments.clean:
-        print("\n".join(["", *clean(arguments)]))
-    print(f"\n{time.process_time() - start:.0f} s of processor time, seed {arguments.seed}.")
+def clean_rows(scenes: int, lines: int, stated: bool) -> Iterator[list[object]]:
+    """Yield the share of clean files with an alarm."""
+    total = 0
+    for place, (where, geometry) in enumerate((GEOMETRIES | STRANGE).items()):
+        alarms = 0
+        for scene in range(scenes):
+            seen = accused(record(geometry, None, 500_000_000 + 100_000 * place + scene, lines), stated)
+            alarms += seen is None or bool(seen)
+        total += alarms
+        old = FAULTS_BEFORE.cell("files with an alarm", where) if stated and lines == 120 else NOTHING
+        yield [where, f"{alarms / scenes:.4f}", old]
+    yield ["all", f"{total / scenes / len(GEOMETRIES | STRANGE):.4f}", NOTHING]
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, what="faults", scenes=3, lines=120, stated="yes")
+    known = given.stated == "yes"
+    if given.what == "clean":
+        rows = clean_rows(given.scenes, given.lines, known)
+        print_table(("geometry", "files with an alarm", "0.2"), rows)
+    else:
+        tables = {"faults": (GEOMETRIES, FAULTS, FAULTS_BEFORE), "gate": (STRANGE, GATE_FAULTS, GATE_BEFORE)}
+        heads = ("found", "culprit named", "right kind", "others accused")
+        head = ("geometry", "fault", *(cell for word in heads for cell in (word, "0.2")))
+        print_table(head, fault_rows(*tables[given.what], given.scenes, given.lines, known))
+    print(f"{given.scenes} files a row, {given.lines} lines, noise {'' if known else 'not '}stated.")
