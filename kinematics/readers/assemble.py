@@ -193,7 +193,7 @@ def _grid_of(recordings: Sequence[Recording], entries: Sequence[Entry]) -> tuple
 
 def _value_faults(one: Recording) -> list[Fault]:
     """List numbers that no motion can have, one sentence for each kind."""
-    limits = (
+    limits: tuple[tuple[str, Array | None, float, float], ...] = (
         ("the frequencies", one.freq_hz, LOWEST_HZ, HIGHEST_HZ),
         ("the values", np.abs(one.value), 0.0, LARGEST),
         ("the coordinates of the points, in mm", np.abs(1e3 * one.points_m), 0.0, FARTHEST_MM),

@@ -8,7 +8,7 @@ first entry that holds it reads it.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -92,22 +92,13 @@ class Format:
     mapped: bool = False
 
 
-def _is_fastscan(head: Head) -> bool:
-    from kinematics.readers.psv import looks_like_fastscan
+def _holds(module: str, test: str) -> Callable[[Head], bool]:
+    """Return a test of the text of a head that a module has."""
 
-    return looks_like_fastscan(head.text)
+    def holds(head: Head) -> bool:
+        return bool(getattr(import_module(f"kinematics.readers.{module}"), test)(head.text))
 
-
-def _is_point_file(head: Head) -> bool:
-    from kinematics.readers.psv import looks_like_points
-
-    return looks_like_points(head.text)
-
-
-def _is_wide(head: Head) -> bool:
-    from kinematics.readers.wide import is_wide
-
-    return head.mapped or is_wide(head.text)
+    return holds
 
 
 def _is_series(head: Head) -> bool:
@@ -145,11 +136,13 @@ FORMATS = (
         (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
     ),
     Format(
-        "fastscan", "text exports of a scanning vibrometer (a folder, or .txt)", _is_fastscan, "psv",
+        "fastscan", "text exports of a scanning vibrometer (a folder, or .txt)",
+        _holds("psv", "looks_like_fastscan"), "psv",
         "Polytec PSV: FastScan folders (one file a frequency)", in_folders=True,
     ),
     Format(
-        "points", "per-point text exports of a scanning vibrometer", _is_point_file, "psv",
+        "points", "per-point text exports of a scanning vibrometer",
+        _holds("psv", "looks_like_points"), "psv",
         "Polytec PSV: a file, or a block of one file, for each point", in_folders=True,
     ),
     Format(
@@ -159,7 +152,7 @@ FORMATS = (
         libraries=("numpy", "scipy.io"), series=True,
     ),
     Format(
-        "wide", "a wide table (.csv)", _is_wide, "wide",
+        "wide", "a wide table (.csv)", lambda head: head.mapped or _holds("wide", "is_wide")(head), "wide",
         "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
         "...`); "
         "other names by `--mapping`", mapped=True,
@@ -212,34 +205,26 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     if path.is_dir():
         return _format_of_folder(path)
     if not path.is_file():
-        raise StapeskitError.of(
-            "the vibrometer file", "an existing file", path.name, "", "Check its name and folder"
-        )
+        step = "Check its name and folder"
+        raise StapeskitError.of("the vibrometer file", "an existing file", path.name, "", step)
     head = replace(head_of(path), mapped=mapped) if mapped else head_of(path)
     for entry in FORMATS:
         if entry.holds(head):
             return entry
-    known = ", ".join(entry.words for entry in FORMATS)
+    by_name = next((entry for entry in FORMATS if head.suffix in entry.suffixes), None)
+    want, got, step = f"one of {', '.join(entry.words for entry in FORMATS)}", path.suffix or path.name, ""
     if head.content.startswith(_ZIP):
-        workbook = head.suffix in WORKBOOKS
-        got, step = "a ZIP archive", "Unpack it, and give the files or folders in it"
-        if workbook:
-            got, step = "a workbook", "Save the sheet as CSV in the program that wrote it, and give that file"
-        raise StapeskitError.of("the vibrometer file", f"one of {known}", got, path.name, step)
-    if head.suffix in (".svd", ".pvd", ".set"):
-        got = "another scan file, or a damaged one"
-        raise StapeskitError.of("the scan file", "a compound file of PSV 10", got, path.name, _EXPORT_STEP)
-    by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
-    if not head.content and by_name and by_name[0].name != TIDY:
-        raise StapeskitError.of(
-            "the vibrometer file", "one with content", "0 bytes", path.name, "Export it again"
-        )
-    if by_name:
-        return by_name[0]
-    step = "See points2dof --help for the layouts"
-    raise StapeskitError.of(
-        "the vibrometer file", f"one of {known}", path.suffix or path.name, path.name, step
-    )
+        got = "a workbook" if head.suffix in WORKBOOKS else "a ZIP archive"
+        step = "Save its sheet as CSV, or unpack it, and give the files in it"
+    elif head.suffix in (".svd", ".pvd", ".set"):
+        want, got, step = "a compound file of PSV 10", "another scan file, or a damaged one", _EXPORT_STEP
+    elif not head.content and by_name is not None and by_name.name != TIDY:
+        want, got, step = "one with content", "0 bytes", "Export it again"
+    elif by_name is not None:
+        return by_name
+    else:
+        step = "See points2dof --help for the layouts"
+    raise StapeskitError.of("the vibrometer file", want, got, path.name, step)
 
 
 def head_of(path: Path) -> Head:
@@ -250,16 +235,15 @@ def head_of(path: Path) -> Head:
         return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapping_beside(path) is not None)
 
 
-def export_files(folder: Path, deep: bool = True) -> list[Path]:
-    """Return the files of a folder that may be text exports: by ending, not hidden.
+def export_files(folder: Path) -> list[Path]:
+    """Return the files in a folder and its folders that may be text exports: by ending, not hidden.
 
     Raises
     ------
     StapeskitError
         It holds more files than a measurement has.
     """
-    entries: Iterator[Path] = folder.rglob("*") if deep else folder.iterdir()
-    files = list(islice(entries, _MOST_FILES + 1))
+    files = list(islice(folder.rglob("*"), _MOST_FILES + 1))
     if len(files) > _MOST_FILES:
         got, step = f"more than {_MOST_FILES}", "Give the folder of the exported text files"
         raise StapeskitError.of("the folder", "one with the files of a measurement", got, folder.name, step)
@@ -270,15 +254,13 @@ def export_files(folder: Path, deep: bool = True) -> list[Path]:
 def _format_of_folder(path: Path) -> Format:
     """Return the format of the first text export in a folder."""
     files = export_files(path)
-    for file in files:
-        head = head_of(file)
+    for head in map(head_of, files):
         for entry in FORMATS:
             if entry.in_folders and entry.holds(head):
                 return entry
-    step = "Give the files themselves, or the folder of a text export"
-    expected = "one with text exports of a scanning vibrometer"
-    got = f"{len(files)} text files of other kinds" if files else "none"
-    raise StapeskitError.of("a vibrometer folder", expected, got, path.name, step)
+    step, got = "Give the files themselves, or the folder of a text export", f"{len(files)} other text files"
+    want = "one with text exports of a scanning vibrometer"
+    raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
 
 
 def companion_files(path: Path, facts: FileFacts) -> dict[str, Path]:

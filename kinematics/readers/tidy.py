@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.lines import check_filled, common_grid
+from kinematics.readers.lines import SAME_LINE, check_filled
 from kinematics.readers.points import POSITION, position_faults
-from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.recording import (
+    Channel,
+    Recording,
+    Row,
+    from_parts,
+    from_polar,
+    recording_of,
+    unknown_vector,
+)
 from kinematics.readers.text import plain_name, shown
-from kinematics.readers.tidy_columns import DIRECTION, EXTRA, Columns, columns_of, with_meant
-from stapeskit.arrays import Array, ComplexArray
+from kinematics.readers.tidy_columns import DIRECTION, EXTRA, TEXTS, Columns, columns_of, with_meant
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
@@ -28,7 +37,6 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-
 
 _SAME_PLACE_MM = 1e-6  # rounding of written coordinates
 
@@ -53,8 +61,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         return found[0].numbers, found[0].texts
 
     table = read_table(Path(path), choose)
-    columns = found[0]
-    return _Rows(table, columns).recording()
+    return _Rows(table, found[0], list(table.faults)).recording()
 
 
 @dataclass
@@ -67,150 +74,131 @@ class _Rows:
 
     def recording(self) -> Recording:
         """Check all rows and gather those of one body, point, beam, run and repeat to one channel."""
-        self.faults += self.table.faults
-        if not len(self.table):
-            raise_all(
-                self.faults or [Fault(self.table.file, "a table with rows", "none", "", "Export it again")]
-            )
-        numbers = self.table.numbers
+        file, numbers = self.table.file, self.table.numbers
         usable = self._check_numbers()
-        texts: dict[str, tuple[Index, tuple[str, ...]]] = {
-            name: self._named(name)
-            for name in ("body", "point", "run", "repeat")
-            if name in self.columns.names
-        }
-        for name in ("body", "point"):
-            self._report(texts[name][0] < 0, name, "a name", "an empty cell")
-            usable &= texts[name][0] >= 0
-        for name in ("run", "repeat"):
-            empty = texts[name][0] < 0 if name in texts else np.zeros(1, dtype=bool)
-            if np.any(empty) and not np.all(empty):
-                self._report(empty, name, "given in every row, or in none", "an empty cell")
+        texts = {name: self._named(name) for name in TEXTS[:4] if name in self.columns.names}
+        for name, (codes, _) in texts.items():
+            must = name in ("body", "point")
+            if must or np.any(codes >= 0):
+                want = "a name" if must else "given in every row, or in none"
+                self._report(codes < 0, name, want, "an empty cell")
+        usable &= (texts["body"][0] >= 0) & (texts["point"][0] >= 0)
         directions, beam = self._directions()
         usable &= beam >= 0
-        parts = [texts[name][0] for name in texts]
-        self._check_positions(_numbered(parts[:2])[0])
+        self._check_positions(_numbered([texts["body"][0], texts["point"][0]])[0])
         rows = np.flatnonzero(usable)
         if not len(rows):
-            step = "Export it again"
-            raise_all(self.faults or [Fault(self.table.file, "a table with values", "empty rows", "", step)])
-        sweep, first = _numbered([part[rows] for part in (*parts, beam)])
+            want, step = "a table with rows of values", "Export it again"
+            raise_all(self.faults or [Fault(file, want, "none", "", step)])
+        sweep, first = _numbered([*(codes[rows] for codes, _ in texts.values()), beam[rows]])
         freq = numbers["freq_hz"][rows]
-        check_filled(len(first), len(np.unique(freq)), len(rows), self.table.file)
-        if not np.all((np.diff(sweep) > 0) | ((np.diff(sweep) == 0) & (np.diff(freq) > 0.0))):
+        check_filled(len(first), len(np.unique(freq)), len(rows), file)
+        channels = [self._channel(row, texts, directions[beam[row]]) for row in rows[first].tolist()]
+        if np.any((np.diff(sweep) < 0) | ((np.diff(sweep) == 0) & (np.diff(freq) <= 0.0))):
             order = np.lexsort((freq, sweep))
             rows, sweep, freq = rows[order], sweep[order], freq[order]
-        grid, line, notices = self._lines(sweep, freq, rows)
+        again = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(sweep) == 0))
+        for place in again.tolist():
+            want = "the only one of its run, body, point, direction and frequency"
+            got, where = (
+                f"that of line {self.table.lines[rows[place]]}",
+                self.table.where(int(rows[place + 1])),
+            )
+            step = "Number repeats in a column repeat, or remove the row"
+            self.faults.append(Fault("a row", want, got, where, step))
         raise_all(self.faults)
-        shape = (len(first), len(grid))
-        at = sweep * len(grid) + line
-        channels = tuple(
-            self._channel(row, texts, directions[beam[row]]) for row in np.flatnonzero(usable)[first]
+        columns = self.columns
+        first_part, second = numbers[columns.first][rows], numbers[columns.second][rows]
+        value = (
+            from_polar(columns.unit.scale * first_part, second, np.pi / 180.0)
+            if columns.polar
+            else from_parts(first_part, second, columns.unit.scale)
         )
-        own = self._values()[rows]
-        value = np.empty(shape, dtype=complex)
-        value.real, value.imag = _spread(own.real, at, shape), _spread(own.imag, at, shape)
-        matrices: dict[str, Array] = {
-            name: _spread(numbers[name][rows], at, shape) for name in EXTRA if name in self.columns.names
-        }
-        if self.columns.sd:
-            matrices["sd"] = _spread(numbers[self.columns.sd][rows] * self.columns.sd_scale, at, shape)
-        notices += self._notices(value, matrices.get("sd"), shape, at, channels)
-        return Recording(
-            self.table.file,
-            grid,
-            value,
-            channels,
-            notices=tuple(notices),
+        extra = {name: numbers[name][rows] for name in EXTRA if name in columns.names}
+        if columns.sd:
+            extra["sd"] = numbers[columns.sd][rows] * columns.sd_scale
+        edges = [0, *(np.flatnonzero(np.diff(sweep)) + 1).tolist(), len(sweep)]
+        recording = recording_of(
+            file,
+            [
+                Row(channel, freq[a:b], value[a:b], **{name: part[a:b] for name, part in extra.items()})
+                for channel, (a, b) in zip(channels, pairwise(edges), strict=True)
+            ],
             statement="as its columns say",
             amplitude_stated=True,
-            sd=matrices.get("sd"),
-            coherence=matrices.get("coherence"),
-            n_avg=matrices.get("n_avg"),
         )
+        return replace(recording, notices=(*recording.notices, *self._notices(recording)))
 
     def _report(
         self,
         bad: Mask,
         column: str,
-        expected: str,
+        want: str,
         got: str | Callable[[int], str],
         step: str = "Correct the cell",
     ) -> None:
         """Add one fault for each bad row."""
         for row in np.flatnonzero(bad).tolist():
             value = got if isinstance(got, str) else got(row)
-            self.faults.append(Fault(column, expected, value, self.table.where(row, column), step))
+            self.faults.append(Fault(column, want, value, self.table.where(row, column), step))
 
     def _named(self, name: str) -> tuple[Index, tuple[str, ...]]:
         """Return codes (rows,) and names of a text column; names that a spreadsheet made of one are one."""
         column = self.table.texts[name]
-        plain = [plain_name(text) for text in column.names] if name == "point" else list(column.names)
-        names = list(dict.fromkeys(plain))
-        code = np.array([names.index(text) for text in plain] + [-1], dtype=np.intp)
-        return code[column.codes], tuple(names)
+        plain = [plain_name(text) if name == "point" else text for text in column.names]
+        place = {text: number for number, text in enumerate(dict.fromkeys(plain))}
+        return np.array([*(place[text] for text in plain), -1], dtype=np.intp)[column.codes], tuple(place)
 
     def _check_numbers(self) -> Mask:
         """Report numbers that no row may hold; return which rows have a frequency."""
         numbers, columns = self.table.numbers, self.columns
-
-        def check(name: str, bad: Mask, expected: str, step: str = "Correct the cell") -> None:
-            if np.any(bad):
-                bad = bad & ~(np.isnan(numbers[name]) & self.table.invalid_rows(name))
-                self._report(bad, name, expected, lambda row: _cell(numbers[name][row]), step)
-
+        empty = "Leave the cell empty where the value is missing"
+        linear = "Give linear amplitudes: decibels are 10^(dB/20) times the reference"
+        dc = "Give the frequency in Hz, or leave the row out (a DC line holds no motion)"
+        limits = {
+            "freq_hz": (LOWEST_HZ, HIGHEST_HZ, dc),
+            columns.first: (0.0 if columns.polar else -LARGEST, LARGEST, linear if columns.polar else empty),
+            columns.second: (-LARGEST, LARGEST, empty),
+            columns.sd: (0.0, LARGEST, empty),
+            "n_avg": (1.0, LARGEST, empty),
+            "coherence": (0.0, 1.0, empty),
+        }
+        for name, (low, high, step) in limits.items():
+            if name in numbers:
+                cells = numbers[name]
+                missing = np.isnan(cells) & ~self.table.invalid_rows(name)
+                bad = (cells < low) | (cells > high) | (missing & (name == "freq_hz"))
+                want = f"from {low:g} to {high:g}"
+                self._report(bad, name, want, partial(_cell, cells), step)
+        if columns.sd and np.all(np.isnan(numbers[columns.sd])):
+            step = "Leave the column out to have the noise estimated from the residuals"
+            want, where = "a number in at least one row", Place(self.table.file, detail=columns.sd)
+            self.faults.append(Fault(columns.sd, want, "NaN or empty cells throughout", where, step))
         freq = numbers["freq_hz"]
-        usable = (freq >= LOWEST_HZ) & (freq <= HIGHEST_HZ)
-        step = "Give the frequency in Hz, or leave the row out (a DC line holds no motion)"
-        check("freq_hz", ~usable, f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz", step)
-        step = "Leave the cell empty where the value is missing"
-        for name in (columns.first, columns.second):
-            check(name, np.abs(numbers[name]) > LARGEST, f"finite and below {LARGEST:g}", step)
-        if columns.polar:
-            below = numbers[columns.first] < 0.0
-            decibels = 2 * np.sum(below) > len(below)
-            step = "They look like decibels: give amplitudes, 10^(dB/20) times the reference"
-            check(columns.first, below, "positive or zero", step if decibels else "Correct the cell")
-        if columns.sd:
-            sd = numbers[columns.sd]
-            check(columns.sd, (sd < 0.0) | (sd > LARGEST), f"positive and below {LARGEST:g}")
-            if np.all(np.isnan(sd)) and not np.any(self.table.invalid_rows(columns.sd)):
-                where = Place(self.table.file, detail=columns.sd)
-                step = "Leave the column out to have the noise estimated from the residuals"
-                want, got = "a number in at least one row", "NaN or empty cells throughout"
-                self.faults.append(Fault(columns.sd, want, got, where, step))
-        if "n_avg" in columns.names:
-            check("n_avg", (numbers["n_avg"] < 1.0) | np.isinf(numbers["n_avg"]), "1 or more")
-        if "coherence" in columns.names:
-            check("coherence", (numbers["coherence"] < 0.0) | (numbers["coherence"] > 1.0), "within 0 and 1")
-        return usable
+        return np.asarray((freq >= LOWEST_HZ) & (freq <= HIGHEST_HZ))
 
     def _directions(self) -> tuple[Array, Index]:
         """Return the different unit directions (n, 3) and which of them each row (rows,) has, -1 for none."""
         if "dir" in self.columns.names:
             column = self.table.texts["dir"]
-            axes = [axis_vector(name) for name in column.names]
-            good = np.array([axis is not None for axis in axes] + [False])
-            self._report(
-                ~good[column.codes], "dir", "x, y, z, -x, -y or -z",
-                lambda row: shown((*column.names, "an empty cell")[column.codes[row]]),
-            )  # fmt: skip
-            known = np.array([unknown_vector() if axis is None else axis for axis in axes]).reshape(-1, 3)
-            return known, np.where(good[column.codes], column.codes, -1)
-        parts = np.column_stack([self.table.numbers[name] for name in DIRECTION])
-        code, first = _numbered(list(parts.T))
-        vectors = parts[first]
-        with np.errstate(over="ignore"):
+            vectors = np.array([*map(_axis, column.names), unknown_vector()])
+            code, invalid = column.codes, np.zeros(len(column.codes), dtype=bool)
+            names, want = "dir", "x, y, z, -x, -y or -z"
+            got = [*map(shown, column.names), "an empty cell"]
+        else:
+            parts = [self.table.numbers[name] for name in DIRECTION]
+            code, first = _numbered(parts)
+            vectors = np.column_stack(parts)[first]
+            invalid = np.any([self.table.invalid_rows(name) for name in DIRECTION], axis=0)
+            names, want = ", ".join(DIRECTION), "a unit vector (within 1e-3)"
+            got = [f"({', '.join(f'{part:g}' for part in vector)})" for vector in vectors]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             length = np.linalg.norm(vectors, axis=1)
-        good = np.abs(length - 1.0) <= 1e-3
-        invalid = np.any([self.table.invalid_rows(name) for name in DIRECTION], axis=0)
-        self._report(
-            ~good[code] & ~invalid, ", ".join(DIRECTION), "a unit vector (within 1e-3)",
-            lambda row: f"({', '.join(f'{part:g}' for part in parts[row])})",
-            "Divide the direction by its length",
-        )  # fmt: skip
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return vectors / length[:, None], np.where(good[code], code, -1)
+            units = vectors / length[:, None]
+        good = (np.abs(length - 1.0) <= 1e-3)[code]
+        step = "Divide the direction by its length"
+        self._report(~good & ~invalid, names, want, lambda row: got[code[row]], step)
+        return units, np.where(good, code, -1)
 
     def _check_positions(self, place: Index) -> None:
         """Report positions that are empty or far away, and points with two; ``place`` numbers the points."""
@@ -219,105 +207,51 @@ class _Rows:
         self.faults += position_faults(self.table, POSITION)
         rows = np.column_stack([self.table.numbers[name] for name in POSITION])
         good = np.flatnonzero(np.all(np.isfinite(rows), axis=1))
-        first = np.zeros(int(place.max()) + 1, dtype=np.intp)
+        first = np.zeros(int(place.max(initial=0)) + 1, dtype=np.intp)
         first[place[good][::-1]] = good[::-1]
-        with np.errstate(invalid="ignore"):
-            moved = np.any(np.abs(rows - rows[first[place]]) > _SAME_PLACE_MM, axis=1)
-        for row in np.flatnonzero(moved & np.all(np.isfinite(rows), axis=1)).tolist():
+        moved = np.any(np.abs(rows[good] - rows[first[place[good]]]) > _SAME_PLACE_MM, axis=1)
+        for row in good[moved].tolist():
             other = int(first[place[row]])
             got = f"{rows[other].tolist()} in line {self.table.lines[other]} and {rows[row].tolist()}"
             where = self.table.where(row, ", ".join(POSITION))
             step = "Name the points differently, or correct the position"
             self.faults.append(Fault("the position of a point", "one", got, where, step))
 
-    def _lines(self, sweep: Index, freq: Array, rows: Index) -> tuple[Array, Index, list[Notice]]:
-        """Return grid and line of each row (sorted by channel and frequency); report repeated rows."""
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(sweep)) + 1, [len(sweep)]])
-        sweeps = [freq[start:stop] for start, stop in pairwise(edges.tolist())]
-        grid, places, notices = common_grid(
-            [np.unique(one) if np.any(np.diff(one) <= 0.0) else one for one in sweeps]
-        )
-        line = np.concatenate(
-            [place if len(place) == len(one) else place[np.searchsorted(np.unique(one), one)]
-             for place, one in zip(places, sweeps, strict=True)]
-        )  # fmt: skip
-        again = np.flatnonzero((np.diff(line) == 0) & (np.diff(sweep) == 0))
-        for place in again.tolist():
-            want = "the only one of its run, body, point, direction and frequency"
-            got = f"the same as in line {self.table.lines[rows[place]]}"
-            where = self.table.where(int(rows[place + 1]))
-            step = "Number repeats in a column repeat, or remove the row"
-            self.faults.append(Fault("a row", want, got, where, step))
-        return grid, line, notices
-
-    def _values(self) -> ComplexArray:
-        first, second = (self.table.numbers[name] for name in (self.columns.first, self.columns.second))
-        if self.columns.polar:
-            return np.asarray(self.columns.unit.scale * first * np.exp(1j * np.deg2rad(second)))
-        value = np.empty(len(first), dtype=complex)
-        value.real, value.imag = first, second
-        value *= self.columns.unit.scale
-        return value
-
     def _channel(
         self, row: int, texts: dict[str, tuple[Index, tuple[str, ...]]], direction: Array
     ) -> Channel:
-        names = {
-            name: column[codes[row]] if codes[row] >= 0 else "" for name, (codes, column) in texts.items()
-        }
+        names = {name: (*known, "")[codes[row]] for name, (codes, known) in texts.items()}
         position = unknown_vector()
         if POSITION[0] in self.columns.names:
             position = 1e-3 * np.array([self.table.numbers[name][row] for name in POSITION])
-        where = self.table.where(int(row))
-        return Channel(
-            **names, order=self.columns.unit.order, position_m=position, direction=direction, where=where
-        )
+        where, order = self.table.where(row), self.columns.unit.order
+        return Channel(**names, order=order, position_m=position, direction=direction, where=where)
 
-    def _notices(
-        self,
-        value: ComplexArray,
-        sd: Array | None,
-        shape: tuple[int, int],
-        at: Index,
-        channels: Sequence[Channel],
-    ) -> list[Notice]:
+    def _notices(self, recording: Recording) -> list[Notice]:
         """Report what is missing and what was not used."""
         notices, file = [], self.table.file
-        missing = np.ones(shape, dtype=bool)
-        missing.ravel()[at] = False
-        bodies = [channel.body for channel in channels]
-        runs = [(channel.body, channel.run, channel.repeat) for channel in channels]
-        for key in dict.fromkeys(runs):
-            mine = [number for number, other in enumerate(runs) if other == key]
+        missing = np.isnan(recording.value)
+        sweeps = [(channel.body, channel.run, channel.repeat) for channel in recording.channels]
+        for key in dict.fromkeys(sweeps):  # lines that a whole sweep lacks are no gaps in it
+            mine = [number for number, other in enumerate(sweeps) if other == key]
             missing[mine] &= ~np.all(missing[mine], axis=0)
         if np.any(missing):
-            lacking = [channels[k].name for k in np.flatnonzero(np.any(missing, axis=1)).tolist()]
-            end = (
-                " The last row is in the middle of a sweep: was the file cut off?" if missing[-1, -1] else ""
-            )
+            gaps = [recording.channels[k].name for k in np.flatnonzero(np.any(missing, axis=1)).tolist()]
             text = (
-                f"{int(np.sum(missing))} readings of {len(lacking)} channels ({list_some(lacking, 6)}) have "
-                f"no row in {file} at lines that other channels of the body have; they count as missing.{end}"
+                f"{int(np.sum(missing))} readings of {len(gaps)} channels ({list_some(gaps, 6)}) have no row "
+                f"or no value in {file} at lines that other channels of the body have: they count as missing."
             )
             notices.append(Notice("values_missing", text))
-        empty = int(np.sum(np.isnan(value.ravel()[at])))
-        if empty:
-            text = f"{empty} rows of {file} have no value, or one of its two numbers; they count as missing."
-            notices.append(Notice("values_missing", text))
-        exact = 0 if sd is None else int(np.sum(sd == 0.0))
+        exact = 0 if recording.sd is None else int(np.sum(recording.sd == 0.0))
         if exact:
             text = f"{exact} values of {file} have a noise of 0: they are exact to 1e-12 of the largest."
             notices.append(Notice("sd_zero", text))
-        alike = [
-            name
-            for name in dict.fromkeys(bodies)
-            if any(name != b and name.lower() == b.lower() for b in bodies)
-        ]
-        if alike:
-            text = f"{' and '.join(alike)} differ in case only and were taken as different bodies."
+        bodies = dict.fromkeys(channel.body for channel in recording.channels)
+        if len({body.lower() for body in bodies}) < len(bodies):
+            text = f"bodies of {file} differ in case only and were taken as different: {', '.join(bodies)}."
             notices.append(Notice("names_alike", text))
         if self.columns.ignored:
-            listed = list_some((with_meant(name) for name in self.columns.ignored), 6)
+            listed = list_some(map(with_meant, self.columns.ignored), 6)
             notices.append(Notice("content_ignored", f"columns of {file} that are not used: {listed}."))
         if self.table.comments:
             text = f"{self.table.comments} lines of {file} begin with # and were skipped."
@@ -325,11 +259,13 @@ class _Rows:
         return notices
 
 
-def _spread(values: Array, at: Index, shape: tuple[int, int]) -> Array:
-    """Return the values of rows in the shape of channels and lines, NaN where there is no row."""
-    full = np.full(shape[0] * shape[1], np.nan)
-    full[at] = values
-    return full.reshape(shape)
+def _cell(cells: Array, row: int) -> str:
+    return "an empty or NaN cell" if np.isnan(cells[row]) else f"{cells[row]:g}"
+
+
+def _axis(name: str) -> Array:
+    axis = axis_vector(name)
+    return unknown_vector() if axis is None else axis
 
 
 def _numbered(keys: Sequence[Array | Index]) -> tuple[Index, Index]:
@@ -343,7 +279,3 @@ def _numbered(keys: Sequence[Array | Index]) -> tuple[Index, Index]:
     first = np.full(int(codes.max(initial=-1)) + 1, len(codes), dtype=np.intp)
     first[codes[::-1]] = np.arange(len(codes))[::-1]
     return np.asarray(codes, dtype=np.intp), first
-
-
-def _cell(value: float) -> str:
-    return "an empty or NaN cell" if np.isnan(value) else f"{value:g}"

@@ -171,7 +171,7 @@ HEADERS = {
     "both pairs": (f"{HEAD},amp_m_s", "the value"),
     "two units": (HEAD.replace("im_m_s", "im_mm_s"), "real and imaginary part"),
     "other sd": (f"{HEAD},sd_um", "the standard deviation"),
-    "kilohertz": (HEAD.replace("freq_hz", "freq_khz"), "the frequency column freq_khz"),
+    "kilohertz": (HEAD.replace("freq_hz", "freq_khz"), "the unit of column freq_khz"),
 }
 
 
