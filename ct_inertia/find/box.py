@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.bodies import Box, Index, Mask
 from ct_inertia.calibrated import calibrated
@@ -48,9 +51,9 @@ def read_box(
 
     Notes
     -----
-    Sums over the means times the block's volume are the sums over the voxels: the grey integral and its first moments
-    do not change. A block counts as one larger voxel in the point spread. Where the box ends at the border of the
-    scan, its blocks end there too.
+    Sums over the means times the block's volume are the sums over the voxels: the grey integral and its first
+    moments do not change. A block counts as one larger voxel in the point spread. Where the box ends at the
+    border of the scan, its blocks end there too.
 
     Raises
     ------
@@ -68,7 +71,8 @@ def read_box(
     first = np.where((last == size) & (first > 0), first + rest, first)
     count = (last - first) // block
     last = first + count * block
-    part = tuple(slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
+    z, y, x = (slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
+    part = z, y, x
     single = None
     if np.all(block == 1):
         grey = scan.read(part).astype(np.float32)
@@ -78,7 +82,7 @@ def read_box(
             slice(int(a + n // 2), int(b), int(n))
             for a, b, n in zip(first[::-1], last[::-1], block[::-1], strict=True)
         )
-        single = scan.read(middle)
+        single = scan.read((middle[0], middle[1], middle[2]))
     transform = scan.scan_from_index.copy()
     transform[:3, :3] = transform[:3, :3] * block
     transform[:3, 3] = scan.scan_points(first + (block - 1) / 2.0)
@@ -96,10 +100,11 @@ def read_box(
     return box if measured is None else _with_measured(box, measured)
 
 
-def from_coarse(box: Box, mask: Mask, first: Index, step: Index) -> Mask:
+def from_coarse(box: Box, mask: NDArray[Any], first: Index, step: Index) -> NDArray[Any]:
     """Return a coarse mask [z, y, x] on the grid of a box: each block takes its nearest coarse cell.
 
-    ``first``: index x, y, z in the scan of the voxel in the middle of the first cell; ``step``: voxels per cell.
+    ``first``: index x, y, z in the scan of the voxel in the middle of the first cell; ``step``: voxels per
+    cell.
     """
     places = []
     for axis in range(3):

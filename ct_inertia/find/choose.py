@@ -1,4 +1,4 @@
-"""Propose bodies at every reading of the grey levels, score each by one likelihood, take the best or refuse."""
+"""Propose bodies at every reading of the grey levels, score each by one likelihood, take the best."""
 
 from __future__ import annotations
 
@@ -133,8 +133,8 @@ def choose(
     Raises
     ------
     StapeskitError
-        None can be the stapes, several can equally, or the seed lies in no bone; a wrong voxel size and inverted grey
-        values are named as such.
+        None can be the stapes, several can equally, or the seed lies in no bone; a wrong voxel size and
+        inverted grey values are named as such.
     """
     seed = None if seed_mm is None else _seed_index(scan, overview, seed_mm)
     best: Candidate | None = None
@@ -175,7 +175,7 @@ def _propose(
     seed: NDArray[np.int64] | None,
     seed_mm: Array | None,
 ) -> Iterator[Candidate]:
-    """Yield the bodies that may be the stapes at one reading, whole pieces first, then parts of larger ones."""
+    """Yield the bodies that may be the stapes at one reading: whole pieces, then parts of larger ones."""
     reading, pieces, found = read
     if seed is not None:
         found = _seeded(pieces, found, seed)
@@ -213,8 +213,9 @@ def _propose(
 def _is_better(part: Piece, whole: Piece, way: Split) -> bool:
     """Return whether a part may stand for its whole.
 
-    What hangs at a neck makes a body longer: a body of one empty hole that is only thick is left whole. Beside it
-    only the incus can be, and it is no stapes: a split into more bones than these two has cut the stapes itself.
+    What hangs at a neck makes a body longer: a body of one empty hole that is only thick is left whole.
+    Beside it only the incus can be, and it is no stapes: a split into more bones than these two has cut the
+    stapes itself.
     """
     if part.at_border > whole.at_border:
         return False
@@ -248,10 +249,10 @@ def _without_grown(scan: Scan, overview: Overview, whole: Candidate) -> Candidat
 
 
 def _at_own_level(scan: Scan, overview: Overview, chosen: Candidate) -> Candidate:
-    """Take the threshold half way between air and the body's own bone, where the body is still a stapes there.
+    """Take the threshold half way between air and the body's own bone, where it is still a stapes there.
 
-    The brightest material of the scan may be bone of another density, so that the first threshold is far from the
-    middle of the body's edges.
+    The brightest material of the scan may be bone of another density, so that the first threshold is far from
+    the middle of the body's edges.
     """
     reading = chosen.reading
     own = chosen.pieces == chosen.whole.label
@@ -287,7 +288,7 @@ def _own_bone(overview: Overview, own: Mask) -> float | None:
 
 
 def _takes_soft_for_bone(candidate: Candidate, overview: Overview) -> bool:
-    """Return whether what was taken for bone is half as dense as the body's own: it is plastic, or fluid in gaps."""
+    """Return whether what was taken for bone is half as dense as the body's own, as plastic and fluid are."""
     bone = _own_bone(overview, candidate.pieces == candidate.whole.label)
     reading = candidate.reading
     return bone is not None and reading.bone < 0.5 * (reading.air + bone)
@@ -343,7 +344,7 @@ def _seed_index(scan: Scan, overview: Overview, seed_mm: Array) -> NDArray[np.in
 
 
 def _seeded(pieces: NDArray[np.int32], found: list[Piece], seed: NDArray[np.int64]) -> list[Piece]:
-    """Return the piece at the seed, or the nearest within a few coarse voxels; nothing where there is none."""
+    """Return the piece at the seed, or the nearest within a few coarse voxels; nothing without one."""
     low = np.maximum(seed - _SEED_REACH, 0)
     box = tuple(slice(int(a), int(b) + _SEED_REACH + 1) for a, b in zip(low[::-1], seed[::-1], strict=True))
     near = pieces[box]

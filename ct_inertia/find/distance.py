@@ -31,8 +31,8 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
     Notes
     -----
     Squared distances are separable: minima over shifted parabolas along x, y and z (Felzenszwalb and
-    Huttenlocher 2012, doi:10.4086/toc.2012.v008a019), here only over the shifts below the cap. Cubic voxels are
-    counted in whole numbers of 8 or 16 bits.
+    Huttenlocher 2012, doi:10.4086/toc.2012.v008a019), here only over the shifts below the cap. Cubic voxels
+    are counted in whole numbers of 8 or 16 bits.
     """
     result = np.full(mask.shape, cap_mm, dtype=np.float32)
     used = used_box(mask)
@@ -67,10 +67,10 @@ def closed(mask: NDArray[np.bool_], spacing_mm: Array, radius_mm: float) -> NDAr
     return np.asarray(mask | (capped_distance(~wide, spacing_mm, cap) > radius_mm))
 
 
-def used_box(mask: NDArray[np.bool_]) -> tuple[slice, slice, slice] | None:
+def used_box(mask: NDArray[Any]) -> tuple[slice, slice, slice] | None:
     """Return the slices z, y, x of the smallest box that holds a mask; None for an empty one."""
-    flat = mask.any(axis=0)
-    uses = (mask.any(axis=(1, 2)), flat.any(axis=1), flat.any(axis=0))
+    flat = np.any(mask, axis=0)
+    uses = (np.any(mask, axis=(1, 2)), np.any(flat, axis=1), np.any(flat, axis=0))
     if not uses[1].any():
         return None
     ends = [np.flatnonzero(use)[[0, -1]] for use in uses]
@@ -79,7 +79,7 @@ def used_box(mask: NDArray[np.bool_]) -> tuple[slice, slice, slice] | None:
 
 
 def _units(spacing: Array, steps: list[int], cap_mm: float) -> tuple[Array, NDArray[Any], float]:
-    """Return the squared voxel edges as counted, a value beyond the cap in the type of counts, and the edge."""
+    """Return the squared voxel edges as counted, a value beyond the cap in that type, and the edge."""
     if float(np.ptp(spacing)) <= _SAME * float(spacing[0]):
         far = int(np.ceil((cap_mm / float(spacing[0])) ** 2 * 1.002)) + 1
         for dtype in (np.uint8, np.uint16):

@@ -143,7 +143,7 @@ def _view(scan: Scan, overview: Overview, chosen: Candidate) -> _View:
 
 
 def _mark(box: Box, overview: Overview, chosen: Candidate) -> _View:
-    """Tell the stapes from other bone in a box: by pieces, and by a flood from their cores where they touch."""
+    """Tell the stapes from other bone in a box: by pieces; where they touch, by a flood from their cores."""
     import cc3d
 
     from ct_inertia.grey.start import flood
@@ -247,16 +247,17 @@ def _scan_notices(overview: Overview) -> list[Notice]:
     notices = []
     if overview.is_mask:
         text = (
-            f"The scan holds {overview.levels.size} grey values: it was thresholded, or is a label volume (then give it "
-            "with --labels). It is measured as the solid that its voxels fill; where its surface lies within a voxel "
-            "is lost (budget: voxels). Give the grey values as they were reconstructed."
+            f"The scan holds {overview.levels.size} grey values: it was thresholded, or is a label volume "
+            "(then give it with --labels). It is measured as the solid that its voxels fill; where its "
+            "surface lies within a voxel is lost (budget: voxels). Give the grey values as they were "
+            "reconstructed."
         )
         notices.append(Notice("scan_thresholded", text))
     if overview.unmeasured is not None:
         share = 100.0 * float(np.mean(overview.unmeasured))
         text = (
-            f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its field of "
-            "view: it was not measured and takes no part in levels, noise and surroundings."
+            f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
+            "field of view: it was not measured and takes no part in levels, noise and surroundings."
         )
         notices.append(Notice("outside_not_measured", text))
     return notices
@@ -266,10 +267,10 @@ def _separation_notices(chosen: Candidate) -> tuple[Notice, ...]:
     if chosen.split is None or not chosen.split.at_border:
         return ()
     text = (
-        "Another bone that the border of the scan crops, most likely the tip of the incus, joins the stapes and was cut "
-        "off it at the narrowest section between them. Too little of it is in the scan to see where it ends as well as "
-        "elsewhere; the budget holds the cut (separation). Export 1 mm more beyond the head, or correct the cut "
-        "(--labels)."
+        "Another bone that the border of the scan crops, most likely the tip of the incus, joins the "
+        "stapes and was cut off it at the narrowest section between them. Too little of it is in the scan "
+        "to see where it ends as well as elsewhere; the budget holds the cut (separation). Export 1 mm "
+        "more beyond the head, or correct the cut (--labels)."
     )
     return (Notice("incus_cropped", text),)
 

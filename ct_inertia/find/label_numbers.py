@@ -36,8 +36,8 @@ def body_numbers(
     Raises
     ------
     StapeskitError
-        Several segments have such a name, or another one that of a part of the stapes; the stapes' usual number has a
-        name that says something else; both bodies have the same number.
+        Several segments have such a name, or another one that of a part of the stapes; the stapes' usual
+        number has a name that says something else; both bodies have the same number.
     """
     if stapes is None:
         stapes = _by_name(names, r"stapes|stapedi", where)

@@ -1,4 +1,4 @@
-"""Labels made elsewhere: which voxels are stapes and plate, with the scan that they were drawn on or alone."""
+"""Labels made elsewhere: which voxels are stapes and plate, with the scan or alone."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def label_stapes(
     Raises
     ------
     StapeskitError
-        No voxel of the stapes' number, values that are no labels, islands, or labels whose grid is not a part of the
-        scan's.
+        No voxel of the stapes' number, values that are no labels, islands, or labels whose grid is not a part
+        of the scan's.
     """
     tell = progress or (lambda _: None)
     tell("reading the labels")
@@ -169,8 +169,8 @@ def _drop_islands(result: NDArray[np.uint8], labels: Scan) -> list[Notice]:
     result[used][mask & (parts != main)] = 0
     text = (
         f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "
-        f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove them from the "
-        "label volume."
+        f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove "
+        "them from the label volume."
     )
     return [Notice("label_islands_left_out", text)]
 
@@ -196,8 +196,9 @@ def _alone(drawn: _Drawn) -> Labelled:
         is_mask=True,
     )
     text = (
-        "The bodies come from labels alone: without grey values their surfaces are known to the voxel only, and a "
-        "threshold's bias of some percent in volume stays unseen. Give the scan together with --labels."
+        "The bodies come from labels alone: without grey values their surfaces are known to the voxel "
+        "only, and a threshold's bias of some percent in volume stays unseen. Give the scan together with "
+        "--labels."
     )
     plate = drawn.labels == PLATE
     return Labelled(
@@ -206,7 +207,7 @@ def _alone(drawn: _Drawn) -> Labelled:
         other=labels == OTHER_BONE,
         plate=labels == PLATE,
         cells=_cells(drawn.labels, np.zeros(3, dtype=np.int64)),
-        plate_region=_drawn_plate(drawn, plate, np.zeros(3, dtype=np.int64), drawn.scan),
+        plate_region=_drawn_plate(plate, np.zeros(3, dtype=np.int64), drawn.scan),
         air=0.0,
         bone=1.0,
         plastic=None,
@@ -250,7 +251,7 @@ def _on_scan(drawn: _Drawn, scan: Scan) -> Labelled:
     local[target] = drawn.labels[source]
     air, bone = _levels(box, local)
     plate = drawn.labels == PLATE
-    region = _drawn_plate(drawn, plate, offset, scan)
+    region = _drawn_plate(plate, offset, scan)
     plastic_mask = local == PLATE
     plastic = float(np.median(box.grey[plastic_mask])) if plastic_mask.any() else None
     if not drawn.has_plate:
@@ -344,8 +345,8 @@ def _levels(box: Box, local: NDArray[np.uint8]) -> tuple[float, float]:
 def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: float) -> tuple[Mask, Mask]:
     """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
 
-    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between goes to the
-    body whose flood of grey values reaches it first.
+    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between
+    goes to the body whose flood of grey values reaches it first.
     """
     from ct_inertia.grey.start import flood
 
@@ -393,7 +394,7 @@ def _sampled(mask: Mask, shape: tuple[int, ...], step: Index, offset: Index) -> 
     return result
 
 
-def _drawn_plate(drawn: _Drawn, plate: Mask, offset: Index, scan: Scan) -> PlateRegion | None:
+def _drawn_plate(plate: Mask, offset: Index, scan: Scan) -> PlateRegion | None:
     return mask_region(scan, plate, offset) if np.count_nonzero(plate) >= _LEAST_VOXELS else None
 
 
@@ -420,9 +421,9 @@ def _cut_by_labels(drawn: _Drawn, scan: Scan, offset: Index, middle: float) -> l
             further = scan.read((part[0], part[1], part[2])).squeeze(axis) > middle
             if np.count_nonzero(end & further) > max(10, 0.5 * np.count_nonzero(end)):
                 text = (
-                    f"The stapes touches the border of the label volume at the {name} layer along {'zyx'[axis]} while "
-                    "its bone goes on in the scan: what lies beyond is missing from volume and mass, and the "
-                    "uncertainty does not hold it. Draw the labels to its end."
+                    f"The stapes touches the border of the label volume at the {name} layer along "
+                    f"{'zyx'[axis]} while its bone goes on in the scan: what lies beyond is missing from "
+                    "volume and mass, and the uncertainty does not hold it. Draw the labels to its end."
                 )
                 return [Notice("touches_border", text)]
     return []

@@ -74,9 +74,9 @@ def find_necks(points_mm: Array, spacing_mm: Array) -> list[Neck]:
 
     Notes
     -----
-    For directions within 36 degrees of the longest principal axis the area of the cross-section follows from a
-    histogram of the heights of the voxels; a neck is a minimum that is at least 15 % narrower than the body is on
-    either side of it.
+    For directions within 36 degrees of the longest principal axis the area of the cross-section follows from
+    a histogram of the heights of the voxels; a neck is a minimum that is at least 15 % narrower than the body
+    is on either side of it.
     """
     count = len(points_mm)
     if count > _MOST_POINTS:

@@ -1,4 +1,4 @@
-"""A first look at the whole scan: every n-th voxel, the grey levels of its materials, and what was not scanned."""
+"""A first look at the whole scan: every n-th voxel, the levels of its materials, what was not scanned."""
 
 from __future__ import annotations
 
@@ -81,7 +81,8 @@ def look_at(scan: Scan) -> Overview:
         One material only, or voxels that the scan refuses.
     """
     step = _step(scan)
-    grey = scan.read(tuple(slice(int(s // 2), None, int(s)) for s in step[::-1])).astype(np.float32)
+    z, y, x = (slice(int(s // 2), None, int(s)) for s in step[::-1])
+    grey = scan.read((z, y, x)).astype(np.float32)
     size = np.array(scan.shape[::-1]) // step  # leftover voxels at the end of the scan belong to no step
     grey = np.ascontiguousarray(grey[: size[2], : size[1], : size[0]])
     few = np.unique(grey.ravel()[:: max(1, grey.size // 50_000) | 1])
@@ -102,7 +103,7 @@ def look_at(scan: Scan) -> Overview:
 
 
 def _step(scan: Scan) -> Index:
-    """Return voxels per coarse voxel: about 0.05 mm, finer where the scan is small, coarser where it is huge."""
+    """Return voxels per coarse voxel: about 0.05 mm, finer in a small scan, coarser in a huge one."""
     size = scan.size
     step = np.clip(np.maximum(np.round(_TARGET_MM / scan.spacing_mm), 1.0), 1, max(1, int(size.max()) // 100))
     step = np.minimum(step.astype(np.int64), np.maximum(size // 8, 1))
@@ -138,8 +139,8 @@ def noise_of(grey: Grey) -> float:
 def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     """Return a constant that fills the volume from its corners, and where; None where there is none.
 
-    A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in the
-    corners and edges, and must fill whole neighbourhoods, which noise never does.
+    A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in
+    the corners and edges, and must fill whole neighbourhoods, which noise never does.
     """
     import cc3d
 
@@ -154,9 +155,9 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
         return None, None
     labels = cc3d.connected_components(solid, connectivity=6)
-    ends = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
+    outermost = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
     touching = np.zeros(int(labels.max()) + 1, dtype=bool)
-    touching[np.concatenate(ends)] = True
+    touching[np.concatenate(outermost)] = True
     touching[0] = False
     outside = grown(touching[labels]) & (grey == np.float32(value))
     return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
@@ -178,9 +179,10 @@ def material_levels(grey: Grey, noise: float, voxel_mm3: float, outside: Mask | 
     """Return the grey levels of the materials, ascending: the modes of voxels inside a material.
 
     A global threshold moves with the field of view, for bone may be 0.15 % of it; here only voxels whose six
-    neighbours agree with them are counted, so that blurred edges hardly count and each material stands out however
-    little of it there is. A level between the lowest and the highest must fill cubes of three voxels: in a gap one or
-    two voxels wide, and where the edges of thin bone run together, the blur has a level that belongs to no material.
+    neighbours agree with them are counted, so that blurred edges hardly count and each material stands out
+    however little of it there is. A level between the lowest and the highest must fill cubes of three voxels:
+    in a gap one or two voxels wide, and where the edges of thin bone run together, the blur has a level that
+    belongs to no material.
 
     Raises
     ------

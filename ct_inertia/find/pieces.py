@@ -51,7 +51,8 @@ class Piece:
     holes : int or None
         Tunnels through it (1 in a stapes), where counted.
     perforated : bool
-        One hole is as wide as that between the crura, others are narrower and yet wider than gaps between bones.
+        One hole is as wide as that between the crura, others are narrower and yet wider than gaps between
+        bones.
     surrounds : float
         Volume of other bone within its convex hull, as a share of its own.
     """
@@ -146,7 +147,7 @@ def label_pieces(mask: Mask, spacing_mm: Array) -> tuple[NDArray[np.int32], list
 
 
 def describe_all(labels: Labels, spacing_mm: Array) -> list[Piece]:
-    """Describe the pieces of a labelled array [z, y, x] that are worth a look, from the largest to the smallest."""
+    """Describe the pieces of labels [z, y, x] that are worth a look, from the largest to the smallest."""
     from scipy.ndimage import find_objects
 
     count = np.bincount(labels.ravel())
@@ -193,8 +194,8 @@ def with_holes(piece: Piece, inside: Mask, spacing_mm: Array) -> Piece:
 
     Notes
     -----
-    A hole through the footplate is narrower than the one between the crura, and a closing by a ball fills it alone.
-    What bridges the gap to another bone makes a hole too, but one that is no wider than such gaps.
+    A hole through the footplate is narrower than the one between the crura, and a closing by a ball fills it
+    alone. What bridges the gap to another bone makes a hole too, but one that is no wider than such gaps.
     """
     holes = count_holes(inside)
     if holes < 2 or not piece.possible:
@@ -210,8 +211,8 @@ def count_holes(inside: Mask) -> int:
 
     Notes
     -----
-    Euler characteristic = 1 - tunnels + cavities. A pinhole of noise must not count as a tunnel, so the solid is
-    smoothed by a majority vote of 27 voxels first. Voxels that touch in a corner hang together.
+    Euler characteristic = 1 - tunnels + cavities. A pinhole of noise must not count as a tunnel, so the solid
+    is smoothed by a majority vote of 27 voxels first. Voxels that touch in a corner hang together.
     """
     import cc3d
     from scipy.ndimage import uniform_filter

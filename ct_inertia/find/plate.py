@@ -88,7 +88,7 @@ def find_plate(
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
-    """Return the plate's voxels on the grid of a box: what a ball fits in, for blurred rims of bone are thin."""
+    """Return the plate's voxels on the grid of a box: what a ball fits in, as no blurred rim of bone."""
     from ct_inertia.grey.start import grown
 
     there = from_coarse(box, grown(region.mask), region.first, region.step)
@@ -102,7 +102,7 @@ def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
 
 
 def mask_region(scan: Scan, plate: Mask, first: np.ndarray) -> PlateRegion | None:
-    """Return the region of a plate that labels name; ``first``: index x, y, z in the scan of their first voxel."""
+    """Return the region of a plate that labels name; ``first``: index in the scan of their first voxel."""
     from ct_inertia.grey.fields import smooth
 
     used = used_box(plate)

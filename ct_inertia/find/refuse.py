@@ -45,8 +45,8 @@ def no_stapes(
             "the scan",
             "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
             f"a picture of {picture} mm with voxels of {voxel} mm, and in it {listed}",
-            next_step="Check the voxel size (--spacing); name the body with --seed X,Y,Z (scan mm) or --box, or correct "
-            "it with --labels",
+            next_step="Check the voxel size (--spacing); name the body with --seed X,Y,Z (scan mm) or --box, "
+            "or correct it with --labels",
         )
     return StapeskitError(fault)
 
@@ -57,7 +57,7 @@ def _wrong_scale(
     picture: str,
     voxel: str,
 ) -> Fault | None:
-    """Recognise a body of the right shape and the wrong size, or a picture far too small or large for an ear."""
+    """Recognise a body of the right shape and the wrong size, or a picture of the wrong size for an ear."""
     for _, pieces, found in tried:
         for piece in found[:6]:
             scale = piece.length_mm / _LENGTH_MM
@@ -89,12 +89,12 @@ def _wrong_scale(
 
 def _scale_fault(length_mm: float, scale: float, picture: str, voxel: str) -> Fault:
     unit = next((name for factor, name in _UNITS.items() if 0.6 < scale * factor < 1.7), None)
-    unit = unit or next((name for factor, name in _UNITS.items() if 0.6 < scale / (1.0 / factor) < 1.7), None)
     guess = "" if unit is None else f"; the spacing may be in {unit}"
     return Fault(
         "the voxel spacing",
         "right, in millimetres: a stapes is 3 to 4 mm high",
-        f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm high{guess}",
+        f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm "
+        f"high{guess}",
         next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
     )
 
@@ -169,7 +169,7 @@ def unusual_notice(piece: Piece) -> tuple[Notice, ...]:
     extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
     size = f"{piece.volume_mm3:.2f} mm3, {extents} mm"
     if piece.holes is not None and piece.holes != 1 and not piece.perforated:
-        text = f"The body taken for the stapes has {piece.holes} holes instead of one between its crura ({size})."
+        text = f"The body taken for the stapes has {piece.holes} holes, not one between its crura ({size})."
     elif not piece.usual:
         text = f"The body taken for the stapes is unusual for one ({size}): check it, and the voxel spacing."
     else:

@@ -162,8 +162,8 @@ def _of_the_whole(bone: Mask, grid: Box, pieces: NDArray[np.int32], whole: Piece
 def _narrow_gaps(share: Grey, bone: Mask, spacing_mm: Array) -> Mask:
     """Return the narrow gaps between bones: what a closing by a ball fills.
 
-    Two levels are used: the middle one for gaps that are open in the image, a higher one for gaps of one or two
-    voxels, which the blur fills.
+    Two levels are used: the middle one for gaps that are open in the image, a higher one for gaps of one or
+    two voxels, which the blur fills.
     """
     from ct_inertia.grey.fields import smooth
 
@@ -178,10 +178,10 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
 
     Notes
     -----
-    A gap between two bones is a dark sheet, with holes where bone bridges it. The distance from the sheet grows into
-    both bones and is least, across a bridge, on the surface that continues the sheet: its watershed splits the bones
-    there. A crus, however thin, lies far from every narrow gap, so that it is not cut, which an erosion deep enough
-    for the bridge would do.
+    A gap between two bones is a dark sheet, with holes where bone bridges it. The distance from the sheet
+    grows into both bones and is least, across a bridge, on the surface that continues the sheet: its
+    watershed splits the bones there. A crus, however thin, lies far from every narrow gap, so that it is not
+    cut, which an erosion deep enough for the bridge would do.
     """
     import cc3d
     from skimage.segmentation import watershed
@@ -196,12 +196,12 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
     depth = capped_distance(gaps, spacing, DEPTHS_MM[-1] + least)
     before: NDArray[np.int32] | None = None
     for wanted in depths_mm:
-        markers = cc3d.connected_components(bone & (depth > np.float32(max(wanted, least))), connectivity=6)
-        sizes = np.bincount(markers.ravel())
+        pieces = cc3d.connected_components(bone & (depth > np.float32(max(wanted, least))), connectivity=6)
+        sizes = np.bincount(pieces.ravel())
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
         count = int(np.count_nonzero(kept))
-        markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[markers]
+        markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[pieces]
         if count < 2 or (before is not None and _already_apart(before, markers, count)):
             continue
         labels = np.zeros(bone.shape, dtype=np.int32)
@@ -266,7 +266,7 @@ def _necks_of_parts(way: Split) -> Iterator[Split]:
 
 
 def _united(way: Split) -> Iterator[Split]:
-    """Put two or three parts together where that makes a stapes: depths that split wide bridges may split it too."""
+    """Put two or three parts together where that makes a stapes: depths for wide bridges may split it."""
     import cc3d
 
     parts = [part for part in way.parts if part.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]

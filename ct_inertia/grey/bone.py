@@ -1,4 +1,4 @@
-"""The grey level of the stapes and its standard uncertainty: from voxels deep inside, or from the fit of the scene."""
+"""The grey level of the stapes and its uncertainty: from voxels deep inside, or from the fit."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def bone_level(fit: SceneFit, excess: Grey) -> BoneLevel:
 
     Notes
     -----
-    The fit's uncertainty adds noise, misfit, and what thin bone leaves: the ratio of the volume of the rim to that
-    of the body tells how much of the level hangs on the blur.
+    The fit's uncertainty adds noise, misfit, and what thin bone leaves: the ratio of the volume of the rim to
+    that of the body tells how much of the level hangs on the blur.
     """
     fitted = fit.contrasts["stapes"]
     share = fit.shares["stapes"]

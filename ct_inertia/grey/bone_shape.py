@@ -20,13 +20,15 @@ def shape_moments(measured: MeasuredBody) -> Moments:
     Parameters
     ----------
     measured : MeasuredBody
-        With the grey-weighted moments, where denser bone counts more. Without grey values they are those of the shape.
+        With the grey-weighted moments, where denser bone counts more. Without grey values they are those of
+        the shape.
 
     Notes
     -----
-    Deep inside the bone the share of bone is fitted by a straight line through space, b0 + g . (r - c). With the
-    grey-weighted moments V, c, S and the third central moments T of the body, dividing by that line gives to first order
-    (volume: second) in g: V (1 + g C g) / b0, c - C g / b0 and (S - T g / b0) / b0 with C = S / V.
+    Deep inside the bone the share of bone is fitted by a straight line through space, b0 + g . (r - c). With
+    the grey-weighted moments V, c, S and the third central moments T of the body, dividing by that line gives
+    to first order (volume: second) in g: V (1 + g C g) / b0, c - C g / b0 and (S - T g / b0) / b0 with C = S
+    / V.
     """
     grey = measured.moments
     level, slope = _brightness(measured)

@@ -38,8 +38,8 @@ def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Box, 
 
     Notes
     -----
-    Neither is in the scan: the standard deviation is half a ball as wide as each cut, at its middle. ``share``
-    [z, y, x] is that of the body in each voxel; blur of what lies beyond counts.
+    Neither is in the scan: the standard deviation is half a ball as wide as each cut, at its middle.
+    ``share`` [z, y, x] is that of the body in each voxel; blur of what lies beyond counts.
     """
     covariance = np.zeros((10, 10))
     for contact in contacts:
@@ -56,10 +56,10 @@ def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Box, 
 def border_notice(contacts: Sequence[BorderContact]) -> Notice:
     """Report which layers cut the body, and what either cause does to the result."""
     text = (
-        f"The body measured touches the border of the scan, at {' and at '.join(map(str, contacts))}. Either the "
-        "stapes ends there: what lies beyond is missing from volume and mass. Or another bone that the field of view "
-        "crops, such as the tip of the incus, touches the stapes and is counted with it. The budget holds a rounded "
-        "end as wide as the cut (border), no more. Look at the slices of the report; scan or export a larger field of "
-        "view, or correct the labels (--labels)."
+        f"The body measured touches the border of the scan, at {' and at '.join(map(str, contacts))}. "
+        "Either the stapes ends there: what lies beyond is missing from volume and mass. Or another bone "
+        "that the field of view crops, such as the tip of the incus, touches the stapes and is counted "
+        "with it. The budget holds a rounded end as wide as the cut (border), no more. Look at the slices "
+        "of the report; scan or export a larger field of view, or correct the labels (--labels)."
     )
     return Notice("touches_border", text)

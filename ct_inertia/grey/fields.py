@@ -18,8 +18,8 @@ _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly abov
 def smooth(field: Grey, width: Array) -> Grey:
     """Return a field [z, y, x] smoothed by a Gaussian; ``width`` (3,) along z, y, x in voxels.
 
-    Beyond the border the outermost voxels are repeated. One product with a band matrix along each axis, which is
-    three times as fast as a convolution voxel by voxel.
+    Beyond the border the outermost voxels are repeated. One product with a band matrix along each axis, which
+    is three times as fast as a convolution voxel by voxel.
     """
     return _apply(field, [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)])
 
@@ -27,8 +27,8 @@ def smooth(field: Grey, width: Array) -> Grey:
 def blur(share: Grey, sigma_mm: float, spacing: Array) -> Grey:
     """Return the blurred image of a body that is given as the share of each voxel that it fills.
 
-    ``sigma_mm`` is that of a point spread with the voxel included, whose own variance h^2 / 12 is in the share
-    already. ``spacing`` along z, y, x.
+    ``sigma_mm`` is that of a point spread with the voxel included, whose own variance h^2 / 12 is in the
+    share already. ``spacing`` along z, y, x.
     """
     return smooth(share, np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0)))
 
@@ -55,9 +55,9 @@ def share_above(field: Grey, where: Mask) -> Grey:
 
     Notes
     -----
-    A cube's projection on any direction has the variance h^2 / 12, so that the share of a voxel above a plane at
-    the distance d is nearly d / h + 1/2 whatever the direction, with the exact mean and variance. The slope
-    along each axis is the steeper one of its two sides, so that ridges thinner than a voxel stay thin.
+    A cube's projection on any direction has the variance h^2 / 12, so that the share of a voxel above a plane
+    at the distance d is nearly d / h + 1/2 whatever the direction, with the exact mean and variance. The
+    slope along each axis is the steeper one of its two sides, so that ridges thinner than a voxel stay thin.
     """
     share = (field > 0.0).astype(np.float32)
     inner = np.zeros(field.shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""The surface of a fitted body as a field, and how well it is known: what the footplate's frame is found on."""
+"""The surface of a fitted body as a field, and how well it is known."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, tra
 
     Notes
     -----
-    The local level makes the mean residual of the rim zero, 3.29 widths s of the blur thick, over which the share of
-    a plane edge rises by 0.9: noise of standard deviation n, correlation k and voxels of volume v leaves the height
-    the spectral density n^2 k v L / 0.9^2, L = 3.29 s, at waves longer than the average. A level that errs by e
-    moves a plane edge by e sqrt(2 pi) s.
+    The local level makes the mean residual of the rim zero, 3.29 widths s of the blur thick, over which the
+    share of a plane edge rises by 0.9: noise of standard deviation n, correlation k and voxels of volume v
+    leaves the height the spectral density n^2 k v L / 0.9^2, L = 3.29 s, at waves longer than the average. A
+    level that errs by e moves a plane edge by e sqrt(2 pi) s.
     """
     begin = fit.start
     contrast = fit.contrasts[name]

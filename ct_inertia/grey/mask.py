@@ -22,8 +22,8 @@ def measure_mask(labelled: Labelled) -> MeasuredBody:
     Notes
     -----
     The surface may lie anywhere within half a voxel of where it is drawn, all of it together: that is the one
-    contribution, ``voxels``. Voxels of the two layers on both sides of the surface, half of each, make a layer of
-    one voxel.
+    contribution, ``voxels``. Voxels of the two layers on both sides of the surface, half of each, make a
+    layer of one voxel.
     """
     box = labelled.box
     moments = voxel_moments(labelled.stapes, box.scan_from_index)

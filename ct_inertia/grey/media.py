@@ -1,4 +1,4 @@
-"""What lies between the bodies of a scene: fluid and mucosa as the grey values show them, filled voids, a stated coat."""
+"""What lies between the bodies of a scene: fluid, soft tissue, filled voids, a stated coat."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ class Media:
     def plastic(self, fit: SceneFit, field: Grey, window: Window) -> Grey:
         """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a window.
 
-        The face of a plate is held to its plane near the stapes, where its own grey values show it badly; a fluid
-        fills what the bone leaves where it touches.
+        The face of a plate is held to its plane near the stapes, where its own grey values show it badly; a
+        fluid fills what the bone leaves where it touches.
         """
         bones = np.zeros_like(field)
         for name in fit.names[: fit.names.index("plate")]:
@@ -140,7 +140,7 @@ class Media:
         return shares
 
     def follow(self, fit: SceneFit, renew: bool) -> None:
-        """Fit the media to what the bodies leave; the soft one only where ``renew`` says so: it is slow."""
+        """Fit the media to what the bodies leave; the soft one only with ``renew``: it is slow."""
         seen: Grey | None = None
         if self.coat is not None:
             seen = np.float32(self.coat.grey * fit.contrasts["stapes"]) * coat_share(
@@ -149,27 +149,28 @@ class Media:
         if self.voids is not None:
             rest = fit.data - fit.bones()
             rest = rest if seen is None else rest - seen
-            self._fill_voids(fit, rest)
+            self._fill_voids(fit, rest, self.voids)
             if self.void_grey and self.void_share is not None:
-                seen = (0.0 if seen is None else seen) + np.float32(self.void_grey) * self.void_share
+                filled = np.float32(self.void_grey) * self.void_share
+                seen = filled if seen is None else seen + filled
         if renew:
             rest = fit.data - fit.bones()
             self._find_soft(fit, rest if seen is None else rest - seen)
         if self.soft is not None:
-            clear = self.soft_image(fit.shares)
+            clear = np.asarray(self.soft_image(fit.shares), dtype=np.float32)
             seen = clear if seen is None else seen + clear
-        self.seen = None if seen is None else seen.astype(np.float32)
+        self.seen = None if seen is None else np.asarray(seen, dtype=np.float32)
 
-    def _fill_voids(self, fit: SceneFit, rest: Grey) -> None:
+    def _fill_voids(self, fit: SceneFit, rest: Grey, voids: Mask) -> None:
         """Fit one grey value to all closed hollows."""
         start = fit.start
-        inside = np.where(self.voids, np.float32(1.0) - fit.bodies["stapes"], np.float32(0.0))
+        inside = np.where(voids, np.float32(1.0) - fit.bodies["stapes"], np.float32(0.0))
         self.void_share = blur(inside, fit.sigma_mm, start.spacing)
         there = self.void_share > 0.1
         share, left = self.void_share[there].astype(float), rest[there]
         square = float(share @ share) + 1e-30
         self.void_grey = float(share @ left) / square
-        bone = float(fit.shares["stapes"][self.voids].mean())
+        bone = float(fit.shares["stapes"][voids].mean())
         model = _VOID_SD * fit.contrasts["stapes"] * bone / max(1.0 - bone, 0.05)
         self.void_sd = float(np.sqrt(start.noise**2 * start.correlation / square + model**2))
         if self.void_grey < _STANDS_OUT * self.void_sd:
@@ -177,7 +178,7 @@ class Media:
         self.void_sd = float(np.hypot(self.void_sd, _FILLED_SD * self.void_grey))
 
     def _find_soft(self, fit: SceneFit, rest: Grey) -> None:
-        """Average what bodies leave in voxels that they hardly fill; keep it where it stands out of the noise."""
+        """Average what bodies leave where they hardly fill a voxel; keep what stands out of the noise."""
         start, contrast = fit.start, fit.contrasts["stapes"]
         total = sum(fit.shares.values())
         clear = ((total < _CLEAR[0]) & (start.basin != 0)) | (total < _CLEAR[1])
@@ -211,12 +212,15 @@ def coat_share(fit: SceneFit, thickness_mm: float) -> Grey:
     Notes
     -----
     Along the normal x of a plane surface the blurred bone is m = Phi(-x / s), bone and coat together are
-    Phi((t - x) / s), so that the coat adds Phi(Phi^-1(m) + t / s) - m. m is the image of the fitted bodies, so
-    curvature enters by the distance of its level sets.
+    Phi((t - x) / s), so that the coat adds Phi(Phi^-1(m) + t / s) - m. m is the image of the fitted bodies,
+    so curvature enters by the distance of its level sets.
     """
     from scipy.special import ndtr, ndtri
 
-    bone = sum(share for name, share in fit.shares.items() if name != "plate")
+    bone = np.zeros_like(fit.data)
+    for name, one in fit.shares.items():
+        if name != "plate":
+            bone += one
     share = np.zeros_like(fit.data)
     there = bone > np.float32(_NOTHING)
     values = np.minimum(bone[there].astype(float), 1.0 - _NOTHING)
@@ -225,7 +229,7 @@ def coat_share(fit: SceneFit, thickness_mm: float) -> Grey:
 
 
 def coat_sd_share(fit: SceneFit, own: Mask) -> Grey | None:
-    """Return one standard deviation of a stated coat's share on the stapes' side; None without a coat."""
+    """Return one sd of a stated coat's share on the stapes' side; None without a coat."""
     coat = fit.media.coat
     if coat is None:
         return None
@@ -240,14 +244,15 @@ def coat_notice(fit: SceneFit, transform: Array, moments: Moments) -> Notice:
     usual = np.where(own, np.float32(_USUAL_GREY) * coat_share(fit, _USUAL_MM), np.float32(0.0))
     share = 100.0 * effect(usual, transform, moments)[0] / moments.volume_mm3
     text = (
-        f"Bare bone is assumed. A mucosa of {1e3 * _USUAL_MM:.0f} um with {100.0 * _USUAL_GREY:.0f} % of the contrast "
-        f"of bone would count as {share:.1f} % of the volume: state it with --coat where the sample was not cleaned."
+        f"Bare bone is assumed. A mucosa of {1e3 * _USUAL_MM:.0f} um with {100.0 * _USUAL_GREY:.0f} % of "
+        f"the contrast of bone would count as {share:.1f} % of the volume: state it with --coat where the "
+        "sample was not cleaned."
     )
     return Notice("bare_bone_assumed", text)
 
 
 def media_notices(fit: SceneFit, soft_share: Grey, moments: Moments, transform: Array) -> list[Notice]:
-    """Report fluid or soft tissue that was subtracted, and hollows that are filled or cannot be seen to be."""
+    """Report fluid or soft tissue that was subtracted, and hollows that are or may be filled."""
     notices = []
     soft = 100.0 * effect(soft_share, transform, moments)[0] / moments.volume_mm3
     if abs(soft) > 100.0 * _REPORTED or fit.media.touching is not None:
@@ -257,9 +262,9 @@ def media_notices(fit: SceneFit, soft_share: Grey, moments: Moments, transform: 
             else ""
         )
         text = (
-            f"Fluid or soft tissue lies around the stapes: {soft:.2f} % of its volume were subtracted as a smooth "
-            f"medium.{wet} The budget holds what remains (surroundings). Dry the sample and scan it again for a better "
-            "value."
+            f"Fluid or soft tissue lies around the stapes: {soft:.2f} % of its volume were subtracted as a "
+            f"smooth medium.{wet} The budget holds what remains (surroundings). Dry the sample and scan it "
+            "again for a better value."
         )
         notices.append(Notice("soft_surroundings", text))
     media = fit.media
@@ -270,16 +275,16 @@ def media_notices(fit: SceneFit, soft_share: Grey, moments: Moments, transform: 
     if media.void_grey:
         text = (
             f"The closed hollows of the stapes ({100.0 * hollow:.1f} % of its volume) are filled, with "
-            f"{100.0 * media.void_grey / fit.contrasts['stapes']:.0f} % of the contrast of bone: fluid or marrow. It was "
-            f"subtracted, and the budget holds {doubt:.2f} % for it (voids). Its mass is left out: dry the sample, or "
-            "add it as a point mass (--add-mass)."
+            f"{100.0 * media.void_grey / fit.contrasts['stapes']:.0f} % of the contrast of bone: fluid or "
+            f"marrow. It was subtracted, and the budget holds {doubt:.2f} % for it (voids). Its mass is "
+            "left out: dry the sample, or add it as a point mass (--add-mass)."
         )
         notices.append(Notice("void_filled", text))
     elif doubt > 100.0 * _REPORTED:
         text = (
-            f"Closed hollows of the stapes ({100.0 * hollow:.1f} % of its volume) are about as narrow as the blur: "
-            f"whether air or fluid fills them is not visible. Air is assumed, and the budget holds {doubt:.2f} % for it "
-            "(voids). Scan with smaller voxels, or dry the sample."
+            f"Closed hollows of the stapes ({100.0 * hollow:.1f} % of its volume) are about as narrow as "
+            "the blur: whether air or fluid fills them is not visible. Air is assumed, and the budget "
+            f"holds {doubt:.2f} % for it (voids). Scan with smaller voxels, or dry the sample."
         )
         notices.append(Notice("void_filling_unknown", text))
     return notices

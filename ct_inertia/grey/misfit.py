@@ -1,7 +1,7 @@
-"""What the scene leaves of the grey values, by place: one residual that is a term of the budget and a warning.
+"""What the scene leaves of the grey values, by place: one residual is budget and warning.
 
-Fringes, a bent grey scale, rings, motion, cupping and whatever else makes grey values differ from those of two sharp
-materials end here: named with their place and size, not corrected.
+Fringes, a bent grey scale, rings, motion, cupping and whatever else makes grey values differ from those of
+two sharp materials end here: named with their place and size, not corrected.
 """
 
 from __future__ import annotations
@@ -104,8 +104,9 @@ def misfit_notice(found: list[PlaceMisfit]) -> Notice | None:
         return None
     text = (
         "The grey values around the stapes are not those of two sharp materials: the model leaves "
-        f"{'; '.join(map(str, standing))}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping or soft "
-        "tissue do that. It is not corrected; the budget holds its size (misfit). Look at the slices of the report."
+        f"{'; '.join(map(str, standing))}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping "
+        "or soft tissue do that. It is not corrected; the budget holds its size (misfit). Look at the "
+        "slices of the report."
     )
     return Notice("grey_values_misfit", text)
 

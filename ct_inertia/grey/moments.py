@@ -39,10 +39,10 @@ def partial_volume_moments(share: Grey, scan_from_index: Array, sigma_mm: float)
     Notes
     -----
     A share is the body's indicator convolved with a point spread of unit integral. Its integral is the volume
-    whatever the spread; its first moment too, for a symmetric spread; its second moments about the centroid are
-    those of the body plus the volume times the spread's variance, which is subtracted. Sums over voxel centres are
-    the integrals to within aliasing, for the spread acts as a low-pass filter. Shares are not clipped, for clipped
-    noise does not average out.
+    whatever the spread; its first moment too, for a symmetric spread; its second moments about the centroid
+    are those of the body plus the volume times the spread's variance, which is subtracted. Sums over voxel
+    centres are the integrals to within aliasing, for the spread acts as a low-pass filter. Shares are not
+    clipped, for clipped noise does not average out.
     """
     about = scan_from_index[:3, :3] @ (0.5 * np.array(share.shape[::-1])) + scan_from_index[:3, 3]
     total = integrals(share, scan_from_index, about)
@@ -52,7 +52,7 @@ def partial_volume_moments(share: Grey, scan_from_index: Array, sigma_mm: float)
 
 
 def integrals(amount: Grey, scan_from_index: Array, about_mm: Array) -> Array:
-    """Return the integrals (10,) of 1, d, dd^T (xx, yy, zz, xy, yz, xz) times an amount; d from a point, mm.
+    """Return the integrals (10,) of 1, d, dd^T (xx, yy, zz, xy, yz, xz) times an amount; d from a point.
 
     Notes
     -----
@@ -88,7 +88,7 @@ def common(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
 
 
 def by_octants(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of an amount wrong by its size: common to an eighth of the space around."""
+    """Return the covariance (10, 10) of an amount wrong by its size, each eighth of the space by itself."""
     back = np.linalg.inv(scan_from_index)
     index = back[:3, :3] @ moments.centroid_mm + back[:3, 3]
     middle = np.clip(np.rint(index[::-1]).astype(int), 1, np.array(amount.shape) - 1)
@@ -106,7 +106,7 @@ def by_octants(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
 def noise_covariance(
     noise: float, where: Mask, scan_from_index: Array, moments: Moments, sigma_mm: float
 ) -> Array:
-    """Return the covariance (10, 10) of independent noise of a standard deviation, a share, in the voxels of a mask.
+    """Return the covariance (10, 10) of independent noise in the voxels of a mask; ``noise`` is a share.
 
     Notes
     -----
@@ -130,14 +130,14 @@ def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
 
 
 def blur_covariance(moments: Moments, sigma_mm: float, sigma_sd_mm: float) -> Array:
-    """Return the covariance (10, 10) of a blur known to a standard deviation: it enters second moments only."""
+    """Return the covariance (10, 10) of an uncertain blur: it enters second moments only."""
     step = np.zeros(10)
     step[4:7] = 2.0 * moments.volume_mm3 * sigma_mm * sigma_sd_mm
     return np.outer(step, step)
 
 
 def voxel_moments(mask: NDArray[np.bool_], scan_from_index: Array) -> Moments:
-    """Return the exact moments of the solid made of a mask's voxels: each is a brick with moments of its own."""
+    """Return the exact moments of the solid made of a mask's voxels: each has moments of its own."""
     axes = scan_from_index[:3, :3]
     points = partial_volume_moments(mask.astype(np.float32), scan_from_index, 0.0)
     brick = points.volume_mm3 * axes @ axes.T / 12.0

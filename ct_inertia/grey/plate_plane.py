@@ -65,8 +65,8 @@ def face_plane(start: Start) -> FacePlane | None:
 
     Notes
     -----
-    Linear crossings of the half level between plastic and air. The best of planes through three of them is refined
-    on those within 0.7 voxels or three median deviations.
+    Linear crossings of the half level between plastic and air. The best of planes through three of them is
+    refined on those within 0.7 voxels or three median deviations.
     """
     if "plate" not in start.masks:
         return None

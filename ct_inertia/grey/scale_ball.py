@@ -22,8 +22,8 @@ def ball_diameter(scan: Scan, place_mm: Array, diameter_mm: float) -> tuple[floa
 
     Notes
     -----
-    The integral of (g - outside) / (inside - outside) is the volume of the ball whatever the blur. The place is
-    corrected by the centroid of the grey values first.
+    The integral of (g - outside) / (inside - outside) is the volume of the ball whatever the blur. The place
+    is corrected by the centroid of the grey values first.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def _crop(scan: Scan, centre_mm: Array, reach_mm: float) -> tuple[Array, Array]:
         raise _error("cut by the border of the scan", "whole within the scan, with air around it")
     x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     grey = scan.read((z, y, x)).astype(float)
-    index = np.stack(np.indices(grey.shape)[::-1], axis=-1).reshape(-1, 3) + low
+    index = np.indices(grey.shape)[::-1].reshape(3, -1).T + low
     return grey.ravel(), scan.scan_points(index) - centre_mm
 
 

@@ -1,10 +1,10 @@
-"""One model of the grey values around the stapes: bodies of two values, one blur, media between them, one noise.
+"""One model of the grey values around the stapes: bodies of two values, one blur, media, one noise.
 
     grey = air + sum_k contrast_k (G_sigma * body_k) + media + noise,   k = stapes, other bone, plate
 
-The surface of a body is where grey values, less everything else, pass a local level; the level follows what the
-model leaves at the rim. Contrast and blur follow from the same residual, so that thin bones, which have no voxel of
-their full level, are measured as well as thick ones.
+The surface of a body is where grey values, less everything else, pass a local level; the level follows what
+the model leaves at the rim. Contrast and blur follow from the same residual, so that thin bones, which have
+no voxel of their full level, are measured as well as thick ones.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
 
 
 def _adjust_blur(fit: SceneFit) -> None:
-    """Take the width of the blur one step of Gauss and Newton nearer to the least misfit at edges that face air."""
+    """Take the blur one step of Gauss and Newton nearer to the least misfit at edges that face air."""
     window = fit.windows["stapes"]
     own = (fit.start.near & fit.side("stapes"))[window]
     free = own.copy()

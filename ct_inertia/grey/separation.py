@@ -1,4 +1,4 @@
-"""What the separation from other bodies leaves uncertain: tails of the blur, and a border drawn through bone."""
+"""What the separation from other bodies leaves uncertain: tails of the blur, a border through bone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stapeskit.warnings import Notice
 _TAIL_SD = calibrated("separation.tail_sd")
 _BRIDGE_SD_MM = calibrated("separation.bridge_sd_mm")
 _NECK_SD_MM = calibrated("separation.neck_sd_mm")
-_SOLID = 0.8  # way from the middle level to bone at which a voxel is full of bone: it counts by the cube of its part
+_SOLID = 0.8  # way from the middle level to bone at which a voxel of the border is full of bone
 _LEAST_MM2 = 0.003  # of a border through bone that is named: a few voxels
 _WEAK_SHARE = 3e-3  # of the volume from which the cut decides the result
 
@@ -48,8 +48,8 @@ class BoneBorder:
         if self.place_mm is None or self.area_mm2 < _LEAST_MM2:
             return []
         text = (
-            f"The stapes was cut off other bone that it touches, over {self.area_mm2:.3f} mm2. Check the cut in the "
-            "report; where it is wrong, draw or correct labels by hand (--labels)."
+            f"The stapes was cut off other bone that it touches, over {self.area_mm2:.3f} mm2. Check the "
+            "cut in the report; where it is wrong, draw or correct labels by hand (--labels)."
         )
         notices = [Notice("cut_through_bone", text)]
         share = float(np.sqrt(self.covariance[0, 0])) / volume_mm3
@@ -57,10 +57,10 @@ class BoneBorder:
             where = "at a neck, the narrowest section near its end" if self.at_neck else "across bridges"
             place = ", ".join(f"{v:.2f}" for v in self.place_mm)
             text = (
-                f"Little shows where the stapes ends: {self.full_mm2:.3f} mm2 of the cut run through solid bone, "
-                f"{where}, the largest patch around {place} mm (scan), and leave its volume uncertain by "
-                f"{100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, draw it "
-                "(--labels)."
+                f"Little shows where the stapes ends: {self.full_mm2:.3f} mm2 of the cut run through solid "
+                f"bone, {where}, the largest patch around {place} mm (scan), and leave its volume uncertain "
+                f"by {100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, "
+                "draw it (--labels)."
             )
             notices.append(Notice("separation_weak", text))
         return notices
@@ -89,10 +89,10 @@ def bone_border(labelled: Labelled, own: Mask, levels: tuple[float, float], mome
 
     Notes
     -----
-    The true end of the stapes inside a bridge is not in the grey values: each connected patch of the border is taken
-    to be known to one voxel and a calibrated length, independent of the others. Where blur alone fills a gap its
-    middle stays darker than bone and shows the border: a voxel counts by the cube of its share of the way from the
-    middle level to 80 % of bone.
+    The true end of the stapes inside a bridge is not in the grey values: each connected patch of the border
+    is taken to be known to one voxel and a calibrated length, independent of the others. Where blur alone
+    fills a gap its middle stays darker than bone and shows the border: a voxel counts by the cube of its
+    share of the way from the middle level to 80 % of bone.
     """
     import cc3d
 

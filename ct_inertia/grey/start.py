@@ -1,4 +1,4 @@
-"""Where a scene starts: the part of the box that counts, whose voxel is whose, air, noise, blur and contrasts."""
+"""Where a scene starts: whose voxel is whose, air, noise, blur and contrasts."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def by_cells(
     cells = index // edge
     size = cells.max(axis=0) + 1
     key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
-    return np.bincount(key), np.bincount(key, values)
+    return np.bincount(key).astype(np.int64), np.bincount(key, values).astype(float)
 
 
 def noise_correlation(rest: Grey, inside: Mask) -> float:
@@ -222,7 +222,7 @@ def _part_around(mask: Mask, margin_mm: float, spacing: Array) -> tuple[slice, .
 def _basins(
     grey: Grey, masks: dict[str, Mask], distances: dict[str, Grey], reach: float, sigma: float
 ) -> NDArray[np.int8]:
-    """Give each voxel to the nearest body; in gaps of a few blur widths by the watershed of the grey values."""
+    """Give each voxel to the nearest body; in gaps of a few blur widths by the watershed."""
     basin = np.zeros(grey.shape, dtype=np.int8)
     nearest = np.full(grey.shape, np.float32(reach))
     second = np.full(grey.shape, np.float32(np.inf))
@@ -279,7 +279,7 @@ def grown(mask: Mask) -> Mask:
 
 
 def eroded(mask: Mask, rounds: int = 1) -> Mask:
-    """Return a mask without the voxels within so many voxels of its outside; the box's border counts as outside."""
+    """Return a mask less what is within so many voxels of its outside; the border counts as outside."""
     inner = np.pad(mask, rounds)
     for _ in range(rounds):
         inner = ~grown(~inner)

@@ -1,7 +1,7 @@
 """What storing did to grey values: a range with two ends and steps; levels from before, and the mean effect.
 
-A stored value is the true one plus noise, clipped to the range and rounded to a step. Near an end of the range, and
-where steps are no smaller than the noise, its mean is not the true value.
+A stored value is the true one plus noise, clipped to the range and rounded to a step. Near an end of the
+range, and where steps are no smaller than the noise, its mean is not the true value.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LEAST_KNOWN = calibrated("storing.least_known")
 
 @dataclass(frozen=True)
 class StoredLevel:
-    """A grey level and its noise from before storing; ``at_low``, ``at_high``: shares of voxels at the ends."""
+    """A grey level and its noise from before storing; ``at_low``, ``at_high``: shares at the ends."""
 
     level: float
     noise: float
@@ -84,7 +84,7 @@ class Storing:
         return float(np.sqrt(level.sd**2 + (_MODEL_SD * moved) ** 2 + within**2))
 
     def noise_ratio(self, shown: float) -> float:
-        """Return the noise of air from before storing over that of stored voxels, at least 1 where it was clipped."""
+        """Return the noise of air from before storing over that of stored voxels, at least 1."""
         return max(1.0, self.air.noise / max(shown, 1e-30)) if self.air.at_low > _PILE else 1.0
 
     def change(self, model: Grey) -> Grey:
@@ -133,23 +133,24 @@ def storing_notices(storing: Storing | None) -> list[Notice]:
         return notices
     if storing.air.at_low > _PILE:
         text = (
-            f"{100.0 * storing.air.at_low:.0f} % of the air voxels lie at the lowest grey value: the export has clipped "
-            "them. That was corrected for, and the budget holds what remains (levels). Export with a window that "
-            "begins below air and its noise."
+            f"{100.0 * storing.air.at_low:.0f} % of the air voxels lie at the lowest grey value: the export "
+            "has clipped them. That was corrected for, and the budget holds what remains (levels). Export "
+            "with a window that begins below air and its noise."
         )
         notices.append(Notice("air_clipped", text))
     if storing.bone.at_high > _PILE:
         text = (
-            f"{100.0 * storing.bone.at_high:.0f} % of the voxels deep inside bone lie at the highest grey value: the "
-            "export has clipped them. That was corrected for, and the budget holds what remains (levels). Export with "
-            "a window that ends above bone and its noise."
+            f"{100.0 * storing.bone.at_high:.0f} % of the voxels deep inside bone lie at the highest grey "
+            "value: the export has clipped them. That was corrected for, and the budget holds what remains "
+            "(levels). Export with a window that ends above bone and its noise."
         )
         notices.append(Notice("bone_clipped", text))
     if storing.coarse:
         share = 100.0 * storing.step / (storing.bone.level - storing.air.level)
         text = (
-            f"The grey values have steps of {share:.1f} % of the contrast between air and bone, no smaller than the "
-            "noise: levels are uncertain by a fraction of one grey step (budget: levels). Export with 16 bits."
+            f"The grey values have steps of {share:.1f} % of the contrast between air and bone, no smaller "
+            "than the noise: levels are uncertain by a fraction of one grey step (budget: levels). Export "
+            "with 16 bits."
         )
         notices.append(Notice("grey_steps_coarse", text))
     return notices
@@ -172,8 +173,8 @@ def find_storing(
     Raises
     ------
     StapeskitError
-        A level that the stored values leave open: nearly all air at the lowest value, or both materials in one
-        step each.
+        A level that the stored values leave open: nearly all air at the lowest value, or both materials in
+        one step each.
     """
     if air.size < 50 or bone.size < 20:
         return None
@@ -255,7 +256,7 @@ def stored_level(
 def _first_span(
     values: Array, size: float, piles: tuple[float, float], ends: tuple[float, float, float]
 ) -> list[float]:
-    """Return the first range of level and of the logarithm of the noise; by the truncated normal where clipped.
+    """Return the first range of level and log noise; by the truncated normal where clipped.
 
     Notes
     -----
@@ -281,8 +282,8 @@ def _first_span(
 def _clips(low: float, high: float, step: float) -> tuple[bool, bool]:
     """Return whether values may have been clipped at either end of the range.
 
-    Where steps are wide, the highest grey value may be a step that holds all of a material: it is an end of the
-    range only where the format ends there.
+    Where steps are wide, the highest grey value may be a step that holds all of a material: it is an end of
+    the range only where the format ends there.
     """
     if step <= _WIDE_STEP * (high - low):
         return True, True
@@ -323,8 +324,9 @@ def _refuse_open(storing: Storing) -> None:
         raise StapeskitError.of(
             "the range of the grey values",
             "wide enough to hold air and bone with their noise",
-            f"{100.0 * air.at_low:.0f} % of the air at the lowest value, {100.0 * bone.at_high:.0f} % of the bone at "
-            f"the highest, steps of {100.0 * storing.step / max(contrast, 1e-30):.2g} % of their contrast",
+            f"{100.0 * air.at_low:.0f} % of the air at the lowest value, {100.0 * bone.at_high:.0f} % of "
+            f"the bone at the highest, steps of {100.0 * storing.step / max(contrast, 1e-30):.2g} % of "
+            "their contrast",
             next_step="Export 16 bits with a window that begins below air and ends above bone",
         )
 
