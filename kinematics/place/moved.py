@@ -22,8 +22,8 @@ from stapeskit.warnings import Notice
 FARTHEST_MM = 1.0
 """Root mean square distance of the points of a stapes from its surface from which on a registration is
 refused: a third of a stapes."""
-LEAST_APART_MM = 3e-3
-"""Extent of the points of a stapes below which they are in another unit: a stapes is 3 mm long."""
+LEAST_APART_MM = 1e-2
+"""Extent of the points of a stapes below which they are in another unit: in metres, its 3 mm look like 3 um."""
 
 _SURFACE_SD_EDGES = calibrated("sample_moved.surface_sd_edges")
 _UNLIKELY = 1e-3
@@ -107,7 +107,7 @@ def check_surfaces(
 
 
 def check_extent(measurement: Measurement) -> None:
-    """Refuse points of a stapes that lie within 3 um: their coordinates are in another unit.
+    """Refuse points of a stapes that lie within 10 um: their coordinates are in another unit.
 
     Raises
     ------

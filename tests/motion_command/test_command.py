@@ -1,0 +1,309 @@
+"""points2dof as a command and as a function: companions, outputs, refusals, provenance, page, JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from kinematics.api import points2dof
+from kinematics.cli import work
+from kinematics.companions import with_companions
+from kinematics.options import MotionFiles, MotionOptions
+from kinematics.points2dof import check_inputs
+from kinematics.report.page import motion_level, motion_page, motion_sections
+from kinematics.results import ENDINGS
+from stapeskit.faults import StapeskitError
+from stapeskit.options import parse, template
+from stapeskit.provenance import frames_hash, input_record
+from stapeskit.records.motion import read_motion
+from stapeskit.report.page import Page
+from stapeskit.warnings import Notice, table
+from tests.motion_command.ears import error_in_sd, mass_of, measured, options, rewrite, simulated, write_mass
+
+
+@pytest.fixture(scope="module")
+def ear(tmp_path_factory):
+    """One ear on disk: measurement, companions and scan_mass/mass.json."""
+    folder = tmp_path_factory.mktemp("ear")
+    truth = simulated(folder, lines=16, seed=11)
+    write_mass(folder / "scan_mass", mass_of(truth))
+    return folder, truth
+
+
+def test_what_lies_beside_the_measurement_is_taken_and_named(ear, tmp_path, monkeypatch):
+    folder, truth = ear
+    monkeypatch.chdir(tmp_path)
+    outcome = work([str(folder / "ldv.csv"), "--out", "ear1"])
+    rows = dict(outcome.rows)
+    for role, name in (
+        ("points", "points.csv"),
+        ("fiducials", "fiducials.csv"),
+        ("mass", "scan_mass/mass.json"),
+    ):
+        assert rows[f"{role} (found beside LDV)"] == str(folder / name)
+    assert sorted(path.name for path in outcome.files) == sorted(f"ear1{ending}" for ending in ENDINGS)
+    assert all((tmp_path / f"ear1{ending}").is_file() for ending in ENDINGS)
+    motion = read_motion(tmp_path / "ear1.csv")
+    assert motion.provenance["parameters"]["found_beside"] == ["fiducials", "mass", "points"]
+    assert set(motion.provenance["inputs"]) == {"ldv", "points", "fiducials", "mass"}
+    assert (
+        motion.provenance["inputs"]["mass"]["document_hash"]
+        == input_record(folder / "scan_mass" / "mass.json")["document_hash"]
+    )
+    page = (tmp_path / "ear1.html").read_text()
+    assert str(folder / "points.csv") in page
+    result = points2dof(folder / "ldv.csv")
+    assert set(result.taken) == {"points", "fiducials", "mass"}
+    assert np.array_equal(result.motion.q, motion.q)
+    assert np.max(np.abs(error_in_sd(result, truth))) < 6.0
+
+
+def test_none_turns_a_companion_off(ear):
+    folder, _ = ear
+    chosen = MotionOptions.of(ldv=folder / "ldv.csv", fiducials="none")
+    found = with_companions(chosen, "none")
+    assert set(found.taken) == {"points"}
+    assert found.mass is None
+    assert found.options.source_frame == "footplate"
+    chosen = MotionOptions.of(ldv=folder / "ldv.csv", frame="plate", points="none")
+    assert set(with_companions(chosen).taken) == {"mass"}
+    with pytest.raises(StapeskitError) as caught:
+        points2dof(folder / "ldv.csv", points="none")
+    assert {fault.next_step for fault in caught.value.faults} == {"Give them with --points points.csv"}
+
+
+def test_two_masses_beside_a_measurement_are_refused(tmp_path):
+    simulated(tmp_path, lines=12)
+    for name in ("a_mass", "b_mass"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mass.json").write_text("{}")
+    with pytest.raises(StapeskitError) as caught:
+        with_companions(MotionOptions.of(ldv=tmp_path / "ldv.csv"))
+    assert caught.value.faults[0].got == "a_mass/mass.json, b_mass/mass.json"
+
+
+def test_fiducials_on_the_plate_without_a_mass_say_how_to_go_on(tmp_path):
+    simulated(tmp_path, lines=12)
+    with pytest.raises(StapeskitError) as caught:
+        points2dof(tmp_path / "ldv.csv")
+    fault = caught.value.faults[0]
+    assert fault.got == "no mass.json"
+    assert "--fiducials none" in fault.next_step
+
+
+def test_nothing_of_the_user_is_overwritten(ear, tmp_path):
+    folder, _ = ear
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(StapeskitError) as caught:
+        work([str(folder / "ldv.csv"), "--out", str(folder / "ldv.csv"), "--quiet"])
+    assert caught.value.faults[0].got == str(folder / "ldv.csv")
+    (tmp_path / "dof.html").write_text("mine")
+    with pytest.raises(StapeskitError):
+        work([str(folder / "ldv.csv"), "--out", str(tmp_path / "dof"), "--quiet"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dof.html"]
+    work([str(folder / "ldv.csv"), "--out", str(tmp_path / "dof"), "--quiet", "--force"])
+    assert (tmp_path / "dof.html").read_text() != "mine"
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_json_holds_verdicts_registration_and_warnings(ear, tmp_path):
+    folder, _ = ear
+    outcome = work([str(folder / "ldv.csv"), "--out", str(tmp_path / "dof.csv"), "--json"])
+    content = json.loads(json.dumps(outcome.content, allow_nan=False))
+    assert content["schema"] == "stapeskit.points2dof/1"
+    assert content["verdicts"] == []
+    assert len(content["registration"]["residuals_mm"]) == 6
+    assert content["surface_checks"][0]["body"] == "stapes"
+    assert {row["unit"] for row in content["lasers"]} == {"%", "°", "µs"}
+    assert len(content["found_beside"]) == 3
+
+
+def test_result_prints_a_screen_and_makes_table_and_figure(ear):
+    folder, _ = ear
+    result = points2dof(folder / "ldv.csv")
+    assert len(repr(result).splitlines()) < 30
+    frame = result.to_frame()
+    assert list(frame.columns[:5]) == ["run", "body", "freq_hz", "x_re_m", "x_im_m"]
+    assert len(frame) == 2 * 16
+    assert len(result.plot().axes) == 12
+
+
+def test_sections_go_into_any_page(ear):
+    folder, _ = ear
+    result = points2dof(folder / "ldv.csv")
+    own, other = motion_page(result), Page("another")
+    motion_sections(other, result)
+    names = [section.name for section in other.sections]
+    assert len(names) == 5
+    assert names == [section.name for section in own.sections][:5]
+    assert "data-scene" in own.html()
+
+
+def test_the_verdict_of_the_page_is_that_of_the_worst_warning():
+    assert motion_level(()) == "believe"
+    assert motion_level((Notice("noise_estimated", ""),)) == "believe"
+    assert motion_level((Notice("noise_estimated", ""), Notice("channel_gain", ""))) == "check"
+    assert motion_level((Notice("channel_gain", ""), Notice("phase_convention", ""))) == "do not use"
+
+
+def test_write_and_write_into_write_the_same_files(ear, tmp_path):
+    folder, _ = ear
+    result = points2dof(folder / "ldv.csv")
+    written = result.write(tmp_path / "one", name="ear.csv")
+    (tmp_path / "two").mkdir()
+    names = result.write_into(tmp_path / "two", "ear.csv", report=False)
+    assert names == ("ear.csv", "ear.h5", "ear.channels.csv")
+    assert [path.name for path in written] == [f"ear{ending}" for ending in ENDINGS]
+    for name in ("ear.csv", "ear.channels.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    with pytest.raises(StapeskitError):
+        result.write(folder, name="points.csv")
+
+
+def test_a_mass_in_memory_leaves_the_hash_of_its_frames(ear):
+    folder, truth = ear
+    mass = mass_of(truth)
+    result = points2dof(folder / "ldv.csv", mass)
+    assert "mass" not in result.taken
+    assert result.motion.provenance["frames_hash"] == frames_hash(mass.record.raw)
+
+
+def test_responses_per_reference_are_one_at_the_reference(ear):
+    folder, truth = ear
+    motion = points2dof(folder / "ldv.csv", reference="base:y", gain_sd=0, phase_sd=0, delay_sd=0).motion
+    body, place = motion.body("base"), motion.dof.index("y")
+    assert np.max(np.abs(motion.q[:, body, :, place] - 1.0)) < 1e-12
+    true = truth.motion_m["stapes"][..., 1] / truth.motion_m["base"][..., 1]
+    sd = motion.standard_deviation[:, motion.body("stapes"), :, place]
+    assert np.max(np.abs(motion.q[:, motion.body("stapes"), :, place] - true)) < 8.0 * np.max(sd)
+    with pytest.raises(StapeskitError) as caught:
+        points2dof(folder / "ldv.csv", reference="bone:y")
+    assert caught.value.faults[0].thing == "--reference"
+
+
+def test_check_of_inputs_reports_all_faults_together(tmp_path):
+    simulated(tmp_path, lines=12)
+    check_inputs(options(tmp_path))
+    points = tmp_path / "points.csv"
+    points.write_text(points.read_text().replace("x_mm", "x_m"))
+
+    def mirrored(table):
+        table["x_mm"] *= -1.0
+
+    rewrite(tmp_path / "fiducials.csv", mirrored)
+    with pytest.raises(StapeskitError) as caught:
+        check_inputs(options(tmp_path))
+    assert len(caught.value.faults) == 2
+    assert any("--mirror" in fault.next_step for fault in caught.value.faults)
+
+
+def test_mirror_turns_left_handed_coordinates_round(tmp_path):
+    truth = simulated(tmp_path, lines=16, mirror="z", seed=12)
+    mass = mass_of(truth)
+    with pytest.raises(StapeskitError):
+        measured(tmp_path, mass)
+    result = measured(tmp_path, mass, mirror="z")
+    assert np.max(np.abs(error_in_sd(result, truth))) < 6.0
+
+
+def test_channels_are_left_out_and_listed(ear):
+    folder, _ = ear
+    result = measured(folder, mass_of(ear[1]), leave_out=["stapes:3"])
+    unused = [one for one in result.channels if one.verdict == "unused"]
+    assert {(one.body, one.point, one.estimate) for one in unused} == {("stapes", "3", "left out")}
+    for rule in ("bone:1", "stapes:99", "stapes:3:x"):
+        with pytest.raises(StapeskitError) as caught:
+            measured(folder, mass_of(ear[1]), leave_out=[rule])
+        assert caught.value.faults[0].thing == f"--leave-out {rule}"
+
+
+def test_a_gain_is_found_and_corrected(tmp_path):
+    truth = simulated(tmp_path, in_footplate=True, lines=24, seed=13)
+
+    def louder(table):
+        own = (table.body == "stapes") & (table.point == 4) & (table.dir_x == table.dir_x[0])
+        table.loc[own, ["re_m_s", "im_m_s"]] *= 1.4
+
+    rewrite(tmp_path / "ldv.csv", louder)
+    found = measured(tmp_path)
+    assert [(one.point, one.verdict) for one in found.channels if one.verdict != "ok"] == [("4", "gain")]
+    assert {notice.code for notice in found.notices} == {"channel_gain"}
+    corrected = measured(tmp_path, correct=True)
+    assert np.max(np.abs(error_in_sd(corrected, truth))) < 6.0 < np.max(np.abs(error_in_sd(found, truth)))
+    assert "corrected" in {notice.code for notice in corrected.notices}
+
+
+@pytest.mark.parametrize(
+    ("words", "thing"),
+    [
+        ([], "LDV"),
+        (["{ldv}", "--frame", "plate", "--fiducials", "{fid}"], "--frame"),
+        (["{ldv}", "--correct", "--calibrate"], "--correct"),
+        (["{ldv}", "--robust", "t5"], "--robust"),
+        (["{ldv}", "--gain-sd", "51"], "--gain-sd"),
+        (["{ldv}", "--dof", "y,delta"], "--dof"),
+        (["{ldv}", "--body", "stapes"], "--body"),
+        (["{ldv}", "--points", "nowhere.csv"], "--points"),
+        (["{ldv}", "--fiducal", "x"], "--fiducal"),
+    ],
+)
+def test_options_are_refused_before_anything_is_read(ear, words, thing):
+    folder, _ = ear
+    given = [word.format(ldv=folder / "ldv.csv", fid=folder / "fiducials.csv") for word in words]
+    with pytest.raises(StapeskitError) as caught:
+        parse("points2dof", "", (MotionOptions, MotionFiles), given)
+    assert thing in {fault.thing for fault in caught.value.faults}
+
+
+def test_a_study_takes_tables_and_the_template_is_read_back(ear, tmp_path):
+    import tomllib
+
+    folder, _ = ear
+    values = {
+        "file": "ldv.csv",
+        "body": {"stapes": "1-10", "base": "11-19"},
+        "points": "none",
+        "gain_sd_percent": 2,
+    }
+    read = MotionOptions.from_study(values, "study.toml", folder)
+    assert read.body == ("stapes=1-10", "base=11-19")
+    assert read.points_file is None
+    assert read.parameters()["gain_sd_percent"] == 2.0
+    assert tomllib.loads(template("t", [MotionOptions]))["ldv"]["file"] == "ldv.csv"
+
+
+def test_every_warning_of_the_room_has_a_meaning(ear):
+    import re
+
+    known = table()
+    root = Path(__file__).parents[2] / "kinematics"
+    codes = {
+        code
+        for path in root.rglob("*.py")
+        for code in re.findall(r'(?:Notice|Cause)\(\s*"([a-z_]+)"', path.read_text(encoding="utf-8"))
+    }
+    assert codes
+    assert {code for code in codes if code not in known} == set()
+
+
+def test_channels_table_has_the_columns_of_the_contract(ear, tmp_path):
+    folder, _ = ear
+    points2dof(folder / "ldv.csv").write(tmp_path)
+    columns = list(pd.read_csv(tmp_path / "dof.channels.csv").columns)
+    assert columns == [
+        "run",
+        "body",
+        "point",
+        "dir_x",
+        "dir_y",
+        "dir_z",
+        "residual_rms_m",
+        "weight",
+        "verdict",
+        "estimate",
+        "p_value",
+    ]

@@ -1,0 +1,314 @@
+"""Placement: frames, their covariance as shared errors, signs, other axes, the sample that moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.place.fiducials import FRAMES, Fiducials, read_fiducials
+from kinematics.place.handedness import axes_changes
+from kinematics.place.moved import check_surfaces
+from kinematics.place.on_surface import SurfacePoints, lay_on_surface
+from kinematics.place.placement import place
+from kinematics.place.surfaces import Surface, surfaces_of
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.registration import displacement
+from stapeskit.spatial import DOF_NAMES
+from tests.motion_command.ears import error_in_sd, mass_of, measured, options, rewrite, simulated
+
+BONE = np.array([3e-6, 0.0, 0.0, 0.0, 1e-11, 1e-11, 1e-11, 0.0, 0.0, 0.0])
+
+
+def pose(rng, to, source):
+    return RigidTransform.from_parts(
+        rotation_from_vector(rng.normal(size=3)), 5.0 * rng.normal(size=3), to, source
+    )
+
+
+def record(rng, sd=(1e-5, 2e-3)):
+    spread = np.diag(np.repeat(np.square(sd), 3))
+    return MassRecord(
+        MassMatrix(BONE), pose(rng, "scan", "footplate"), spread, pose(rng, "scan", "plate"), spread
+    )
+
+
+def frames_of(mass):
+    return {
+        "scan": RigidTransform.identity("scan", "scan"),
+        "plate": mass.scan_from_plate,
+        "footplate": mass.scan_from_footplate,
+    }
+
+
+def fiducials(rng, mass, frames, scan_from_vibrometer, noise=0.0):
+    seen = 4.0 * rng.normal(size=(len(frames), 3))
+    known = [
+        frames_of(mass)[frame].inverse().points(scan_from_vibrometer.points(at))
+        for frame, at in zip(frames, seen, strict=True)
+    ]
+    seen = seen + noise * rng.normal(size=seen.shape)
+    names = tuple(f"mark {k}" for k in range(len(frames)))
+    return Fiducials(names, seen, np.array(known), tuple(frames), np.full(len(frames), max(noise, 0.01)))
+
+
+MIXED = ["plate"] * 3 + ["scan"] * 3 + ["footplate"] * 2
+
+
+@pytest.mark.parametrize("frames", [["plate"] * 6, ["scan"] * 6, ["footplate"] * 6, MIXED])
+def test_derivatives_are_those_of_perturbed_frames(frames):
+    rng = np.random.default_rng(3)
+    mass = record(rng)
+    pairs = fiducials(rng, mass, frames, pose(rng, "scan", "vibrometer"))
+    placed = place(pairs, mass=mass)
+    for column, name in enumerate(placed.names):
+        source, _, axis = name.partition(".")
+        step = 1e-6 * np.eye(6)[DOF_NAMES.index(axis)]
+        if source == "registration":
+            assert np.array_equal(placed.derivative[:, column], np.eye(6)[DOF_NAMES.index(axis)])
+            continue
+        field = "scan_from_plate" if source == "plate_frame" else "scan_from_footplate"
+        moved = [
+            place(pairs, mass=replace(mass, **{field: getattr(mass, field).perturbed(sign * step)})).transform
+            for sign in (1.0, -1.0)
+        ]
+        slope = (displacement(placed.transform, moved[0]) - displacement(placed.transform, moved[1])) / 2e-6
+        assert slope == pytest.approx(placed.derivative[:, column], abs=1e-5)
+
+
+@pytest.mark.parametrize("frames", [["plate"] * 5, MIXED])
+def test_covariance_of_the_pose_is_that_of_drawn_errors(frames):
+    distances = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        mass = record(rng)
+        true = pose(rng, "scan", "vibrometer")
+        spread = np.repeat([1e-5, 2e-3], 3)
+        off = replace(
+            mass,
+            scan_from_footplate=mass.scan_from_footplate.perturbed(spread * rng.normal(size=6)),
+            scan_from_plate=mass.scan_from_plate.perturbed(spread * rng.normal(size=6)),
+        )
+        placed = place(fiducials(rng, mass, frames, true, 0.02), mass=off)
+        error = displacement(placed.transform, mass.scan_from_footplate.inverse() @ true)
+        whole = placed.derivative @ placed.covariance @ placed.derivative.T
+        distances.append(error @ np.linalg.solve(whole, error))
+    assert np.mean(distances) / 6.0 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / (6.0 * len(distances))))
+
+
+def test_coordinates_in_the_plate_frame_need_no_fiducials():
+    rng = np.random.default_rng(5)
+    mass = record(rng)
+    placed = place(frame="plate", mass=mass)
+    assert placed.transform.matrix == pytest.approx(
+        (mass.scan_from_footplate.inverse() @ mass.scan_from_plate).matrix
+    )
+    assert {name.partition(".")[0] for name in placed.names} == {"plate_frame", "footplate_frame"}
+    assert place().names == ()
+
+
+@pytest.mark.parametrize("frame", [frame for frame in FRAMES if frame != "footplate"])
+def test_frames_that_nothing_ties_to_the_footplate_are_refused(frame):
+    with pytest.raises(StapeskitError) as caught:
+        place(frame=frame)
+    assert caught.value.faults[0].got == "no mass.json"
+    rng = np.random.default_rng(6)
+    bare = replace(record(rng), scan_from_plate=None, plate_covariance=None)
+    if frame == "plate":
+        with pytest.raises(StapeskitError) as caught:
+            place(frame=frame, mass=bare)
+        assert caught.value.faults[0].got == "a mass.json without a plate"
+
+
+def test_signs_of_all_motions_survive_the_way_through_three_frames(tmp_path):
+    truth = simulated(tmp_path, exact=True, position_sd_mm=0.0, fiducial_sd_mm=0.0, seed=2)
+    result = measured(tmp_path, mass_of(truth))
+    for number, body in enumerate(result.motion.bodies):
+        true = truth.motion_m[body]
+        scale = np.sqrt(np.mean(np.abs(true) ** 2, axis=(0, 1)))
+        assert (
+            np.max(np.abs(result.motion.q[:, number] - true) / scale) < 2e-3
+        )  # files hold four digits of mm
+
+
+def test_motion_lies_within_its_sd_when_frames_and_fiducials_are_off(tmp_path):
+    worst, mean = [], []
+    for seed in range(8):
+        folder = tmp_path / str(seed)
+        truth = simulated(folder, seed=seed, lines=16, fiducial_sd_mm=0.03)
+        rng = np.random.default_rng(seed)
+        result = measured(folder, mass_of(truth, (1.5e-5, 4e-3), rng), gain_sd=0, phase_sd=0, delay_sd=0)
+        error = error_in_sd(result, truth)
+        worst.append(np.max(np.abs(error)))
+        mean.append(np.mean(error**2))
+    assert np.mean(mean) == pytest.approx(1.0, abs=0.3)
+    assert max(worst) < 6.0
+
+
+def test_fiducials_are_read_with_every_fault(tmp_path):
+    path = tmp_path / "fiducials.csv"
+    path.write_text(
+        "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame,sd_mm\n"
+        "a,0,0,0,0,0,0,plate,0.01\na,1,0,0,1,0,0,moon,0.01\nc,0,1,0,0,1e30,0,scan,\nd,0,0,1,0,0,1,scan,-1\n"
+    )
+    with pytest.raises(StapeskitError) as caught:
+        read_fiducials(path)
+    found = {(fault.thing, fault.where.numbers) for fault in caught.value.faults}
+    assert found == {("name", (3,)), ("frame", (3,)), ("y_ref_mm", (4,)), ("sd_mm", (4,)), ("sd_mm", (5,))}
+    assert all("fiducial" in fault.where.detail for fault in caught.value.faults)
+
+
+def test_points_in_metres_are_refused(tmp_path):
+    simulated(tmp_path, in_footplate=True)
+
+    def shrink(table):
+        table[["x_mm", "y_mm", "z_mm"]] *= 1e-3
+
+    rewrite(tmp_path / "points.csv", shrink)
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, fiducials="none")
+    assert caught.value.faults[0].thing == "the extent of the points of body stapes"
+
+
+def turned_points(result_folder, change):
+    def turn(table):
+        places = table[["x_mm", "y_mm", "z_mm"]].to_numpy() @ np.asarray(change).T
+        table[["x_mm", "y_mm", "z_mm"]] = places
+
+    rewrite(result_folder / "points.csv", turn)
+
+
+@pytest.mark.parametrize(
+    "words", [words for words in axes_changes() if "reversed" in words and " and " in words]
+)
+def test_half_turns_are_named_before_the_sample_is_blamed(tmp_path, words):
+    truth = simulated(tmp_path, seed=3)
+    turned_points(tmp_path, axes_changes()[words])
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, mass_of(truth))
+    fault = caught.value.faults[0]
+    assert fault.thing == "the points of body stapes"
+    assert words in fault.next_step
+
+
+def test_references_in_ras_are_named(tmp_path):
+    truth = simulated(tmp_path, seed=3)
+    to_scan = truth.scan_from_plate
+
+    def to_ras(table):
+        known = to_scan.points(table[["x_ref_mm", "y_ref_mm", "z_ref_mm"]].to_numpy()) * [-1.0, -1.0, 1.0]
+        table[["x_ref_mm", "y_ref_mm", "z_ref_mm"]] = known
+        table["frame"] = "scan"
+
+    rewrite(tmp_path / "fiducials.csv", to_ras)
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, mass_of(truth))
+    assert "RAS against LPS" in caught.value.faults[0].next_step
+    assert "frame scan" in caught.value.faults[0].next_step
+
+
+@pytest.mark.parametrize(
+    "words", ["the axis x reversed", "the axis y reversed", "the axes x and z exchanged"]
+)
+def test_positions_in_other_axes_than_the_beams_are_refused(tmp_path, words):
+    simulated(tmp_path, seed=4, in_footplate=True, noise=0.003, lines=24, stapes_points=7, bone_points=5)
+    turned_points(tmp_path, axes_changes()[words])
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, fiducials="none")
+    assert words in caught.value.faults[0].got
+
+
+def test_a_sample_that_moved_is_reported_and_far_ones_are_refused(tmp_path):
+    truth = simulated(tmp_path, seed=5)
+    mass = mass_of(truth)
+    result = measured(tmp_path, mass)
+    assert result.checks[0].p_value > 1e-3
+    for shift_mm, refused in ((0.15, False), (2.5, True)):
+        off = truth.scan_from_footplate.matrix.copy()
+        off[:3, 3] += shift_mm * np.array([0.6, 0.0, 0.8])
+        moved = replace(result.placement, transform=mass.record.scan_from_footplate.inverse()
+                        @ RigidTransform(off, "scan", "footplate") @ result.placement.transform)  # fmt: skip
+        source = result.measurement.mapped(replace_frames(result.placement.transform.inverse()))
+        if refused:
+            with pytest.raises(StapeskitError):
+                check_surfaces(source, moved, mass.record, surfaces_of(mass))
+        else:
+            _, notices = check_surfaces(source, moved, mass.record, surfaces_of(mass))
+            assert [notice.code for notice in notices] == ["sample_moved"]
+
+
+def replace_frames(transform):
+    return RigidTransform(transform.matrix, "vibrometer", "footplate")
+
+
+def test_points_that_lie_on_the_bone_raise_no_alarm(tmp_path):
+    chances, sizes = [], []
+    for seed in range(8):
+        folder = tmp_path / str(seed)
+        truth = simulated(folder, seed=20 + seed, lines=12, bone_points=4)
+        check = measured(folder, mass_of(truth)).checks[0]
+        chances.append(check.p_value)
+        sizes.append(check.rms_mm / np.sqrt(np.mean(check.expected_sd_mm**2)))
+    assert min(chances) > 1e-3
+    assert 0.3 < np.mean(sizes) < 1.2
+
+
+def box(rng):
+    import trimesh
+
+    mesh = trimesh.creation.box((4.4, 0.5, 3.0))
+    mesh = mesh.subdivide().subdivide().subdivide()
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def test_points_on_the_plate_refine_a_rough_pose_with_the_right_covariance():
+    vertices, faces = box(None)
+    distances, gains = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        mass = record(rng, (0.0, 0.0))
+        true = pose(rng, "scan", "vibrometer")
+        plate = Surface("plate", mass.scan_from_plate.points(vertices), faces)
+        rough = place(fiducials(rng, mass, ["plate"] * 3, true, 0.1), mass=mass)
+        on_faces = rng.uniform(-0.5, 0.5, (60, 3)) * [4.4, 0.5, 3.0]
+        axis = rng.integers(0, 3, 60)
+        on_faces[np.arange(60), axis] = (
+            np.where(rng.random(60) < 0.5, -0.5, 0.5) * np.array([4.4, 0.5, 3.0])[axis]
+        )
+        seen = true.inverse().points(mass.scan_from_plate.points(on_faces)) + 0.01 * rng.normal(size=(60, 3))
+        points = SurfacePoints(tuple(map(str, range(60))), seen, np.full(60, 0.01))
+        fine = lay_on_surface(rough, points, plate, mass)
+        error = displacement(fine.registration.transform, true)
+        distances.append(error @ np.linalg.solve(fine.registration.covariance_si, error))
+        gains.append(
+            np.sqrt(np.trace(fine.registration.covariance_si[3:, 3:]) / np.trace(rough.covariance[3:6, 3:6]))
+        )
+    assert (
+        np.median(distances) < 12.0
+    )  # chi2 of 6: median 5.3, sd of a surface point counts in the covariance
+    assert np.max(distances) < 40.0
+    assert np.median(gains) < 0.3
+
+
+def test_points_far_from_the_plate_are_refused():
+    rng = np.random.default_rng(1)
+    mass = record(rng)
+    true = pose(rng, "scan", "vibrometer")
+    vertices, faces = box(None)
+    plate = Surface("plate", mass.scan_from_plate.points(vertices), faces)
+    rough = place(fiducials(rng, mass, ["plate"] * 4, true, 0.02), mass=mass)
+    points = SurfacePoints(tuple(map(str, range(20))), 30.0 * rng.normal(size=(20, 3)), np.full(20, 0.01))
+    with pytest.raises(StapeskitError) as caught:
+        lay_on_surface(rough, points, plate, mass)
+    assert caught.value.faults[0].thing == "the points of --plate-points"
+
+
+def test_plate_points_need_rough_fiducials(tmp_path):
+    simulated(tmp_path, in_footplate=True)
+    with pytest.raises(StapeskitError) as caught:
+        options(tmp_path, fiducials="none", plate_points=tmp_path / "points.csv")
+    assert caught.value.faults[0].thing == "--plate-points"

@@ -1,0 +1,204 @@
+"""Errors that all lines share: derivatives against perturbed fits, maps, patterns, lasers, calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
+from kinematics.joint.tangents import BEAM_U, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
+from kinematics.measurement import Measurement, from_arrays
+from kinematics.place import shared_errors as shared
+from kinematics.place.lasers import lasers_of
+from kinematics.place.placement import Placement
+from simulate import Experiment, measure_motion, resonant_motion, scattered_points
+from stapeskit.spatial import DOF_NAMES, point_rows
+from tests.motion_command.ears import error_in_sd, measured, rewrite, simulated
+
+SUBSET = ("y", "alpha", "gamma")
+
+
+def measurement(seed=0, points=6, lines=20, position_sd=1e-5) -> Measurement:
+    """Return one body, exact values, three lasers."""
+    rng = np.random.default_rng(seed)
+    experiment = Experiment(lines=lines, in_footplate=True, exact=True, position_sd_mm=0.0, seed=seed)
+    motion = resonant_motion(rng, experiment.freq_hz)[None]
+    told = measure_motion({"stapes": motion}, {"stapes": scattered_points(rng, points)}, experiment)
+    parts = {
+        "points": told.point,
+        "positions_m": 1e-3 * told.position_mm,
+        "directions": told.direction,
+        "value": told.velocity_m_s,
+        "sd": np.full(told.velocity_m_s.shape, 1e-6)
+        * np.random.default_rng(seed + 1).uniform(0.5, 2.0, (1, len(told.point), 1)),
+        "position_sd_m": position_sd,
+    }
+    return from_arrays({"stapes": parts}, told.freq_hz)
+
+
+def fitted(placed: Measurement, dof=DOF_NAMES):
+    body = placed.bodies[0]
+    beams = beam_set(body.body, body.arms_m, body.directions, dof)
+    return {(0, 0): fit_lines(beams, body.value[0], body.sd[0], placed.per_displacement)}
+
+
+def with_error(placed: Measurement, mask, tangent, size):
+    """Return the measurement that is assumed when a parameter of it has an error."""
+    body = placed.bodies[0]
+    geometry = Geometry(body.arms_m, body.directions, np.ones((1, len(body.points)), dtype=complex))
+    parameters = Parameters(np.asarray(mask, dtype=float)[None], np.array([tangent]), np.array([np.inf]))
+    omega = 2.0 * np.pi * placed.freq_hz
+    moved = geometry.moved(parameters, np.array([size]), np.zeros(len(omega)), omega)
+    changed = replace(
+        body,
+        positions_m=moved.positions_m,
+        directions=moved.directions,
+        value=body.value / moved.factor.T,
+    )
+    return replace(placed, bodies=(changed,))
+
+
+@pytest.mark.parametrize("dof", [DOF_NAMES, SUBSET])
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("tangent", [GAIN, PHASE, DELAY, BEAM_U, SHIFT[1], TURN[2]])
+def test_derivatives_are_those_of_perturbed_fits(tangent, missing, dof):
+    placed = measurement()
+    if missing:
+        value = placed.bodies[0].value.copy()
+        value[:, 3, 4:9] = np.nan
+        placed = replace(placed, bodies=(replace(placed.bodies[0], value=value),))
+    if dof != DOF_NAMES:  # what a subset cannot fit must not be there
+        body = placed.bodies[0]
+        rows = point_rows(body.arms_m, body.directions)[:, [1, 3, 5]]
+        q = np.linalg.lstsq(rows, np.nan_to_num(body.value[0]), rcond=None)[0]
+        value = np.where(np.isnan(body.value[0]), np.nan, rows @ q)[None]
+        placed = replace(placed, bodies=(replace(body, value=value),))
+    own = [0, 3, 6]
+    mask = np.isin(np.arange(len(placed.bodies[0].points)), own)
+    step = 1e-7 if tangent != DELAY else 1e-10
+    plus, minus = (fitted(with_error(placed, mask, tangent, sign * step), dof)[0, 0].q for sign in (1, -1))
+    rows = shared.tangent_rows(placed.bodies[0], own, tangent)
+    moved, _ = shared.sensitivity(fitted(placed, dof)[0, 0], rows[None])
+    if tangent == DELAY:
+        moved = moved * (2j * np.pi * placed.freq_hz)[:, None]
+    slope = (plus - minus) / (2.0 * step)
+    scale = np.max(np.abs(slope), axis=0)
+    assert np.max(np.abs(moved[0] - slope) / scale) < 2e-4
+
+
+def test_maps_make_the_derivatives():
+    placed = measurement()
+    fits = fitted(placed)
+    found = shared.shared_errors(placed, fits, Placement(transform_to_itself()), None)
+    assert found.names[:2] == ("position.stapes.1.x", "position.stapes.1.y")
+    made = np.einsum("pbij,rblj->prbli", found.maps, fits[0, 0].q[None, None])
+    scale = np.max(np.abs(found.derivatives), axis=(1, 2, 3, 4), keepdims=True)
+    assert np.max(np.abs(made - found.derivatives) / scale) < 1e-9
+
+
+def transform_to_itself():
+    from stapeskit.frames import RigidTransform
+
+    return RigidTransform.identity("footplate", "footplate")
+
+
+def test_patterns_of_many_points_have_the_effect_of_all_of_them(monkeypatch):
+    placed = measurement(points=30)
+    fits, pose = fitted(placed), Placement(transform_to_itself())
+    named = shared.shared_errors(placed, fits, pose)
+    monkeypatch.setattr(shared, "_MOST_BYTES", 0)
+    patterns = shared.shared_errors(placed, fits, pose)
+    assert len(patterns.names) <= 18 < len(named.names)
+
+    def covariance(found):
+        flat = found.derivatives.reshape(len(found.names), -1)
+        return flat.conj().T @ found.covariance @ flat
+
+    whole, few = covariance(named), covariance(patterns)
+    assert np.max(np.abs(whole - few)) / np.max(np.abs(whole)) < 1e-3
+
+
+def off_lasers(folder, gain, phase_deg=0.0):
+    """Multiply what one laser reads."""
+    import pandas as pd
+
+    table = pd.read_csv(folder / "ldv.csv")
+    beam = table[["dir_x", "dir_y", "dir_z"]].round(6).apply(tuple, axis=1)
+    own = beam == beam.iloc[0]
+    value = (table.re_m_s + 1j * table.im_m_s) * np.where(
+        own, (1 + gain) * np.exp(1j * np.deg2rad(phase_deg)), 1.0
+    )
+    table["re_m_s"], table["im_m_s"] = value.to_numpy().real, value.to_numpy().imag
+    table.to_csv(folder / "ldv.csv", index=False)
+    return beam.iloc[0]
+
+
+def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
+    truth = simulated(tmp_path, in_footplate=True, seed=7, noise=0.0005, position_sd_mm=0.0)
+    beam = off_lasers(tmp_path, 0.015, 0.8)
+    result = measured(tmp_path)
+    lasers = result.lasers
+    own = int(np.argmin(np.linalg.norm(lasers.directions - beam, axis=1)))
+    count = len(lasers.directions)
+    mean_free = np.eye(count) - 1.0 / count
+    gain, phase = (mean_free @ part for part in lasers.values.reshape(3, count)[:2])
+    assert gain[own] == pytest.approx(0.015 * (1.0 - 1.0 / count), abs=4.0 * lasers.sd[own])
+    assert gain[own] > 2.0 * np.max(np.delete(gain, own))
+    assert phase[own] > np.max(np.delete(phase, own))
+    plain = measured(tmp_path, gain_sd=0, phase_sd=0, delay_sd=0)
+    assert plain.lasers is None
+    true = np.stack([truth.motion_m[body] for body in result.motion.bodies], axis=1)
+    left, before = (np.sum(np.abs((r.motion.q - true)[..., 3:]) ** 2) for r in (result, plain))
+    assert left < 0.7 * before
+    assert np.max(np.abs(error_in_sd(result, truth))) < 6.0
+
+
+def test_lasers_that_agree_as_stated_raise_no_alarm(tmp_path):
+    chances = []
+    for seed in range(10):
+        folder = tmp_path / str(seed)
+        simulated(folder, in_footplate=True, seed=seed, lines=16)
+        off_lasers(folder, float(0.01 * np.random.default_rng(seed).normal()))
+        chances.append(measured(folder).lasers.p_value)
+    assert min(chances) > 1e-3
+    assert max(chances) > 0.3
+
+
+def test_one_laser_has_nothing_to_agree_with():
+    placed = measurement()
+    body = placed.bodies[0]
+    along = replace(
+        placed, bodies=(replace(body, directions=np.tile([0.0, 1.0, 0.0], (len(body.points), 1))),)
+    )
+    assert len(lasers_of(along)[1]) == 1
+
+
+def test_calibration_finds_a_turn_of_all_beams(tmp_path):
+    simulated(tmp_path, in_footplate=True, seed=9, noise=0.003, position_sd_mm=0.005)
+    turn = np.deg2rad(1.2)
+    about_y = np.array(
+        [[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]]
+    )
+
+    def turned(table):
+        table[["dir_x", "dir_y", "dir_z"]] = table[["dir_x", "dir_y", "dir_z"]].to_numpy() @ about_y
+
+    rewrite(tmp_path / "ldv.csv", turned)
+    result = measured(tmp_path, calibrate=True)
+    found = result.calibration
+    assert {notice.code for notice in result.notices} >= {"calibrated"}
+    values = dict(zip(found.names, found.values, strict=True))
+    sd = dict(zip(found.names, found.sd, strict=True))
+    name = "calibration.axes.y"
+    # lasers may be turned as well: their common turn is part of it
+    assert values[name] > 0.0
+    assert sd[name] < np.deg2rad(1.0)
+    before = measured(tmp_path)
+    chi2, old = (np.nansum(one.motion.chi2) / np.sum(one.motion.n_dof) for one in (result, before))
+    assert chi2 < old
+    assert all(name.startswith(("calibration.", "registration.")) for name in result.motion.shared.names)
+    assert any(name.startswith("calibration.position") for name in result.motion.shared.names)
+    assert result.motion.shared.maps is not None
