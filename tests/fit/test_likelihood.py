@@ -148,7 +148,7 @@ def test_mass_scale_moves_k_and_d_alike_and_leaves_the_modes():
 def test_estimates_reach_the_bound_with_honest_intervals():
     errors, inside = [], []
     for seed in range(40):
-        result = fit(paper_motion(0.05, seed, 60)[0], M)
+        result = fit(paper_motion(0.05, seed, 40)[0], M, unknowns="none")
         errors.append((result.values - TRUTH) / result.bound)
         inside.append(np.abs(deviation(result)) < 1.96)
     assert np.median(np.sqrt(np.mean(np.square(errors), axis=0))) < 1.12  # 1 with 40 draws: sd 0.11 an entry
