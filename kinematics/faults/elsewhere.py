@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.scores import Noise
+from kinematics.faults.scores import Noise, one_pattern
 from kinematics.fit.reference import format_stretches
 from kinematics.joint.estimate import State, inverse, system
 from kinematics.joint.expected import Layout
@@ -50,8 +50,10 @@ def other_causes(readings: Readings, state: State, noise: Noise, layout: Layout)
     noise : Noise
     layout : Layout
     """
-    found = _single_values(readings, state)
-    return found or _scatter(state, noise, layout)
+    found = _scatter(state, noise, layout)
+    if found or one_pattern(state, noise):
+        return found
+    return _single_values(readings, state)
 
 
 def _residual_squares(readings: Readings, state: State) -> Array:

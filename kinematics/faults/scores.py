@@ -18,6 +18,8 @@ from stapeskit.arrays import Array
 
 _ROUNDING = 1e-12  # of correlations: exact data determine some errors 1e12 times better than others
 
+_ONE_PATTERN = 0.5  # of the misfit: two points that move on their own hold half each
+
 
 @dataclass(frozen=True)
 class Test:
@@ -151,6 +153,13 @@ def _statistics(b: Array, n: Array, tangents: tuple[int, ...]) -> tuple[Array, N
     along = (vector.swapaxes(1, 2) @ (score / scale)[:, :, None])[:, :, 0]
     statistic = np.sum(np.where(good, along**2 / np.where(good, value, 1.0), 0.0), axis=1)
     return statistic, good.sum(axis=1)
+
+
+def one_pattern(state: State, noise: Noise) -> bool:
+    """Return whether one pattern over channels holds most of the misfit, as one shape of bending has."""
+    e = state.e.swapaxes(0, 1).reshape(state.e.shape[1], -1)
+    strongest = 2.0 * float(np.linalg.norm(e, 2)) ** 2 / noise.level
+    return strongest > _ONE_PATTERN * max(state.energy / noise.level - state.freedom, 1e-9)
 
 
 def structure(state: State, level: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from kinematics.faults.elsewhere import Cause
 from kinematics.faults.exchanges import Exchange, distinct, exchanges
 from kinematics.faults.kinds import KINDS, SHARE, Finding, Place, free, places
-from kinematics.faults.scores import Noise, Test, score_tests, structure
+from kinematics.faults.scores import Noise, Test, one_pattern, score_tests, structure
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout, Priors, expected_errors
 from kinematics.joint.pack import Packed, Readings, pack
@@ -38,7 +38,6 @@ _NO_PATTERN = np.log(1e-3)
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
-_ONE_PATTERN = 0.5  # of the misfit: two points that move on their own hold half each
 _CONTENDERS, _CLOSE = (
     4,
     0.02,
@@ -326,9 +325,7 @@ def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:
     points = {first.layout.points[c] for one in found if one.kind == "elsewhere" for c in one.channels}
     if len(points) < 2:
         return False
-    e = first.state.e.swapaxes(0, 1).reshape(len(first.layout.points), -1)
-    strongest = 2.0 * float(np.linalg.norm(e, 2)) ** 2 / first.noise.level
-    return strongest > _ONE_PATTERN * max(first.excess, 1e-9)
+    return one_pattern(first.state, first.noise)
 
 
 def noise_level(now: Round) -> float:

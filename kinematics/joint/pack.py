@@ -198,7 +198,7 @@ def pack(readings: Readings) -> Packed:
         used, np.sqrt(2.0) * readings.sd * np.where(live, readings.noise_factor, 1.0)[:, None], 1.0
     )
     root = used / spread
-    value = np.where(used, readings.value, 0.0) * root
+    value = np.asarray(np.where(used, readings.value, 0.0) * root, dtype=complex)
     rows = geometry.rows() / scale
     visible = _visible(rows[live])
     factor = geometry.factor.T
@@ -206,7 +206,8 @@ def pack(readings: Readings) -> Packed:
     parts = [_turned(value, root, factor, rows @ visible, lines) for lines in groups]
     room = max(48, _MOST_SINGLE // len(root))
     single = single[np.unique(np.linspace(0, len(single) - 1, min(room, len(single))).astype(int))]
-    parts += [_Part(value[:, [k]], root[:, k], np.zeros((len(root), 0)), np.array([k])) for k in single]
+    nothing = np.zeros((len(root), 0), dtype=complex)
+    parts += [_Part(value[:, [k]], root[:, k], nothing, np.array([k])) for k in single]
     tau, rho = readings.tau, readings.rho
     weights = [part.power / part.power.sum() for part in parts]
     places = [part.lines for part in parts]

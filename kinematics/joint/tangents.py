@@ -94,7 +94,7 @@ class Parameters:
         """Return the parameters of the other channels."""
         mask = self.mask.copy()
         mask[:, list(channels)] = 0.0
-        return Parameters(mask, self.tangent, self.sd).part(mask.any(axis=1))
+        return Parameters(mask, self.tangent, self.sd).part(np.asarray(mask.any(axis=1)))
 
 
 @dataclass(frozen=True)
