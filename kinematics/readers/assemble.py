@@ -206,7 +206,8 @@ def _value_faults(one: Recording) -> list[Fault]:
         bad = (numbers < low) | (numbers > high) if numbers is not None else np.zeros(0)
         if numbers is not None and np.any(bad):
             where = one.channels[int(np.argwhere(bad)[0][0])].where if bad.ndim == 2 else ""
-            got = f"{numbers[bad][0]:.6g}" + (f" and {np.sum(bad) - 1} more" if np.sum(bad) > 1 else "")
+            count = int(np.sum(bad))
+            got = f"{numbers[bad][0]:.6g}" + (f" and {count - 1} more" if count > 1 else "")
             want = f"from {low:g} to {high:g}, or NaN where missing"
             faults.append(Fault(thing, want, got, where or one.file, "Export it again"))
     return faults

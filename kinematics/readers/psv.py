@@ -10,20 +10,21 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from kinematics.readers.columns import BeamValues, Sheet, beams_of, values_of
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import export_files
-from kinematics.readers.psv_text import Block, Signal, blocks_of, names_above, signals_of
+from kinematics.readers.psv_text import blocks_of, names_above
 from kinematics.readers.recording import (
-    QUANTITY_OF_ORDER,
     Channel,
     Recording,
     Row,
+    best_quantity,
     recording_of,
     unknown_vector,
 )
@@ -31,33 +32,31 @@ from kinematics.readers.text import number_of, shown
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _POINT = ("point index", "punktindex", "punkt-index")
 _COMPONENT = ("component", "komponente", "composante")
-_TIME = ("time", "zeit", "temps")
-_AXIS_ALONE = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
-_AXIS_IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
+_SOURCE = ("source file name",)
+_AXIS = re.compile(r"(?:^|\bvib)\s*(?:vib\s*)?([+-]?)([xyz])\b", re.IGNORECASE)
 _COORDINATE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
 _HERTZ = re.compile(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(k|M)?Hz\s*")
 _SAME_PLACE_M = 1e-6  # positions written with four digits
-
-_Unit = tuple[int, str]
-"""Order and reference of a signal."""
+_APART = "Put the files of every measurement and excitation into a folder of its own"
 
 
 def looks_like_fastscan(text: str) -> bool:
     """Return whether a text begins as one frequency of a FastScan export."""
     lines = text.split("\n", 40)[:40]
-    return any(line.lower().startswith("index") for line in lines) and bool(
-        names_above(lines) & {*_FREQUENCY}
+    return any(line.lower().startswith("index") for line in lines) and not names_above(lines).isdisjoint(
+        _FREQUENCY
     )
 
 
 def looks_like_points(text: str) -> bool:
     """Return whether a text begins as a per-point export."""
-    return bool(names_above(text.split("\n", 40)[:40]) & {*_POINT})
+    return not names_above(text.split("\n", 40)[:40]).isdisjoint(_POINT)
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -73,15 +72,20 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     files = export_files(path) if path.is_dir() else [path]
     faults: list[Fault] = []
     blocks = [block for file in files for block in blocks_of(file, faults)]
-    raise_all(faults)
-    if not blocks:
-        step = "Give the folder of the exported text files"
-        raise StapeskitError.of("the folder", "one with text exports", "none", path.name, step)
-    layout = _per_point if blocks[0].field(_POINT) else _fastscan
+    raise_all(faults or ([] if blocks else [Fault("the folder", "one with text exports", "none", path.name)]))
+    layout = _per_point if blocks[0].field_of(_POINT) else _fastscan
     rows, notices, stated = layout(blocks, path.name)
-    if len({(row.channel.point, row.channel.beam_key) for row in rows}) > len(
-        {row.channel.point for row in rows}
-    ):
+    keep, chosen = best_quantity(
+        [((row.channel.point, row.channel.run), row.channel.order, row.channel.per) for row in rows],
+        path.name,
+    )
+    rows = [row for row, kept in zip(rows, keep, strict=True) if kept]
+    notices += chosen
+    keys = Counter((row.channel.point, row.channel.run, row.channel.beam_key) for row in rows)
+    if twice := [point for (point, *_), times in keys.items() if times > 1]:
+        thing = f"the signal of points {list_some(twice, 6)}"
+        raise StapeskitError.of(thing, "there once", "two or more", path.name, _APART)
+    if len({(point, beam) for point, _, beam in keys}) > len({point for point, *_ in keys}):
         text = (
             f"{path.name} holds x, y, z computed from several beams: their noise is correlated, and larger "
             "across the beams than along them; sd and verdicts, which take channels as independent, are "
@@ -89,7 +93,9 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         )
         notices.append(Notice("axes_from_beams", text))
     marks = [
-        mark for mark in ("interpolated", "filtered") if any(_yes(block.fields.get(mark)) for block in blocks)
+        mark
+        for mark in ("interpolated", "filtered")
+        if any(block.fields.get(mark, "").strip().lower() in ("yes", "ja", "oui", "1") for block in blocks)
     ]
     if marks:
         text = (
@@ -102,66 +108,58 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     return recording_of(path.name, rows, notices=tuple(notices), statement=statement, length_stated=stated)
 
 
-def _fastscan(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notice], bool]:
+def _fastscan(blocks: Sequence[Sheet], name: str) -> tuple[list[Row], list[Notice], bool]:
     """Return one row a point and axis of blocks at one frequency each, and whether positions have a unit."""
     faults: list[Fault] = []
-    tables: dict[float, tuple[Block, list[str], Array, list[Signal]]] = {}
+    sources = list(dict.fromkeys(block.field_of(_SOURCE) for block in blocks))
+    if len(sources) > 1:
+        got = list_some(map(shown, sources), 4, " and ")
+        faults.append(Fault("the source of the files", "one measurement", got, name, _APART))
+    tables: dict[float, Sheet] = {}
+    places: dict[str, Array] = {}
+    readings: dict[tuple[str, str, int, str], tuple[Row, dict[float, complex]]] = {}
     stated = True
     for block in blocks:
         with collect_faults(faults):
             freq = _frequency(block)
             if freq in tables:
-                step = "Put every excitation into a folder of its own, and give all folders"
-                got = f"{tables[freq][0].where} and {block.where}"
-                raise StapeskitError.of(f"the frequency {freq:g} Hz", "there once", got, "", step)
+                got = f"{tables[freq].where} and {block.where}"
+                raise StapeskitError.of(f"the frequency {freq:g} Hz", "there once", got, "", _APART)
+            tables[freq] = block
             positions, known = _positions(block)
-            tables[freq] = (block, _indices(block), positions, signals_of(block))
             stated &= known
-    sources = list(dict.fromkeys(block.fields.get("source file name", "") for block in blocks))
-    if len(sources) > 1:
-        step = "Put the files of every measurement into a folder of its own"
-        got = list_some(map(shown, sources), 4, " and ")
-        faults.append(Fault("the source of the files", "one measurement", got, name, step))
+            points = _indices(block)
+            for point, place in zip(points, positions, strict=True):
+                first = places.setdefault(point, place)
+                if np.any(np.abs(place - first) > _SAME_PLACE_M + 1e-5 * np.abs(first)):
+                    got, step = f"{first.tolist()} and {place.tolist()} m", "Export one scan"
+                    faults.append(Fault(f"the position of point {point}", "one", got, block.where, step))
+            for one in values_of(block, beams_of(block.names)[0]):
+                for row, point in enumerate(points):
+                    key = (point, one.beam.direction, one.unit.order, one.unit.per)
+                    made = _row(point, one, block.where, places[point], np.empty(0), one.value[:0])
+                    readings.setdefault(key, (made, {}))[1][freq] = complex(one.value[row])
     raise_all(faults)
-    unit, notices = _one_unit(
-        ((s.unit.order, s.unit.per) for *_, signals in tables.values() for s in signals), name
-    )
-    freq_hz = np.array(sorted(tables))
-    places: dict[str, Array] = {}
-    values: dict[tuple[str, str], ComplexArray] = {}
-    first: dict[tuple[str, str], tuple[Signal, Place]] = {}
-    for line, freq in enumerate(freq_hz.tolist()):
-        block, points, positions, signals = tables[freq]
-        for point, place in zip(points, positions, strict=True):
-            known_place = places.setdefault(point, place)
-            if np.any(np.abs(place - known_place) > _SAME_PLACE_M + 1e-5 * np.abs(known_place)):
-                got, step = (
-                    f"{known_place.tolist()} and {place.tolist()} m",
-                    "Export all frequencies of one scan",
-                )
-                faults.append(Fault(f"the position of point {point}", "one", got, block.where, step))
-        for signal in signals:
-            if (signal.unit.order, signal.unit.per) != unit:
-                continue
-            for row, point in enumerate(points):
-                key = (point, signal.axis)
-                if key not in values:
-                    values[key] = np.full(len(freq_hz), np.nan + 1j * np.nan)
-                    first[key] = (signal, block.where)
-                values[key][line] = signal.value[row]
-    raise_all(faults)
+    if not readings:
+        raise _no_values(blocks[0])
     rank = {point: number for number, point in enumerate(places)}
-    keys = sorted(values, key=lambda key: rank[key[0]])
-    return [_row(key[0], *first[key], places[key[0]], freq_hz, values[key]) for key in keys], notices, stated
+    rows = []
+    for key in sorted(readings, key=lambda key: rank[key[0]]):
+        made, values = readings[key]
+        freq_hz = np.array(sorted(values))
+        rows.append(
+            replace(made, freq_hz=freq_hz, value=np.array([values[freq] for freq in freq_hz.tolist()]))
+        )
+    return rows, [], stated
 
 
-def _per_point(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Notice], bool]:
+def _per_point(blocks: Sequence[Sheet], name: str) -> tuple[list[Row], list[Notice], bool]:
     """Return one row a signal of per-point blocks; runs have the names of sources where points repeat."""
     rows: list[tuple[Row, str]] = []
     faults: list[Fault] = []
     stated = True
     for block in blocks:
-        text = block.field(_POINT)
+        text = block.field_of(_POINT)
         number = re.match(r"\s*(\d+)", text)
         with collect_faults(faults):
             if number is None:
@@ -170,73 +168,51 @@ def _per_point(blocks: Sequence[Block], name: str) -> tuple[list[Row], list[Noti
             freq = _frequencies(block)
             position, known = _position(text[number.end() :], block.where)
             stated &= known
-            match = _AXIS_ALONE.match(block.field(_COMPONENT)) or _AXIS_IN_SIGNAL.search(
-                block.field(("signal",))
-            )
+            match = _AXIS.search(block.field_of(_COMPONENT)) or _AXIS.search(block.field_of(("signal",)))
             axis = match[1].replace("+", "") + match[2].lower() if match else ""
-            source = block.fields.get("source file name", "") or block.where.file
-            for signal in signals_of(block):
-                signal = replace(signal, axis=signal.axis or axis)
-                rows.append((_row(number[1], signal, block.where, position, freq, signal.value), source))
+            source = block.field_of(_SOURCE) or block.where.file
+            found = values_of(block, beams_of(block.names)[0])
+            if not found:
+                raise _no_values(block)
+            for one in found:
+                beam = replace(one.beam, direction=one.beam.direction or axis)
+                made = _row(number[1], replace(one, beam=beam), block.where, position, freq, one.value)
+                rows.append((made, source))
     raise_all(faults)
-    unit, notices = _one_unit(((row.channel.order, row.channel.per) for row, _ in rows), name)
-    rows = [(row, source) for row, source in rows if (row.channel.order, row.channel.per) == unit]
-    keys = [(row.channel.point, row.channel.beam_key) for row, _ in rows]
-    again = len(set(keys)) < len(keys)
-    whole = Counter((*key, source) for key, (_, source) in zip(keys, rows, strict=True))
-    twice = [str(key[0]) for key, times in whole.items() if times > 1]
-    if twice:
-        step = "Put every excitation into a folder of its own, and give all folders"
-        thing = f"the signal of points {list_some(twice, 6)}"
-        raise StapeskitError.of(thing, "there once", "two or more", name, step)
+    kinds = [(row.channel.point, row.channel.beam_key, row.channel.order, row.channel.per) for row, _ in rows]
     sources = list(dict.fromkeys(source for _, source in rows))
-    if not again and 1 < len(sources) < len({row.channel.where for row, _ in rows}):
+    if len(set(kinds)) < len(kinds) and len(sources) > 1:
+        runs = [Path(source.replace("\\", "/")).stem for _, source in rows]
+        apart = zip(rows, runs, strict=True)
+        return [replace(row, channel=replace(row.channel, run=run)) for (row, _), run in apart], [], stated
+    notices = []
+    if 1 < len(sources) < len(blocks):
         text = (
             f"{name} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
         )
         notices.append(Notice("runs_by_file", text))
-    if not again:
-        return [row for row, _ in rows], notices, stated
-    runs = [(row, Path(source.replace("\\", "/")).stem) for row, source in rows]
-    return [replace(row, channel=replace(row.channel, run=run)) for row, run in runs], notices, stated
+    return [row for row, _ in rows], notices, stated
 
 
-def _row(point: str, signal: Signal, where: Place, position: Array, freq: Array, value: ComplexArray) -> Row:
-    channel = Channel(
-        point,
-        order=signal.unit.order,
-        per=signal.unit.per,
-        position_m=position,
-        direction=signal.direction,
-        where=where,
-    )
+def _row(point: str, one: BeamValues, where: Place, position: Array, freq: Array, value: ComplexArray) -> Row:
+    axis = axis_vector(one.beam.direction)
+    beam = unknown_vector() if axis is None else axis
+    unit = one.unit
+    channel = Channel(point, order=unit.order, per=unit.per, position_m=position, direction=beam, where=where)
     return Row(channel, freq, value)
 
 
-def _one_unit(units: Iterable[_Unit], name: str) -> tuple[_Unit, list[Notice]]:
-    """Choose one quantity, velocity first, and one kind of reference, responses first."""
-    notices = []
-    found = sorted(set(units), key=lambda unit: (unit[0] != 1, *unit))
-    orders = list(dict.fromkeys(order for order, _ in found))
-    if len(orders) > 1:
-        listed = " and ".join(QUANTITY_OF_ORDER[order] for order in orders)
-        notices.append(
-            Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITY_OF_ORDER[orders[0]]} is used.")
-        )
-    pers = [per for order, per in found if order == orders[0]]
-    references = [per for per in pers if per]
-    if len(references) > 1:
-        got = ", ".join(references)
-        raise StapeskitError.of("the unit of the values", "one in all blocks", got, name, "Export it again")
-    if references and len(pers) > 1:
-        text = f"{name} holds spectra and frequency responses: the responses are used."
-        notices.append(Notice("quantity_chosen", text))
-    return (orders[0], references[0] if references else ""), notices
+def _no_values(block: Sheet) -> StapeskitError:
+    want, step = (
+        "real and imaginary part, or magnitude and phase",
+        "Export Real & Imag., or Magnitude & Phase",
+    )
+    return StapeskitError.of("the columns", want, shown(", ".join(block.names)), block.where, step)
 
 
-def _frequency(block: Block) -> float:
+def _frequency(block: Sheet) -> float:
     """Return the frequency of a FastScan block, Hz."""
-    text = block.field(_FREQUENCY)
+    text = block.field_of(_FREQUENCY)
     match = _HERTZ.fullmatch(text)
     number = number_of(match[1]) if match else None
     if match is None or number is None:
@@ -245,39 +221,36 @@ def _frequency(block: Block) -> float:
     return number * HERTZ[f"{(match[2] or '').lower()}hz"]
 
 
-def _indices(block: Block) -> list[str]:
+def _indices(block: Sheet) -> list[str]:
     """Return the names of the points of a FastScan block."""
-    column = block.column("index", "point index")
-    numbers = np.empty(0) if column is None else block.numbers[:, column]
-    whole = np.isfinite(numbers) & (numbers == np.round(numbers))
-    if column is None or not np.all(whole) or len(np.unique(numbers)) < len(numbers):
-        got = shown(", ".join(block.columns)) if column is None else "others, or one of them twice"
+    low = [name.lower() for name in block.names]
+    column = next((low.index(name) for name in ("index", *_POINT) if name in low), None)
+    numbers = np.array([np.nan]) if column is None else block.numbers[:, column]
+    if not np.all(numbers == np.round(numbers)) or len(np.unique(numbers)) < len(numbers):
         want, step = "one with a column Index of different whole numbers", "Export it again"
-        raise StapeskitError.of("the table", want, got, block.where, step)
+        raise StapeskitError.of("the table", want, shown(", ".join(block.names)), block.where, step)
     return [f"{number:.0f}" for number in numbers.tolist()]
 
 
-def _positions(block: Block) -> tuple[Array, bool]:
+def _positions(block: Sheet) -> tuple[Array, bool]:
     """Return positions (row, 3), m, NaN without columns of them, and whether their unit is stated."""
-    places = [column for axis in "xyz" if (column := block.column(axis)) is not None]
-    if len(places) < 3:
+    low = [name.lower() for name in block.names]
+    if not {"x", "y", "z"} <= set(low):
         return np.full((len(block.numbers), 3), np.nan), True
-    labels = {block.units[column] for column in places}
+    places = [low.index(axis) for axis in "xyz"]
+    labels = {plain(block.units[column]) for column in places}
     label = min(labels)
-    if len(labels) > 1 or not (is_none(label) or plain(label) in LENGTHS):
+    if len(labels) > 1 or not (is_none(label) or label in LENGTHS):
         got, step = shown(", ".join(sorted(labels))), "Export them in metres"
         raise StapeskitError.of("the unit of X, Y, Z", "one length unit", got, block.where, step)
-    return block.numbers[:, places] * (1.0 if is_none(label) else LENGTHS[plain(label)]), not is_none(label)
+    return block.numbers[:, places] * (1.0 if is_none(label) else LENGTHS[label]), not is_none(label)
 
 
-def _frequencies(block: Block) -> Array:
+def _frequencies(block: Sheet) -> Array:
     """Return the first column of a per-point block, Hz."""
-    first, unit = block.columns[0].lower(), block.units[0].lower() or "hz"
-    if first.startswith(_TIME):
-        step = "Export spectra or frequency responses, or a table of the time series with a column time_s"
-        raise StapeskitError.of("the export", "over frequency", "a time series", block.where, step)
-    if not first.startswith(_FREQUENCY) or unit not in HERTZ:
-        got, step = shown(f"{block.columns[0]} [{block.units[0]}]"), "Export spectra or frequency responses"
+    unit = block.units[0].lower() or "hz"
+    if not block.names[0].lower().startswith(_FREQUENCY) or unit not in HERTZ:
+        got, step = shown(f"{block.names[0]} [{block.units[0]}]"), "Export spectra or frequency responses"
         raise StapeskitError.of("the first column", "Frequency [Hz]", got, block.where, step)
     freq = block.numbers[:, 0] * HERTZ[unit]
     if not np.all(freq >= 0.0) or np.any(np.diff(freq) <= 0.0) or np.any(np.isinf(freq)):
@@ -289,16 +262,13 @@ def _frequencies(block: Block) -> Array:
 def _position(text: str, where: Place) -> tuple[Array, bool]:
     """Read x, y, z behind the point index, m, and whether their unit is stated."""
     matches = [re.search(_COORDINATE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
-    if any(match is None for match in matches):
+    found = [match for match in matches if match]
+    if len(found) < 3:
         return unknown_vector(), True
-    numbers = [number_of(match[1].rstrip(",.")) for match in matches if match is not None]
-    units = {match[2] for match in matches if match is not None and match[2]}
+    numbers = [number_of(match[1].rstrip(",.")) for match in found]
+    units = {match[2] for match in found if match[2]}
     if None in numbers or len(units) > 1:
         want = "three numbers, x = .. y = .. z = .."
         raise StapeskitError.of("the position of a point", want, shown(text), where, "Export it again")
     scale = LENGTHS[plain(min(units))] if units else 1.0
     return np.array(numbers, dtype=float) * scale, bool(units)
-
-
-def _yes(value: str | None) -> bool:
-    return value is not None and value.strip().lower() in ("yes", "ja", "oui", "1", "true")

@@ -5,7 +5,7 @@ Shapes: P rows (channels), L frequency lines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -298,3 +298,33 @@ def recording_of(file: str, rows: Sequence[Row], **facts: Any) -> Recording:
         notices.append(Notice("dc_line", f"the line at 0 Hz of {file} holds no motion and was dropped."))
     facts["notices"] = (*facts.get("notices", ()), *notices)
     return Recording(file, grid[kept], channels=tuple(row.channel for row in rows), **matrices, **facts)
+
+
+def best_quantity(kinds: Sequence[tuple[Hashable, int, str]], file: str) -> tuple[list[bool], list[Notice]]:
+    """Choose responses rather than amplitudes, and one quantity of each channel, velocity first.
+
+    Parameters
+    ----------
+    kinds : sequence of (channel, order, per)
+
+    Returns
+    -------
+    keep : list of bool
+    notices : list of Notice
+        What was left out.
+    """
+    responses = any(per for *_, per in kinds)
+    rank = {1: 0, 0: 1, 2: 2}
+    best: dict[Hashable, int] = {}
+    for channel, order, per in kinds:
+        if per or not responses:
+            best[channel] = min(best.get(channel, order), order, key=rank.__getitem__)
+    keep = [bool(per or not responses) and best[channel] == order for channel, order, per in kinds]
+    if all(keep):
+        return keep, []
+    names = {True: set[str](), False: set[str]()}
+    for (_, order, per), kept in zip(kinds, keep, strict=True):
+        names[kept].add(f"{QUANTITY_OF_ORDER[order]} per {per}" if per else QUANTITY_OF_ORDER[order])
+    used, left = (" and ".join(sorted(names[kept])) for kept in (True, False))
+    text = f"{file} holds {used}, used here, and {left} of the same points, left out."
+    return keep, [Notice("quantity_chosen", text)]

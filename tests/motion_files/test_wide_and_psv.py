@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kinematics.readers.assemble import read_measurement
+from kinematics.readers.columns import meaning
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
-from kinematics.readers.wide import meaning
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import (
     FREQ_HZ,
@@ -198,4 +198,4 @@ def test_points_of_two_sources_are_two_runs(tmp_path):
 
 def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
     block = point_block(1, VELOCITY[0, 0], PLACES_M[0], first="Time")
-    assert [fault.got for fault in faults(written(tmp_path, block, "a.txt"))] == ["a time series"]
+    assert [fault.thing for fault in faults(written(tmp_path, block, "a.txt"))] == ["the first column"]
