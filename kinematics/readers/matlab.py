@@ -25,6 +25,7 @@ from kinematics.readers.recording import (
     Channel,
     Recording,
     Row,
+    from_parts,
     from_polar,
     recording_of,
     scaled,
@@ -39,6 +40,7 @@ from stapeskit.warnings import Notice
 
 _LENGTH_END = re.compile(r"_(mm|um|m)$")
 _STRING_STEP = "Save it as char or cell array: names = cellstr(names); unit = char(unit); then save again"
+_STEP = "State which variable is what in a mapping"
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -56,22 +58,15 @@ def read(path: Path, facts: FileFacts) -> Recording:
 def read_variables(path: Path) -> dict[str, Any]:
     """Return the variables of a file of any version: arrays, texts, dictionaries and lists of them."""
     from scipy.io import loadmat
-
-    with Path(path).open("rb") as stream:
-        head = stream.read(1024)
-    if b"\x89HDF\r\n\x1a\n" in head:
-        return read_tree(path)
-    tree = loadmat(path, squeeze_me=True, simplify_cells=True)
-    opaque = [name for name, value in tree.items() if _is_opaque(value)]
-    plain = {name: value for name, value in tree.items() if not name.startswith("__") and name not in opaque}
-    return {**plain, **{(name if name != "None" else "a variable"): STRINGS for name in opaque}}
-
-
-def _is_opaque(value: Any) -> bool:
-    """Return whether a variable is of a class that scipy does not read: a string array or an object."""
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
-    return isinstance(value, MatlabOpaque | MatlabFunction)
+    with Path(path).open("rb") as stream:
+        if b"\x89HDF\r\n\x1a\n" in stream.read(1024):
+            return read_tree(path)
+    tree = loadmat(path, squeeze_me=True, simplify_cells=True)
+    unread = {name for name, value in tree.items() if isinstance(value, MatlabOpaque | MatlabFunction)}
+    plain = {name: value for name, value in tree.items() if not name.startswith("__") and name not in unread}
+    return plain | {("a variable" if name == "None" else name): STRINGS for name in unread}
 
 
 def recording_of_tree(tree: Names[str, Any], path: Path, facts: FileFacts) -> Recording:
@@ -82,38 +77,26 @@ def recording_of_tree(tree: Names[str, Any], path: Path, facts: FileFacts) -> Re
     StapeskitError
         As `read`.
     """
-    path = Path(path)
-    strings = [name for name, value in tree.items() if isinstance(value, str) and value == STRINGS]
-    tree = {name: value for name, value in tree.items() if name not in strings}
+    strings = ", ".join(name for name, value in tree.items() if isinstance(value, str) and value == STRINGS)
+    space = Space({name: one for name, one in tree.items() if name not in strings.split(", ")}, path.name)
     mapping_file = mapping_beside(path, facts.mapping)
-    mapping = None if mapping_file is None else read_mapping(mapping_file)
     try:
-        blocks = layouts(Space(tree, path.name), mapping)
+        blocks = layouts(space) if mapping_file is None else [(space, read_mapping(mapping_file), "")]
         if not blocks:
             want = "of a known layout (x 1 x F, y points x F complex, usd; see docs/vibrometer_files.md)"
-            step = f"State which variable is what in {path.name}.toml, or by --mapping FILE"
-            if any(name.lower() in ("t", "time", "time_s") for name in tree):
-                step = "It holds time series: name its channels by --channels FILE"
-            raise StapeskitError.of(path.name, want, f"the variables {describe(tree)}", "", step)
-        rows = [row for space, layout, point in blocks for row in _rows(space, layout, point)]
+            step = f"State which variable is what in {path.name}.toml; time series need --channels FILE"
+            raise StapeskitError.of(path.name, want, f"the variables {describe(space.names)}", "", step)
+        rows = [row for part, layout, point in blocks for row in _rows(part, layout, point)]
     except StapeskitError as error:
-        if not strings:
-            raise
-        want, got = "of char, cell or number arrays", f"MATLAB string arrays ({', '.join(strings)})"
-        raise StapeskitError(
-            Fault("the variables", want, got, path.name, _STRING_STEP), *error.faults
-        ) from None
-    notices: tuple[Notice, ...] = ()
-    if strings:
-        text = (
-            f"{path.name}: {', '.join(strings)} are MATLAB string arrays and were not read. {_STRING_STEP}."
-        )
-        notices = (Notice("content_ignored", text),)
+        want, got = "of char, cell or number arrays", f"MATLAB string arrays ({strings})"
+        first = [Fault("the variables", want, got, path.name, _STRING_STEP)] if strings else []
+        raise StapeskitError(*first, *error.faults) from None
+    text = f"{path.name}: {strings} are MATLAB string arrays and were not read. {_STRING_STEP}."
     used = [layout for _, layout, _ in blocks]
     return recording_of(
         path.name,
         rows,
-        notices=notices,
+        notices=(Notice("content_ignored", text),) if strings else (),
         statement=f"variables of {path.name}",
         amplitude_stated=all(layout.amplitude for layout in used),
         length_stated=all(_length_unit(layout) or not layout.position for layout in used),
@@ -122,17 +105,16 @@ def recording_of_tree(tree: Names[str, Any], path: Path, facts: FileFacts) -> Re
 
 def _rows(space: Space, layout: Mapping, point: str) -> list[Row]:
     """Read the signals of a layout; all faults of its variables together."""
-    freq = space.numbers(layout.frequency, real=True).astype(float).reshape(-1)
-    freq = freq * HERTZ[(layout.frequency_unit or "Hz").lower()]
+    freq = space.numbers(layout.frequency).reshape(-1) * HERTZ[(layout.frequency_unit or "Hz").lower()]
     if not np.all(np.diff(freq) > 0.0) or not freq[0] >= 0.0 or not np.isfinite(freq[-1]):
-        step = "State which variable holds the frequencies in a mapping"
-        raise StapeskitError.of(layout.frequency, "ascending and not negative", "others", space.where, step)
+        want = "ascending and not negative"
+        raise StapeskitError.of(layout.frequency, want, "others", space.where, _STEP)
     faults: list[Fault] = []
     rows: list[Row] = []
     for signal in layout.signal:
         with collect_faults(faults):
             rows += _signal_rows(space, layout, signal, freq, point)
-    raise_all(dict.fromkeys(faults))
+    raise_all(faults)
     return rows
 
 
@@ -144,23 +126,26 @@ def _signal_rows(space: Space, layout: Mapping, signal: Signal, freq: Array, poi
     count, _, beams = value.shape
     scale = unit.scale * (2.0**0.5 if layout.amplitude == "rms" and not unit.per else 1.0)
     names = _names(space, layout, signal, count, point)
-    bodies = _bodies(space, signal.body or layout.body, count)
-    places = _places(space, layout, count)
+    body = signal.body or layout.body
+    bodies = space.texts(body) if body and body in space.names else [body]
+    bodies = bodies if len(bodies) == count else bodies[:1] * count
+    places = np.full((count, 3), np.nan)
+    if layout.position:
+        places = space.vectors(layout.position, count) * LENGTHS[_length_unit(layout) or "m"]
     coherence, sd = (_companion(space, name, value.shape) for name in (signal.coherence, signal.sd))
-    stated = (
-        space.numbers(signal.n_avg, real=True) if isinstance(signal.n_avg, str) and signal.n_avg else None
-    )
     n_avg = (
-        float(stated.flat[0]) if stated is not None else None if signal.n_avg == "" else float(signal.n_avg)
+        space.numbers(signal.n_avg).flat[0]
+        if isinstance(signal.n_avg, str) and signal.n_avg
+        else signal.n_avg
     )
     rows = []
     for beam in range(beams):
-        directions = _directions(space, signal, beam, beams, count)
+        directions = np.tile(np.eye(3)[beam], (count, 1)) if beams == 3 else _directions(space, signal, count)
         for k in range(count):
-            where = Place(f"{space.where}, {signal.name}", "row", (k + 1,))
             channel = Channel(
                 names[k], bodies[k], signal.run or layout.run, order=unit.order, per=unit.per,
-                position_m=places[k], direction=directions[k], where=where,
+                position_m=places[k], direction=directions[k],
+                where=Place(f"{space.where}, {signal.name}", "row", (k + 1,)),
             )  # fmt: skip
             rows.append(
                 Row(
@@ -169,7 +154,7 @@ def _signal_rows(space: Space, layout: Mapping, signal: Signal, freq: Array, poi
                     scaled(value[k, :, beam], scale),
                     None if sd is None else sd[k, :, beam] * scale,
                     None if coherence is None else coherence[k, :, beam],
-                    n_avg,
+                    None if n_avg == "" else float(n_avg),
                 )
             )
     return rows
@@ -193,25 +178,22 @@ def _unit(space: Space, signal: Signal) -> MotionUnit:
 
 def _values(space: Space, signal: Signal, count: int) -> ComplexArray:
     """Return the complex values of a signal, (point, F, beam), in its unit."""
-    if signal.magnitude:
-        turn = PHASES[(signal.phase_unit or "deg").lower()]
-        parts = [space.numbers(name, real=True) for name in (signal.magnitude, signal.phase)]
-        value = from_polar(parts[0], parts[1], turn) if parts[0].shape == parts[1].shape else np.empty(0)
-    elif signal.value_re:
-        parts = [space.numbers(name, real=True) for name in (signal.value_re, signal.value_im)]
-        value = np.empty(parts[0].shape, dtype=complex)
-        if parts[0].shape == parts[1].shape:
-            value.real, value.imag = parts
-        else:
-            value = np.empty(0)
-    else:
-        value = space.numbers(signal.value)
+    if signal.value:
+        value = space.numbers(signal.value, real=False)
         if not np.iscomplexobj(value):
-            step = "Export Real & Imag., not a magnitude: without phase there is no motion"
-            raise StapeskitError.of(
-                f"the variable {signal.value}", "complex", "real numbers", space.where, step
+            step, thing = (
+                "Export Real & Imag.: without phase there is no motion",
+                f"the variable {signal.value}",
             )
-    return _shaped(value, count, signal.name, space.where).astype(complex)
+            raise StapeskitError.of(thing, "complex", "real numbers", space.where, step)
+        return _shaped(value.astype(complex), count, signal.name, space.where)
+    pair = (signal.value_re, signal.value_im) if signal.value_re else (signal.magnitude, signal.phase)
+    one, other = (_shaped(space.numbers(name), count, name, space.where) for name in pair)
+    if one.shape != other.shape:
+        raise StapeskitError.of(f"the variables {' and '.join(pair)}", "of one size", "others", space.where)
+    if signal.value_re:
+        return from_parts(one, other)
+    return from_polar(one, other, PHASES[signal.phase_unit or "deg"])
 
 
 def _shaped(value: NDArray[Any], count: int, name: str, where: str) -> NDArray[Any]:
@@ -221,30 +203,22 @@ def _shaped(value: NDArray[Any], count: int, name: str, where: str) -> NDArray[A
         value = value.T
     value = value[:, :, None] if value.ndim == 2 else value
     if value.ndim != 3 or value.shape[1] != count:
-        got, step = " x ".join(map(str, value.shape)), "State which variable is what in a mapping"
-        raise StapeskitError.of(f"the variable {name}", f"points x {count} frequencies", got, where, step)
+        got = " x ".join(map(str, value.shape))
+        raise StapeskitError.of(f"the variable {name}", f"points x {count} frequencies", got, where, _STEP)
     return value
 
 
 def _names(space: Space, layout: Mapping, signal: Signal, count: int, point: str) -> list[str]:
-    """Return the names of the points, one a row."""
+    """Return the names of the points, one a row; rows may repeat them where each has its own direction."""
     if not layout.points:
         stated = signal.point or point
         return [stated] if stated and count == 1 else [str(k) for k in range(1, count + 1)]
     names = [plain_name(name) for name in space.texts(layout.points)]
-    several = (
-        isinstance(signal.direction, str) and bool(signal.direction) and axis_vector(signal.direction) is None
-    )
-    if len(names) != count or (len(set(names)) != len(names) and not several):
+    several = signal.direction in space.names if isinstance(signal.direction, str) else False
+    if len(names) != count or (len(set(names)) != count and not several):
         got = f"{len(names)}, of which {len(set(names))} differ"
         raise StapeskitError.of(layout.points, f"{count} different names, one a row", got, space.where)
     return names
-
-
-def _bodies(space: Space, body: str, count: int) -> list[str]:
-    """Return the body of every row: of a variable with a name for each, else the text itself."""
-    names = space.texts(body) if body and body in space.names else [body]
-    return names if len(names) == count else names[:1] * count
 
 
 def _length_unit(layout: Mapping) -> str:
@@ -252,45 +226,22 @@ def _length_unit(layout: Mapping) -> str:
     return layout.position_unit or (ending[1] if ending else "")
 
 
-def _places(space: Space, layout: Mapping, count: int) -> Array:
-    """Return the positions of the points (count, 3), m; as metres where no unit is stated."""
-    if not layout.position:
-        return np.full((count, 3), np.nan)
-    values = space.numbers(layout.position, real=True).astype(float)
-    values = values.T if values.shape == (3, count) and count != 3 else values
-    values = values.reshape(1, 3) if values.size == 3 and count == 1 else values
-    if values.shape != (count, 3):
-        got = " x ".join(map(str, values.shape))
-        raise StapeskitError.of(layout.position, f"points x 3, here {count} x 3", got, space.where)
-    return values * LENGTHS[_length_unit(layout) or "m"]
-
-
 def _companion(space: Space, name: str, shape: tuple[int, ...]) -> Array | None:
     """Return coherence or standard deviation in the shape of the values; None without one."""
     if not name:
         return None
-    value = _shaped(space.numbers(name, real=True).astype(float), shape[1], name, space.where)
+    value = _shaped(space.numbers(name), shape[1], name, space.where)
     if value.shape[0] != shape[0] or value.shape[2] not in (1, shape[2]):
         raise StapeskitError.of(name, f"{shape[0]} x {shape[1]}", f"{value.shape[0]} rows", space.where)
     return np.broadcast_to(value, shape)
 
 
-def _directions(space: Space, signal: Signal, beam: int, beams: int, count: int) -> Array:
-    """Return the direction of a beam at every point, (count, 3), NaN where it is not stated."""
+def _directions(space: Space, signal: Signal, count: int) -> Array:
+    """Return the direction of the beam at every point, (count, 3), NaN where it is not stated."""
     stated = signal.direction
-    if beams == 3:
-        return np.tile(np.eye(3)[beam], (count, 1))
-    axis = axis_vector(stated) if isinstance(stated, str) else None
-    if axis is not None:
-        return np.tile(axis, (count, 1))
-    if stated != "":
-        vectors = np.asarray(
-            space.numbers(stated, real=True) if isinstance(stated, str) else stated, dtype=float
-        )
-        vectors = vectors.T if vectors.shape == (3, count) and count != 3 else np.atleast_2d(vectors)
-        if vectors.shape not in ((count, 3), (1, 3)):
-            got = " x ".join(map(str, vectors.shape))
-            raise StapeskitError.of("a direction", f"x, -y ..., or {count} x 3 numbers", got, space.where)
-        return np.broadcast_to(vectors, (count, 3)).copy()
-    vector = usd_direction(usd_of(space, signal.name))
+    if isinstance(stated, list):
+        return Space({"the direction": stated}, space.where).vectors("the direction", count)
+    vector = axis_vector(stated) if stated else usd_direction(usd_of(space, signal.name))
+    if stated and vector is None:
+        return space.vectors(stated, count)
     return np.tile(unknown_vector() if vector is None else vector, (count, 1))
