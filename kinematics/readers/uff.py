@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,17 +20,17 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import (
-    QUANTITY_OF_ORDER,
     Channel,
     Recording,
     Row,
+    best_quantity,
     recording_of,
     scaled,
     unknown_vector,
 )
 from kinematics.readers.text import CUT, shown
 from kinematics.readers.uff_geometry import Geometry, read_geometry
-from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
+from kinematics.readers.units import MotionUnit, is_none, motion_unit, plain, unit_fault
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.warnings import Notice
 
@@ -54,11 +54,23 @@ _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
 _IN_TEXT = re.compile(r"(?:^|[\s_])[+-]?[xyz]\b", re.IGNORECASE)
+_ROTATION = Fault(
+    "the direction of a function",
+    "0 (scalar) or +-1, +-2, +-3",
+    "a rotation or another number",
+    next_step="Vibrometers measure translations: leave rotations out of the export",
+)
+_CONTRADICTION = Fault(
+    "quantity and unit",
+    "those of one motion",
+    "different ones",
+    next_step="Correct the unit in the measuring program",
+)
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function of motion over frequency, in SI: ``data`` are the fields of its dataset."""
+    """A function of motion over frequency: ``data`` are the fields of its dataset, ``scale`` leads to SI."""
 
     place: int
     data: Mapping[str, Any]
@@ -78,22 +90,17 @@ class Function:
         return name if self.node == 0 and not is_none(name) else str(self.node)
 
     @property
-    def reference(self) -> tuple[int, int]:
-        """Node and direction of the reference, zeros where they mean nothing."""
-        if self.data["func_type"] == SPECTRUM or self.data["load_case_id"]:
-            return 0, 0
-        return int(self.data["ref_node"]), int(self.data["ref_dir"])
+    def excitation(self) -> tuple[int, int, int]:
+        """Load case, else node and direction of the reference; zeros where they mean nothing."""
+        case = int(self.data["load_case_id"])
+        if case or self.data["func_type"] == SPECTRUM:
+            return case, 0, 0
+        return 0, int(self.data["ref_node"]), int(self.data["ref_dir"])
 
     @property
     def channel(self) -> tuple[object, ...]:
         """What tells measurements at a point apart."""
-        return (
-            self.point,
-            self.data["rsp_dir"],
-            self.reference,
-            self.data["load_case_id"],
-            self.data["ver_num"],
-        )
+        return self.point, self.data["rsp_dir"], self.excitation, self.data["ver_num"]
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -109,30 +116,45 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     path = Path(path)
     sets, faults = _read_sets(path)
     functions = [(place, one) for place, one in sets if one.get("type") == 58]
-    if not functions and not faults:
-        want, step = "one with functions (dataset 58)", "Export the spectra or frequency responses as UFF 58"
-        raise StapeskitError.of("a universal file", want, "none", path.name, step)
-    used = {int(one["rsp_node"]) for _, one in functions}
-    geometry = read_geometry(sets, path.name, used, faults)
+    geometry = read_geometry(sets, path.name, {int(one["rsp_node"]) for _, one in functions}, faults)
     motions, others = _motions(functions, geometry, path.name, faults)
     raise_all(faults)
+    listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
     if not motions:
-        listed = ", ".join(f"{count} {name}" for name, count in others.items()) or KINDS[COHERENCE]
-        want = "one with functions of displacement, velocity or acceleration over frequency"
-        step = "Export complex spectra or frequency responses of velocity or displacement"
-        raise StapeskitError.of("a universal file", want, listed, path.name, step)
-    chosen, notices = _choose(motions, others, geometry, path.name)
-    raise_all(_repeated(chosen, path.name))
-    coherence = _coherences(functions)
-    runs, versions = _runs(chosen), len({one.data["ver_num"] for one in chosen}) > 1
-    rows = [_row(one, geometry, runs, versions, coherence, path.name) for one in chosen]
+        want = "one with functions 58 of displacement, velocity or acceleration over frequency"
+        step = "Export complex spectra or frequency responses of velocity or displacement as UFF 58"
+        raise StapeskitError.of("a universal file", want, listed or "none", path.name, step)
+    keep, notices = best_quantity([(one.channel, one.order, one.per) for one in motions], path.name)
+    chosen = [one for one, kept in zip(motions, keep, strict=True) if kept]
+    if listed:
+        notices.append(Notice("content_ignored", f"{path.name}: left out: {listed}."))
+    if any(one.data["func_type"] == SPECTRUM for one in chosen):
+        text = (
+            f"{path.name} holds spectra, no frequency responses: their phases are those of one motion only "
+            "when every point was triggered by the excitation."
+        )
+        notices.append(Notice("spectra_phase", text))
     stated = geometry.length_factor is not None
+    if not stated and any(is_none(str(one.data.get("ordinate_axis_units_lab", ""))) for one in chosen):
+        text = f"{path.name} names no unit of its values and has no dataset 164: they were taken as SI."
+        notices.append(Notice("length_unit_assumed", text))
+    raise_all(_repeated(chosen, path.name))
+    runs, repeats = _runs(chosen), len({one.data["ver_num"] for one in chosen}) > 1
+    coherence = {
+        key: one
+        for _, one in functions
+        if one["func_type"] == COHERENCE
+        for key in (_response(one), _response(one)[:3])
+    }
     lengths = (
         f"lengths by dataset 164, {geometry.length_factor:g} per metre" if stated else "lengths as metres"
     )
     return recording_of(
         path.name,
-        rows,
+        [
+            _row(one, geometry, run, repeats, coherence, path.name)
+            for one, run in zip(chosen, runs, strict=True)
+        ],
         notices=(*notices, *geometry.notices),
         statement=f"global axes of the file, {lengths}",
         length_stated=stated,
@@ -205,102 +227,50 @@ def _motions(
 ) -> tuple[list[Function], Counter[str]]:
     """Return the functions of motion over frequency, and count the others by what they are."""
     usable, others = [], Counter[str]()
-    rotations, units, contradictions = list[int](), dict[str, list[int]](), list[int]()
+    problems: dict[Fault, list[int]] = {}
     for place, one in functions:
         kind = KINDS.get(one["func_type"], f"function of type {one['func_type']}")
         ordinate, label = one["ordinate_spec_data_type"], str(one.get("ordinate_axis_units_lab", ""))
         unit = None if is_none(label) else motion_unit(label)
-        if one["func_type"] not in (FRF, TRANSMISSIBILITY, SPECTRUM):
-            others[kind] += one["func_type"] != COHERENCE
-        elif ordinate not in ORDERS and (ordinate not in (0, 1) or unit is None):
-            others[f"{kind} of {str(one.get('ordinate_axis_lab', '')).strip() or 'another quantity'}"] += 1
-        elif one["abscissa_spec_data_type"] not in _FREQUENCY:
-            others[f"{kind} over {str(one.get('abscissa_axis_lab', '')).strip() or 'something else'}"] += 1
-        elif not np.iscomplexobj(one["data"]):
-            others[f"{kind} of real numbers, without phase"] += 1
+        if one["func_type"] == COHERENCE:
+            continue
+        reasons = {
+            "": one["func_type"] not in (FRF, TRANSMISSIBILITY, SPECTRUM),
+            " of another quantity": ordinate not in ORDERS and (ordinate not in (0, 1) or unit is None),
+            " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY,
+            " of real numbers, without phase": not np.iscomplexobj(one["data"]),
+        }
+        if any(reasons.values()):
+            others[kind + next(text for text, true in reasons.items() if true)] += 1
         elif abs(one["rsp_dir"]) > 3:
-            rotations.append(place)
+            problems.setdefault(_ROTATION, []).append(place)
         elif unit is None and not is_none(label):
-            units.setdefault(label, []).append(place)
+            step = "Export the file in SI units, on a linear scale"
+            problems.setdefault(unit_fault(shown(label), (), "", step), []).append(place)
         elif unit is not None and ORDERS.get(ordinate, unit.order) != unit.order:
-            contradictions.append(place)
+            problems.setdefault(_CONTRADICTION, []).append(place)
         else:
             usable.append(_function(place, one, geometry))
-    if rotations:
-        want, step = (
-            "0 (scalar) or +-1, +-2, +-3",
-            "Vibrometers measure translations: leave rotations out of the export",
-        )
-        where = Place(file, "dataset", tuple(rotations))
-        faults.append(Fault("the direction of a function", want, "a rotation or another number", where, step))
-    for label, places in units.items():
-        step = "Export the file in SI units, on a linear scale"
-        faults.append(unit_fault(shown(label), (), Place(file, "dataset", tuple(places)), step))
-    if contradictions:
-        where, step = (
-            Place(file, "dataset", tuple(contradictions)),
-            "Correct the unit in the measuring program",
-        )
-        faults.append(Fault("quantity and unit", "those of one motion", "different ones", where, step))
-    return usable, Counter({name: count for name, count in others.items() if count})
+    faults += [
+        replace(fault, where=Place(file, "dataset", tuple(places))) for fault, places in problems.items()
+    ]
+    return usable, others
 
 
 def _function(place: int, one: Mapping[str, Any], geometry: Geometry) -> Function:
     """Find order, factor to SI and reference of a function of motion."""
     label = str(one.get("ordinate_axis_units_lab", ""))
-    order, scale, per = (
-        ORDERS.get(one["ordinate_spec_data_type"], 1),
-        1.0 / (geometry.length_factor or 1.0),
-        "",
-    )
     unit = None if is_none(label) else motion_unit(label)
-    if unit is not None:
-        order, scale, per = unit.order, unit.scale, unit.per
-    if one["func_type"] == SPECTRUM:
-        return Function(place, one, order, scale, per)
+    if unit is None:
+        order = ORDERS.get(one["ordinate_spec_data_type"], 1)
+        unit = MotionUnit(order, 1.0 / (geometry.length_factor or 1.0))
     denominator = str(one.get("orddenom_axis_units_lab", ""))
-    if not is_none(denominator):
+    per = unit.per
+    if one["func_type"] != SPECTRUM and not is_none(denominator):
         per = plain(denominator)
-    elif not per:
+    elif one["func_type"] != SPECTRUM and not per:
         per = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
-    return Function(place, one, order, scale, per)
-
-
-def _choose(
-    motions: list[Function], others: Counter[str], geometry: Geometry, file: str
-) -> tuple[list[Function], list[Notice]]:
-    """Choose responses rather than spectra, and one quantity of each channel, velocity first."""
-    notices = []
-    chosen = [one for one in motions if one.data["func_type"] != SPECTRUM] or motions
-    if len(chosen) < len(motions):
-        text = f"{file} holds spectra and frequency responses: the responses are used."
-        notices.append(Notice("quantity_chosen", text))
-    elif chosen[0].data["func_type"] == SPECTRUM:
-        text = (
-            f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
-            "every point was triggered by the excitation."
-        )
-        notices.append(Notice("spectra_phase", text))
-    rank = {1: 0, 0: 1, 2: 2}
-    best: dict[tuple[object, ...], int] = {}
-    for one in chosen:
-        best[one.channel] = min(best.get(one.channel, one.order), one.order, key=rank.__getitem__)
-    dropped = {one.order for one in chosen if one.order != best[one.channel]}
-    chosen = [one for one in chosen if one.order == best[one.channel]]
-    if dropped:
-        left = " and ".join(QUANTITY_OF_ORDER[order] for order in sorted(dropped))
-        used = " and ".join(QUANTITY_OF_ORDER[order] for order in sorted({one.order for one in chosen}))
-        notices.append(
-            Notice("quantity_chosen", f"{file} holds {used} and {left} of the same points: {used} is used.")
-        )
-    if others:
-        listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
-        notices.append(Notice("content_ignored", f"{file}: left out: {listed}."))
-    silent = any(is_none(str(one.data.get("ordinate_axis_units_lab", ""))) for one in chosen)
-    if geometry.length_factor is None and silent:
-        text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
-        notices.append(Notice("length_unit_assumed", text))
-    return chosen, notices
+    return Function(place, one, unit.order, unit.scale, per)
 
 
 def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
@@ -312,13 +282,13 @@ def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
     if not twice:
         return []
     step = "Export one signal of one excitation, or give the runs different references"
-    texts = [
-        str(one.data.get(name, "")).strip() for group in twice for one in group for name in ("id1", "id2")
-    ]
-    in_text = sorted({text for text in texts if _IN_TEXT.search(text)})
+    labels = (
+        str(one.data.get(key, "")).strip() for group in twice for one in group for key in ("id1", "id2")
+    )
+    in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
     if len(in_text) > 1:
         step = (
-            f"Their directions stand in the text alone ({list_some(in_text)}): export them with directions "
+            f"Their directions are in the text alone ({list_some(in_text)}): export them with directions "
             "of the degrees of freedom (record 6), or as a wide table"
         )
     listed = list_some((f"{group[0].point} ({group[0].data['rsp_dir']:+d})" for group in twice), 6)
@@ -327,66 +297,55 @@ def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
     return [Fault(f"the function of nodes and directions {listed}", "there once", got, where, step)]
 
 
-def _coherences(
-    functions: Sequence[tuple[int, Mapping[str, Any]]],
-) -> dict[tuple[object, ...], Mapping[str, Any]]:
-    """Return coherence functions by point, direction and load case, with and without their reference."""
-    found: dict[tuple[object, ...], Mapping[str, Any]] = {}
-    for _, one in functions:
-        if one["func_type"] == COHERENCE:
-            key = (one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"])
-            found[(*key, one["ref_node"], one["ref_dir"])] = one
-            found.setdefault(key, one)
-    return found
+def _response(one: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return what a coherence has in common with its response."""
+    return (one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"])
 
 
-def _runs(chosen: Sequence[Function]) -> dict[int, str]:
+def _runs(chosen: Sequence[Function]) -> list[str]:
     """Return the run of each function: its load case, else its reference, where there are several.
 
     Some exports repeat the node of the response as the reference; that says nothing about the excitation.
     """
-    roving = all(one.reference[0] == one.node for one in chosen) and len({one.node for one in chosen}) > 1
-    keys = {one.place: (one.data["load_case_id"], *((0, 0) if roving else one.reference)) for one in chosen}
-    if len(set(keys.values())) == 1:
-        return {}
-    axes = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
-    names = {}
-    for place, (case, node, direction) in keys.items():
-        beam = f"{'-' if direction < 0 else '+'}{axes[abs(direction)]}" if abs(direction) in axes else ""
-        names[place] = f"case {case}" if case else f"{node}{beam}"
+    roving = all(one.excitation[1] == one.node for one in chosen) and len({one.node for one in chosen}) > 1
+    if len({one.excitation for one in chosen}) == 1 or roving:
+        return [""] * len(chosen)
+    axes = ("", "+x", "+y", "+z", "+rx", "+ry", "+rz", "-rz", "-ry", "-rx", "-z", "-y", "-x")
+    names = []
+    for case, node, direction in (one.excitation for one in chosen):
+        beam = axes[direction] if abs(direction) <= 6 else ""
+        names.append(f"case {case}" if case else f"{node}{beam}")
     return names
 
 
 def _row(
     one: Function,
     geometry: Geometry,
-    runs: Mapping[int, str],
-    versions: bool,
-    coherences: Mapping[tuple[object, ...], Mapping[str, Any]],
+    run: str,
+    repeats: bool,
+    coherences: Mapping[tuple[int, ...], Mapping[str, Any]],
     file: str,
 ) -> Row:
+    """Return a function as a row, with its coherence where the file holds it."""
     data = one.data
     channel = Channel(
         one.point,
-        run=runs.get(one.place, ""),
-        repeat=str(data["ver_num"]) if versions else "",
+        run=run,
+        repeat=str(data["ver_num"]) if repeats else "",
         order=one.order,
         per=one.per,
         position_m=geometry.positions_m.get(one.node, unknown_vector()),
         direction=geometry.direction(one.node, int(data["rsp_dir"])),
         where=Place(file, "dataset", (one.place,)),
     )
-    key = (data["rsp_node"], abs(data["rsp_dir"]), data["load_case_id"])
-    match = coherences.get((*key, data["ref_node"], data["ref_dir"]), coherences.get(key))
-    coherence = None
+    coherence, key = None, _response(data)
+    match = coherences.get(key, coherences.get(key[:3]))  # of the same reference, else of another
     if match is not None and data["func_type"] != SPECTRUM:
-        same = len(match["x"]) == len(data["x"]) and np.allclose(match["x"], data["x"])
         stated = np.real(match["data"])
+        same = len(match["x"]) == len(data["x"]) and np.allclose(match["x"], data["x"])
         if not same or np.any(stated < -1e-6) or np.any(stated > 1.0 + 1e-4):
-            want, step = (
-                "within 0 and 1, at the frequencies of its response",
-                "Export both again, or leave it out",
-            )
+            want = "within 0 and 1, at the frequencies of its response"
+            step = "Export both again, or leave it out"
             raise StapeskitError.of("the coherence", want, "others", channel.where, step)
         coherence = np.clip(stated, 0.0, 1.0)
     return Row(channel, data["x"], scaled(data["data"], one.scale), coherence=coherence)

@@ -16,6 +16,9 @@ from stapeskit.warnings import Notice
 
 _FARTHEST_M = 1e3  # a point farther away is a wrong unit or a damaged number
 
+System = tuple[Array, Array]
+"""Axes in rows (3, 3) and origin (3,) of a coordinate system."""
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -44,15 +47,14 @@ def read_geometry(
     dataset 2411 in the global one. Measured directions are those of the displacement system of a node.
     """
     factor: float | None = None
-    systems: dict[int, tuple[int, Array, Array]] = {}
+    systems: dict[int, System] = {}
     nodes: dict[int, tuple[Array, int, int, Place]] = {}
     for place, one in sets:
         where = Place(file, "dataset", (place,))
         if one["type"] == 164:
             factor = float(one["length"])
             if not 0.0 < factor < np.inf:
-                thing = "the length factor of dataset 164"
-                faults.append(Fault(thing, "positive", f"{factor:g}", where, "Export it again"))
+                faults.append(Fault("the length factor of dataset 164", "positive", f"{factor:g}", where))
         elif one["type"] in (18, 2420):
             systems |= _systems(one, where, faults)
         elif one["type"] in (15, 2411):
@@ -60,15 +62,17 @@ def read_geometry(
     positions: dict[int, Array] = {}
     axes: dict[int, Array] = {}
     missing: set[int] = set()
+    nowhere = (np.eye(3), np.zeros(3))
     for label in sorted(used & set(nodes)):
         position, defined, measured, where = nodes[label]
-        missing |= {number for number in (defined, measured) if number and number not in systems}
-        turn, origin = systems.get(defined, (0, np.eye(3), np.zeros(3)))[1:]
+        missing |= {defined, measured} - {0, *systems}
+        turn, origin = systems.get(defined, nowhere)
         positions[label] = (position @ turn + origin) / (factor or 1.0)
-        axes[label] = systems.get(measured, (0, np.eye(3), np.zeros(3)))[1]
+        axes[label] = systems.get(measured, nowhere)[0]
         if not np.all(np.abs(positions[label]) < _FARTHEST_M):
             got, thing = f"{positions[label].tolist()} m", f"the position of node {label}"
             faults.append(Fault(thing, f"within {_FARTHEST_M:g} m", got, where, "Export it again"))
+    notices: tuple[Notice, ...] = ()
     listed = ", ".join(map(str, sorted(missing)))
     if missing and systems:
         step = "Export the coordinate systems too, or the geometry in global coordinates"
@@ -77,38 +81,32 @@ def read_geometry(
     elif missing:
         text = (
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
+            "for the global one."
         )
-        return Geometry(
-            positions, axes, factor, (Notice("coordinate_system_missing", f"{text}for the global one."),)
-        )
-    return Geometry(positions, axes, factor)
+        notices = (Notice("coordinate_system_missing", text),)
+    return Geometry(positions, axes, factor, notices)
 
 
 def _read_nodes(
     one: Mapping[str, Any], where: Place, nodes: dict[int, tuple[Array, int, int, Place]], faults: list[Fault]
 ) -> None:
+    """Add the nodes of a dataset: position, definition and displacement system by their labels."""
     columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
     if len({len(column) for column in columns}) > 1:
         faults.append(Fault("the nodes", "given by label and three coordinates", "others", where, CUT))
         return
-    labels, defined, measured = (column.astype(int) for column in columns[:3])
     xyz = np.column_stack(columns[3:]).astype(float)
-    defined = np.zeros_like(defined) if one["type"] == 2411 else defined
-    for label, place, system, displaced in zip(
-        labels.tolist(), xyz, defined.tolist(), measured.tolist(), strict=True
-    ):
+    numbers = zip(*(column.astype(int).tolist() for column in columns[:3]), strict=True)
+    for (label, defined, displaced), place in zip(numbers, xyz, strict=True):
         known = nodes.get(label)
         if known is not None and not np.allclose(known[0], place, rtol=1e-5, atol=1e-12):
             got = f"{known[0].tolist()} and {place.tolist()}"
             faults.append(Fault(f"the position of node {label}", "one", got, where, "Remove the wrong one"))
-        nodes[label] = (place, system, displaced, where)
+        nodes[label] = (place, defined if one["type"] == 15 else 0, displaced, where)
 
 
-def _systems(
-    one: Mapping[str, Any], where: Place, faults: list[Fault]
-) -> dict[int, tuple[int, Array, Array]]:
-    """Return kind, axes in rows and origin of the coordinate systems of a dataset, by their numbers."""
-    systems: dict[int, tuple[int, Array, Array]] = {}
+def _systems(one: Mapping[str, Any], where: Place, faults: list[Fault]) -> dict[int, System]:
+    """Return the coordinate systems of a dataset by their numbers."""
     names = ("cs_num", "cs_type") if one["type"] == 18 else ("CS_sys_labels", "CS_types")
     labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
     if one["type"] == 2420:
@@ -117,20 +115,14 @@ def _systems(
     else:
         defined = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
         turns, origins = [_axes_of(*points) for points in zip(*defined, strict=True)], list(defined[0])
-        if np.any(np.asarray(one.get("ref_cs_num", 0), dtype=int)):
-            step = "Export the geometry in global coordinates"
-            faults.append(
-                Fault("a coordinate system", "described in the global one", "a nested one", where, step)
-            )
-    for label, kind, turn, origin in zip(labels, kinds, turns, origins, strict=True):
-        if kind != 0:
-            step = "Export the geometry in cartesian coordinates"
-            faults.append(Fault(f"coordinate system {label}", "cartesian", f"type {kind}", where, step))
-        elif not (np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) and np.linalg.det(turn) > 0.0):
-            got = "axes that are not perpendicular, or left-handed"
-            faults.append(Fault(f"coordinate system {label}", "a rotation", got, where, "Correct it"))
-        systems[label] = (kind, np.asarray(turn), np.asarray(origin))
-    return systems
+    nested = bool(np.any(np.asarray(one.get("ref_cs_num", 0), dtype=int)))
+    for label, kind, turn in zip(labels, kinds, turns, strict=True):
+        rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) and np.linalg.det(turn) > 0.0
+        if kind != 0 or nested or not rotation:
+            want = "cartesian, right-handed and described in the global one"
+            step = "Export the geometry in global cartesian coordinates"
+            faults.append(Fault(f"coordinate system {label}", want, "another one", where, step))
+    return dict(zip(labels, zip(turns, origins, strict=True), strict=True))
 
 
 def _axes_of(origin: Array, on_x: Array, on_xz: Array) -> Array:
