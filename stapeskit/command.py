@@ -102,7 +102,7 @@ def _exit_code(prog: str, work: Callable[[list[str]], Outcome | None]) -> int:
     except Exception as error:
         sentence = _sentence(error)
         if sentence is not None:
-            sys.stderr.write(f"{sentence}\n")
+            sys.stderr.write(printable(f"{sentence}\n"))
             return 2
         import traceback
 
@@ -130,11 +130,16 @@ def _sentence(error: Exception) -> str | None:
     return None
 
 
+def printable(text: str) -> str:
+    """Return a text with a question mark for every character that could steer a terminal (names of files may)."""
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
+
+
 def show(outcome: Outcome) -> None:
     """Print an outcome: JSON, or a table of its rows; notices go to standard error."""
     if not outcome.quiet:
         for notice in outcome.notices:
-            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
+            sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
         sys.stderr.flush()
     if outcome.json:
         import json
@@ -145,7 +150,7 @@ def show(outcome: Outcome) -> None:
         lines = [outcome.title, *(f"  {name:<{width}}  {text}" for name, text in outcome.rows)]
         if outcome.files:
             lines.append(f"  {'written':<{width}}  " + ", ".join(str(path) for path in outcome.files))
-        sys.stdout.write("\n".join(lines) + "\n")
+        sys.stdout.write(printable("\n".join(lines) + "\n"))
 
 
 def no_progress(stage: str, share: float | None = None) -> None:  # noqa: ARG001

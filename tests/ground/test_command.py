@@ -110,3 +110,10 @@ def processor_seconds(code: str) -> float:
 def test_the_front_door_is_light() -> None:
     bare = processor_seconds("pass")
     assert processor_seconds("import stapeskit") - bare < 0.05
+
+
+def test_names_of_files_cannot_steer_the_terminal() -> None:
+    from stapeskit.command import printable
+
+    assert printable("scan\x1b[31m.tif\n") == "scan?[31m.tif\n"
+    assert printable("µ ± °\t1") == "µ ± °\t1"
