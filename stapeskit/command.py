@@ -131,7 +131,7 @@ def _sentence(error: Exception) -> str | None:
 
 
 def printable(text: str) -> str:
-    """Return a text with a question mark for every character that could steer a terminal (names of files may)."""
+    """Return a text with ``?`` for characters that could steer a terminal, which file names may hold."""
     return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
 
 
@@ -153,7 +153,7 @@ def show(outcome: Outcome) -> None:
         sys.stdout.write(printable("\n".join(lines) + "\n"))
 
 
-def no_progress(stage: str, share: float | None = None) -> None:  # noqa: ARG001
+def no_progress(stage: str, share: float | None = None) -> None:
     """Show nothing."""
 
 
