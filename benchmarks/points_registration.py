@@ -1,293 +1,137 @@
-"""How well is the vibrometer tied to the scan, and does the room say so? Simulated, with known truth.
+"""The vibrometer's registration is as good as it states, and a wrong fiducial is named.
 
-    python benchmarks/points_registration.py [--draws 2000] [--clouds 40] [--ears 150] [--seed 1] [table ...]
+target: error at the footplate centre by Monte Carlo against the predicted one and the formula of Fitzpatrick,
+West and Maurer (1998, doi:10.1109/42.736021), and the squared distance of the pose over its six degrees of
+freedom. faults: marks of 20 um with one fault, with their sd stated and not: how often there is a warning or a
+refusal, and how often it names the culprit. Registration by the surface of the plate and `--calibrate` are
+not part of this table any more.
 
-Tables: target, faults, plate, moved, calibrate (all when none is named). Every row follows from the seed.
+    python -m benchmarks.points_registration --draws 2000
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-import time
-from collections.abc import Callable
-from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from collections.abc import Iterator
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks._table import Before, arguments, print_table
+from simulate import FIDUCIALS_MM
+from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.registration import displacement, fit_rigid
 
-from legacy.kinematics.fit_options import Options
-from legacy.kinematics.points2dof import points2dof
-from legacy.kinematics.registration.geometry_model import GeometryPriors
-from legacy.kinematics.registration.icp import fit_to_surface
-from legacy.kinematics.registration.icp_refine import Cloud
-from legacy.stapeskit.alignment.registration import displacement, fit_rigid
-from legacy.stapeskit.faults import StapeskitError
-from legacy.stapeskit.frames import RigidTransform, rotation_from_vector
-from tests.kinematics.registration.test_calibrate import COUNT, ear, nees
-from tests.kinematics.surfaces import box, on_faces, wedge
-from tests.stapeskit.alignment.test_registration import fitzpatrick_west
-
-Array = np.ndarray
-CORNERS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8]])
+CORNERS = np.array([[-10.0, 0.0, -8.0], [10.0, 0.0, -8.0], [10.0, 0.0, 8.0], [-10.0, 0.0, 8.0]])
 MARKS = {
     "3 corners of a 20 x 16 mm plate": CORNERS[:3],
     "4 corners": CORNERS,
     "4 corners, 1 mark 3 mm above": np.vstack([CORNERS, [[0.0, 3.0, 0.0]]]),
     "4 corners, 2 marks above": np.vstack([CORNERS, [[0.0, 3.0, 0.0], [4.0, 5.0, -3.0]]]),
-    "sample study: 4 corners and 2 pins of a 4 mm plate": np.array(
-        [
-            [-2.1, 0, -1.4],
-            [2.1, 0, -1.4],
-            [2.1, 0, 1.4],
-            [-2.1, 0, 1.4],
-            [-1.95, 0.7, 1.3],
-            [1.95, 0.45, -1.3],
-        ]
-    ),
+    "sample study: 4 corners and 2 pins of a 4 mm plate": np.array(list(FIDUCIALS_MM.values())),
     "10 marks in the volume": np.random.default_rng(3).uniform(-8.0, 8.0, (10, 3)),
 }
-FOOTPLATE = np.array([[0.0, 8.0, 0.0]])
-UP = np.array([0.3, 0.9, 0.3])
+FAULTS = ("none", "one coordinate 0.3 mm off", "one coordinate 1 mm off", "two exchanged", "mirrored")
+FOOTPLATE_MM = np.array([[0.0, 8.0, 0.0]])
+BEFORE = Before("points_registration_draws_200_clouds_6_ears_10")
 
 
-def pose_of(rng: np.random.Generator) -> RigidTransform:
-    """Return a random scan_from_vibrometer."""
+def drawn_pose(rng: np.random.Generator) -> RigidTransform:
+    """Return a random plate_from_vibrometer."""
     turn = rotation_from_vector(rng.uniform(-1.8, 1.8, 3))
     return RigidTransform.from_parts(turn, rng.uniform(-60.0, 60.0, 3), "plate", "vibrometer")
 
 
-def target_rows(draws: int, seed: int) -> list[str]:
-    """Return the table of target registration errors at the footplate centre."""
-    rows = [
-        "| fiducials | sd, um | error at the footplate, um: Monte Carlo | predicted | Fitzpatrick-West "
-        "| predicted / Monte Carlo | pose: squared distance / 6 |",
-        "|-|-|-|-|-|-|-|",
-    ]
-    for name, marks in MARKS.items():
-        for spread in ((0.05,) * 3, (0.02, 0.02, 0.2)):
-            rng = np.random.default_rng([seed, len(rows)])
-            sd = np.array(spread)
+def expected_error_mm(marks: Array, target: Array, sd_mm: float) -> float:
+    """Return the target registration error by Fitzpatrick, West and Maurer, mm; sd_mm is per coordinate.
+
+    TRE^2 = FLE^2 / n (1 + 1/3 sum over the principal axes of d^2 / f^2), d and f the distances of the target
+    and, as a root mean square, of the marks from the axis.
+    """
+    centred = marks - marks.mean(axis=0)
+    axes = np.linalg.svd(centred)[2]
+    away = (target - marks.mean(axis=0)) @ axes.T
+    along = centred @ axes.T
+    share = 0.0
+    for axis in range(3):
+        others = [place for place in range(3) if place != axis]
+        share += np.sum(away[others] ** 2) / np.mean(np.sum(along[:, others] ** 2, axis=1)) / 3.0
+    return float(np.sqrt(3.0 * sd_mm**2 / len(marks) * (1.0 + share)))
+
+
+def target_rows(draws: int) -> Iterator[list[object]]:
+    """Yield errors at the footplate centre, found and predicted."""
+    for number, (name, marks) in enumerate(MARKS.items()):
+        for place, spread in enumerate((0.05, 0.02)):
+            rng = np.random.default_rng([1, number, place])
             misses, distances, stated = [], [], []
             for _ in range(draws):
-                pose = pose_of(rng)
-                seen = pose.inverse().points(marks) + sd * rng.normal(size=marks.shape)
-                fit = fit_rigid(seen, marks, np.tile(sd, (len(marks), 1)), to="plate", source="vibrometer")
-                there = pose.inverse().points(FOOTPLATE)
-                misses.append(np.linalg.norm(fit.transform.points(there) - FOOTPLATE))
+                pose = drawn_pose(rng)
+                seen = pose.inverse().points(marks) + spread * rng.standard_normal(marks.shape)
+                fit = fit_rigid(seen, marks, spread, to="plate", source="vibrometer")
+                there = pose.inverse().points(FOOTPLATE_MM)
+                misses.append(np.linalg.norm(fit.transform.points(there) - FOOTPLATE_MM))
                 error = displacement(fit.transform, pose)
                 distances.append(error @ np.linalg.solve(fit.covariance_si, error))
                 stated.append(fit.target_registration_error(there)[0])
-            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, stated))
-            alike = len(set(spread)) == 1
-            formula = f"{1e3 * fitzpatrick_west(marks, FOOTPLATE[0], spread[0]):.1f}" if alike else ""
-            words = f"{spread[0] * 1e3:g}" if alike else f"{spread[0] * 1e3:g}, depth {spread[2] * 1e3:g}"
-            rows.append(
-                f"| {name} | {words} | {rms:.1f} | {predicted:.1f} | {formula} | {predicted / rms:.3f} "
-                f"| {np.mean(distances) / 6.0:.3f} |"
-            )
-    return rows
+            found, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, stated))
+            old = [
+                BEFORE.cell(column, name, f"{1e3 * spread:g}")
+                for column in ("predicted / Monte Carlo", "pose: squared distance / 6")
+            ]
+            yield [
+                name, f"{1e3 * spread:g}", f"{found:.1f}", f"{predicted:.1f}",
+                f"{1e3 * expected_error_mm(marks, FOOTPLATE_MM[0], spread):.1f}", f"{predicted / found:.3f}",
+                old[0], f"{np.mean(distances) / 6.0:.3f}", old[1],
+            ]  # fmt: skip
 
 
-def fault_rows(draws: int, seed: int) -> list[str]:
-    """Return the table of fiducials with one fault: how often it is told, and the culprit named."""
-    rows = [
-        "| fiducials | fault | sd stated: told, culprit named | not stated: told, culprit named |",
-        "|-|-|-|-|",
-    ]
-    for name, marks in list(MARKS.items())[2:]:
-        for fault in (
-            "none",
-            "one coordinate 0.3 mm off",
-            "one coordinate 1 mm off",
-            "two exchanged",
-            "mirrored",
-        ):
-            cells = []
-            for stated in (True, False):
-                warned, named = 0, 0
-                for draw in range(draws):
-                    rng = np.random.default_rng([seed, draw, 7])
-                    text, culprits = _with_fault(rng, marks, fault, stated)
-                    warned += bool(text)
-                    named += bool(text) and all(
-                        f" {culprit} " in text.replace(",", " ") for culprit in culprits
-                    )
-                cells.append(
-                    f"{100 * warned / draws:.1f} %" + (f", {100 * named / draws:.1f} %" if culprits else "")
-                )
-            rows.append(f"| {name} | {fault} | {cells[0]} | {cells[1]} |")
-    return rows
-
-
-def _with_fault(rng: np.random.Generator, marks: Array, fault: str, stated: bool) -> tuple[str, list[str]]:
-    names = tuple(f"m{k}" for k in range(len(marks)))
-    pose = pose_of(rng)
-    seen = pose.inverse().points(marks) + 0.02 * rng.normal(size=marks.shape)
-    known, culprits = marks.copy(), []
-    i, j = rng.choice(len(marks), 2, replace=False)
+def with_fault(rng: np.random.Generator, marks: Array, fault: str, stated: bool) -> tuple[str, list[str]]:
+    """Return what is said of marks with a fault, and the names of those at fault."""
+    names = tuple(f"m{place}" for place in range(len(marks)))
+    seen = drawn_pose(rng).inverse().points(marks) + 0.02 * rng.standard_normal(marks.shape)
+    known, culprits = marks.copy(), list[str]()
+    first, second = rng.choice(len(marks), 2, replace=False)
     if fault.startswith("one"):
-        known[i, rng.integers(3)] += 0.3 if "0.3" in fault else 1.0
-        culprits = [names[i]]
+        known[first, rng.integers(3)] += 0.3 if "0.3" in fault else 1.0
+        culprits = [names[first]]
     elif fault == "two exchanged":
-        known[[i, j]] = known[[j, i]]
-        culprits = [names[i], names[j]]
+        known[[first, second]] = known[[second, first]]
+        culprits = [names[first], names[second]]
     elif fault == "mirrored":
-        seen = seen * [1.0, -1.0, 1.0]
-        culprits = ["--mirror"]
+        seen, culprits = seen * [1.0, -1.0, 1.0], ["--mirror"]
     try:
         fit = fit_rigid(seen, known, 0.02 if stated else None, to="plate", source="vibrometer", names=names)
-    except StapeskitError as refused:
-        return f" {refused} ", culprits
-    texts = [notice.text for notice in fit.notices if notice.code == "fiducials_inconsistent"]
-    return (f" {texts[0]} " if texts else ""), culprits
+    except StapeskitError as error:
+        return str(error), culprits
+    return " ".join(notice.text for notice in fit.notices if "inconsistent" in notice.code), culprits
 
 
-def plate_rows(clouds: int, seed: int) -> list[str]:
-    """Return the table of plate points laid on the plate without a first guess."""
-    rows = [
-        "| plate | points, sd um | refused | wrong by > 0.1 mm | error 1 mm above the plate, um: found / "
-        "predicted | pose: squared distance / 6 | CPU s |",
-        "|-|-|-|-|-|-|-|",
-    ]
-    plain = box([-2.1, -1.0, -1.4], [2.1, 0.0, 1.4])
-    stapes = box([0.3, 1.0, -0.4], [1.9, 3.5, 0.2])
-    every = (("with leaning sides", wedge(), False), ("box, 8 points on the stapes decide", plain, True))
-    for name, plate, decided in every:
-        for count, sd in ((20, 0.01), (50, 0.01), (50, 0.03), (200, 0.03)):
-            refused, wrong, misses, stated, distances = 0, 0, [], [], []
-            start = time.process_time()
-            for draw in range(clouds):
-                rng = np.random.default_rng([seed, draw, count])
-                pose = pose_of(rng)
-                seen = pose.inverse().points(on_faces(plate, rng, count)) + sd * rng.normal(size=(count, 3))
-                towards = pose.inverse().vectors(UP / np.linalg.norm(UP))
-                others = [(pose.inverse().points(on_faces(stapes, rng, 8)), stapes)] if decided else []
-                cloud = Cloud(tuple(str(k) for k in range(count)), seen, np.full(count, sd))
-                try:
-                    fit = fit_to_surface(cloud, plate, towards=towards, witnesses=others, surface_sd_mm=0.0)
-                except StapeskitError:
-                    refused += 1
-                    continue
-                there = pose.inverse().points([[0.0, 1.0, 0.0]])
-                miss = float(np.linalg.norm(fit.registration.transform.points(there) - [[0.0, 1.0, 0.0]]))
-                if miss > 0.1:
-                    wrong += 1
-                    continue
-                misses.append(miss)
-                stated.append(fit.registration.target_registration_error(there)[0])
-                error = displacement(fit.registration.transform, pose)
-                distances.append(error @ np.linalg.solve(fit.registration.covariance_si, error))
-            spent = (time.process_time() - start) / clouds
-            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, stated))
-            rows.append(
-                f"| {name} | {count}, {1e3 * sd:g} | {refused} of {clouds} | {wrong} | {rms:.1f} / "
-                f"{predicted:.1f} | {np.mean(distances) / 6.0:.2f} | {spent:.1f} |"
-            )
-    return rows
-
-
-def moved_rows(clouds: int, seed: int) -> list[str]:
-    """Return the table of a bone that shifted between scan and measurement."""
-    import tempfile
-
-    from tests.kinematics.registration import test_sample_displacement as scenes
-
-    rows = [
-        "| 9 points on bone, shifted along its normal by | told (sd stated) | shift found, um "
-        "| told (sd not stated) | points of the stapes in their place: told |",
-        "|-|-|-|-|-|",
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        scan = scenes.write_scan(Path(folder))
-        for shift in (0.0, 0.03, 0.05, 0.1, 0.2):
-            cells, sizes, others = [], [], 0
+def fault_rows(draws: int) -> Iterator[list[object]]:
+    """Yield how often a fault is reported, and named."""
+    for name, marks in list(MARKS.items())[2:]:
+        for fault in FAULTS:
+            cells = []
             for stated in (True, False):
-                warned = 0
-                for draw in range(clouds):
-                    given = scenes.setting(1000 * seed + draw, shift=(0.0, 0.0, shift), stated=stated)
-                    stapes, base = scenes.checked(scan, *given).checks
-                    warned += any(notice.code == "sample_moved" for notice in base.notices)
-                    others += bool(stapes.notices)
-                    if stated:
-                        sizes.append(1e3 * float((scenes.SCAN_FROM_FOOTPLATE.rotation @ base.shift_mm)[2]))
-                cells.append(f"{100 * warned / clouds:.0f} %")
-            rows.append(
-                f"| {1e3 * shift:.0f} um | {cells[0]} | {np.mean(sizes):.0f} ± {np.std(sizes):.0f} "
-                f"| {cells[1]} | {100 * others / (2 * clouds):.1f} % |"
-            )
-    return rows
-
-
-def calibrate_rows(ears: int, seed: int) -> list[str]:
-    """Return the table of joint estimates of geometry and motion."""
-    rows = [
-        f"| {COUNT} points x 3 lasers on each of 2 bodies; sd of positions, axes, lasers, gains | peak/noise "
-        "| squared distance per degree of freedom: fitted as stated | with --calibrate | error of q "
-        "against fitted as stated | sd of the axes after |",
-        "|-|-|-|-|-|-|",
-    ]
-    cases: tuple[dict[str, float], ...] = (
-        {},
-        {"snr": 10.0},
-        {"pos": 0.02, "axes": 2.0},
-        {"pos": 0.01, "axes": 1.0, "beam": 0.2},
-        {"gain": 1.0},
-    )
-    for case in cases:
-        full = {"pos": 0.05, "axes": 1.0, "beam": 0.5, "gain": 0.0, "snr": 100.0} | case
-        priors = GeometryPriors(full["axes"], full["beam"], full["gain"])
-        plain, joint, ratio, spread = [], [], [], []
-        for draw in range(ears):
-            measurement, truth, _ = ear(100_000 * seed + draw, **full)
-            before = points2dof(measurement)
-            after = points2dof(measurement, options=Options(calibrate=priors))
-            plain.append(nees(before, truth))
-            joint.append(nees(after, truth))
-            errors = [
-                np.sum(np.abs(result.motion.q[0] - truth) ** 2, axis=(0, 1)) for result in (before, after)
-            ]
-            ratio.append(np.median(errors[1] / errors[0]))
-            fit = after.calibration
-            if fit is not None:
-                spread.append(np.rad2deg(fit.sd[:3].mean()))
-        rows.append(
-            f"| {full['pos'] * 1e3:g} um, {full['axes']:g}°, {full['beam']:g}°, {full['gain']:g} % "
-            f"| {full['snr']:g} | {np.mean(plain):.2f} | {np.mean(joint):.2f} "
-            f"± {np.std(joint) / np.sqrt(ears):.2f} "
-            f"| {np.sqrt(np.median(ratio)):.2f} | {np.mean(spread):.2f}° |"
-        )
-    return rows
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("tables", nargs="*", metavar="table")
-    parser.add_argument("--draws", type=int, default=2000)
-    parser.add_argument("--clouds", type=int, default=40)
-    parser.add_argument("--ears", type=int, default=150)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    tables: dict[str, Callable[[], list[str]]] = {
-        "target": lambda: target_rows(options.draws, options.seed),
-        "faults": lambda: fault_rows(max(options.draws // 5, 1), options.seed),
-        "plate": lambda: plate_rows(options.clouds, options.seed),
-        "moved": lambda: moved_rows(options.clouds, options.seed),
-        "calibrate": lambda: calibrate_rows(options.ears, options.seed),
-    }
-    unknown = [name for name in options.tables if name not in tables]
-    if unknown:
-        parser.error(f"tables are {', '.join(tables)}; got {', '.join(unknown)}")
-    for name in options.tables or tables:
-        print(f"\n**{name}** (seed {options.seed})\n", *tables[name](), sep="\n", flush=True)
+                said = [
+                    with_fault(np.random.default_rng([draw, 7]), marks, fault, stated)
+                    for draw in range(draws)
+                ]
+                warned = np.mean([bool(text) for text, _ in said])
+                named = np.mean([bool(text) and all(one in text for one in wrong) for text, wrong in said])
+                cells.append(f"{100 * warned:.1f} %" + ("" if fault == "none" else f", {100 * named:.1f} %"))
+            columns = ("sd stated: told, culprit named", "not stated: told, culprit named")
+            old = [BEFORE.cell(column, name, fault) for column in columns]
+            yield [name, fault, cells[0], old[0], cells[1], old[1]]
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, draws=200)
+    head = (
+        "fiducials", "sd, um", "error at the footplate, um", "predicted", "Fitzpatrick-West",
+        "predicted / found", "0.2", "pose: squared distance / 6", "0.2",
+    )  # fmt: skip
+    print_table(head, target_rows(given.draws))
+    head = ("fiducials", "fault", "sd stated: reported, named", "0.2", "not stated: reported, named", "0.2")
+    print_table(head, fault_rows(max(given.draws // 5, 10)))
+    print(f"{given.draws} draws; {max(given.draws // 5, 10)} of a fault.")
