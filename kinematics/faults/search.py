@@ -37,6 +37,7 @@ _LEAST_OWN = 1e-6  # share of a channel's noise in its residual
 _NO_PATTERN = np.log(1e-3)
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
+_LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
 _CONTENDERS, _CLOSE = (
     4,
@@ -183,12 +184,14 @@ def null_fit(
     estimate = joint(packed, expected)
     levels, spread = None, 0.0
     if not stated:
+        for _ in range(_LEVEL_ROUNDS):
+            energy, freedom = _own_noise(estimate.state)
+            levels, spread = channel_levels(energy if levels is None else energy * levels**2, freedom)
+            packed = pack(replace(readings, noise_factor=readings.noise_factor * levels))
+            estimate = joint(packed, expected, estimate.values)
         if packed.turned:
             packed = packed.scaled(_levels(estimate.state))
             estimate = joint(packed, expected, estimate.values)
-        levels, spread = channel_levels(*_own_noise(estimate.state))
-        packed = packed.scaled(np.broadcast_to(levels, packed.w.shape))
-        estimate = joint(packed, expected, estimate.values)
     complete = len(live) == len(layout.points)
     tests = score_tests(estimate.state, expected, places(layout, live, complete))
     if noise is None:
