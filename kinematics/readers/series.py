@@ -21,14 +21,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts, SeriesFacts, is_file
-from kinematics.readers.points import require
 from kinematics.readers.recording import Recording, Row, recording_of
-from kinematics.readers.series_tables import Listed, read_channels, read_steps, reference_of
+from kinematics.readers.series_tables import Listed, numbers_of, read_channels, read_steps, reference_of
 from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
 from kinematics.signals.lock_in import Step, stepped_frf
 from kinematics.signals.samples import sample_notices
@@ -37,14 +36,15 @@ from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, r
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
 
-if TYPE_CHECKING:
-    pass
-
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
 _SHORTEST = 16  # samples; shorter records hold no spectrum
+
+
+Records = list[tuple[Array | None, Array]]
+"""Reference (sample,) or None, and responses (channel, sample), of every record."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,17 @@ def read(path: Path, facts: FileFacts) -> Recording:
     notices: list[Notice] = [*sample_notices(series.channels, path.name)]
     spread = 1.0
     for group, records in _groups(series, responses, reference, notices):
-        frf = _estimate(records, series, how, reference is not None)
+        frf = _estimate(records, series, how)
         low, high = how.band_hz or (0.0, np.inf)
         lines = (frf.freq_hz >= low) & (frf.freq_hz <= high)
         if not np.any(lines):
             want, step = "wide enough for at least one line", "Widen --frf-band, or record longer"
             raise StapeskitError.of("the band", want, "none", path.name, step)
-        rows += _rows(group, frf, lines)
+        for k, one in enumerate(group):
+            coherence = None if frf.coherence is None else frf.coherence[k, lines]
+            n_avg = None if np.isnan(frf.n_avg) else frf.n_avg
+            noise = (frf.sd[k, lines], coherence, n_avg, frf.common_sd[lines])
+            rows.append(Row(one.channel, frf.freq_hz[lines], frf.value[k, lines], *noise))
         notices += frf.notices
         spread = max(spread, frf.line_spread)
     return recording_of(
@@ -114,36 +118,23 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
         A channel is missing (those found are listed), times are not evenly spaced, there is no sampling rate,
         or samples are no finite numbers.
     """
-    with path.open("rb") as stream:
-        head = stream.read(1024)
-    if head.startswith((b"RIFF", b"RIFX", b"RF64")):
-        tree = _wav(path)
-    elif head.startswith(b"PK\x03\x04"):
-        with np.load(path, allow_pickle=False) as archive:
-            tree = {name: archive[name] for name in archive.files}
-    elif head.startswith(b"MATLAB") or b"\x89HDF\r\n\x1a\n" in head:
-        from kinematics.readers.matlab import read_variables
-
-        tree = read_variables(path)
-    else:
-        tree = _table(path, names)
-    flat = _flatten(tree)
-    low = {name.lower(): name for name in reversed(list(flat))}
-    missing = [name for name in names if name not in flat and name.lower() not in low]
+    flat = _flatten(_tree(path, names))
+    low = {name.lower(): flat[name] for name in reversed(list(flat))}
+    listed = list_some(flat, 20) or "none"
+    missing = [name for name in names if name.lower() not in low]
     if missing:
-        want = f"in the file, which has {list_some(flat, 20) or 'none'}"
+        want = f"in the file, which has {listed}"
         raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
-    matched = {name: flat[name if name in flat else low[name.lower()]] for name in names}
+    matched = {name: flat.get(name, low[name.lower()]) for name in names}
     longest = max(max(array.shape, default=0) for array in matched.values())
-    time = next((flat[low[name]] for name in TIMES if name in low and flat[low[name]].size == longest), None)
-    rate = next((flat[low[name]] for name in RATES if name in low and flat[low[name]].size == 1), None)
+    time = next((low[name].reshape(-1) for name in TIMES if name in low and low[name].size == longest), None)
+    rate = next((float(low[name].flat[0]) for name in RATES if name in low and low[name].size == 1), np.nan)
+    start = 0.0
     if time is not None:
-        sampled, start = sampling_rate(time.astype(float).reshape(-1), path.name), float(time.reshape(-1)[0])
-    elif rate is not None and 0.0 < float(rate.reshape(-1)[0]) <= HIGHEST_HZ:
-        sampled, start = float(rate.reshape(-1)[0]), 0.0
-    else:
+        rate, start = sampling_rate(time.astype(float), path.name), float(time[0])
+    elif not 0.0 < rate <= HIGHEST_HZ:
         step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
-        got = f"the variables {list_some(flat, 20)}"
+        got = f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
     faults: list[Fault] = []
     channels: dict[str, tuple[Array, ...]] = {}
@@ -151,37 +142,36 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
         with collect_faults(faults):
             channels[name] = _samples(array, f"{path.name}, {name}")
     raise_all(faults)
-    set_hz = flat.get(low.get("freq_hz", ""), None)
-    return Series(
-        path.name, sampled, start, channels, None if set_hz is None else set_hz.astype(float).reshape(-1)
-    )
+    set_hz = low["freq_hz"].astype(float).reshape(-1) if "freq_hz" in low else None
+    return Series(path.name, rate, start, channels, set_hz)
 
 
-def _table(path: Path, names: Sequence[str]) -> dict[str, Any]:
-    """Return the wanted columns of a table with a column of times."""
-    from stapeskit.tables import read_table
+def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
+    """Return what a file holds by name; of a table the wanted columns."""
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if head.startswith((b"RIFF", b"RIFX", b"RF64")):
+        return _wav(path)
+    if head.startswith(b"PK\x03\x04"):
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    if head.startswith(b"MATLAB") or b"\x89HDF\r\n\x1a\n" in head:
+        from kinematics.readers.matlab import read_variables
 
-    wanted = {name.lower() for name in names}
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("time_s", *sorted(wanted)), file)
-        return {"time_s", *wanted, *({"freq_hz"} & set(header))}, set()
-
-    table = read_table(path, choose)
-    raise_all(table.faults)
-    return dict(table.numbers)
+        return read_variables(path)
+    wanted = [name.lower() for name in names]
+    return numbers_of(path, ("time_s", *wanted), ("freq_hz",)).numbers
 
 
 def _wav(path: Path) -> dict[str, Any]:
     from scipy.io import wavfile
 
     rate, data = wavfile.read(path)
-    data = np.atleast_2d(data.T)
-    samples = data.astype(float)
-    if data.dtype.kind in "iu":
-        full = 128.0 if data.dtype == np.uint8 else float(np.iinfo(data.dtype).max) + 1.0
-        samples = (samples - (128.0 if data.dtype == np.uint8 else 0.0)) / full
-    return {"sample_rate_hz": np.array(rate), **{str(k): row for k, row in enumerate(samples, 1)}}
+    samples, zero, full = np.atleast_2d(data.T).astype(float), 0.0, 1.0
+    if data.dtype.kind in "iu":  # unsigned bytes have their zero at 128
+        full = 2.0 ** (8 * data.dtype.itemsize - 1)
+        zero = full if data.dtype.kind == "u" else 0.0
+    return {"sample_rate_hz": rate, **{str(k): (row - zero) / full for k, row in enumerate(samples, 1)}}
 
 
 def _flatten(tree: Mapping[str, Any], start: str = "") -> dict[str, Array]:
@@ -190,7 +180,7 @@ def _flatten(tree: Mapping[str, Any], start: str = "") -> dict[str, Array]:
     for name, value in tree.items():
         if isinstance(value, Mapping):
             arrays |= _flatten(value, f"{start}{name}.")
-        elif np.asarray(value).dtype.kind in "fiu":
+        elif np.asarray(value).dtype.kind in "fiu" and np.size(value):
             arrays[start + name] = np.asarray(value)
     return arrays
 
@@ -203,21 +193,15 @@ def sampling_rate(time: Array, where: str) -> float:
     StapeskitError
         Fewer than two times, or such that are not finite, do not ascend or are not evenly spaced.
     """
-    if (
-        len(time) < 2
-        or not np.all(np.isfinite(time))
-        or not time[-1] - time[0] > (len(time) - 1) / HIGHEST_HZ
-    ):
+    span = float(time[-1] - time[0])
+    if not (span > (len(time) - 1) / HIGHEST_HZ and np.all(np.isfinite(time))):
         raise StapeskitError.of("time_s", "at least two finite, ascending times in s", "others", where)
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    off = np.abs((time - time[0]) / step - np.arange(len(time)))
-    if not np.max(off) <= _JITTER:
-        got, next_step = (
-            f"{np.max(off):.3g} steps off at sample {np.argmax(off) + 1}",
-            "Resample to even times",
-        )
-        raise StapeskitError.of("time_s", "evenly spaced", got, where, next_step)
-    return float(1.0 / step)
+    rate = (len(time) - 1) / span
+    off = np.abs((time - time[0]) * rate - np.arange(len(time)))
+    if np.max(off) > _JITTER:
+        got = f"{np.max(off):.3g} steps off at sample {np.argmax(off) + 1}"
+        raise StapeskitError.of("time_s", "evenly spaced", got, where, "Resample to even times")
+    return rate
 
 
 def _samples(values: Array, where: str) -> tuple[Array, ...]:
@@ -227,33 +211,30 @@ def _samples(values: Array, where: str) -> tuple[Array, ...]:
         want = f"samples, or rows x samples ({_SHORTEST} at least)"
         raise StapeskitError.of("a channel", want, f"shape {values.shape}", where)
     rows = rows if rows.shape[1] >= rows.shape[0] else rows.T
-    for number, row in enumerate(rows, 1):
-        bad = ~(np.abs(row) <= LARGEST)
-        if np.any(bad) and not np.all(np.isnan(row)):
-            got = f"{int(np.sum(bad))} others in row {number}, the first in sample {int(np.argmax(bad)) + 1}"
-            step = "Cut the record, or leave the channel out"
-            raise StapeskitError.of("the samples", f"finite and below {LARGEST:g}", got, where, step)
+    bad = ~(np.abs(rows) <= LARGEST) & ~np.all(np.isnan(rows), axis=1)[:, None]
+    if np.any(bad):
+        row, sample = np.argwhere(bad)[0].tolist()
+        got = f"{int(np.sum(bad))} others, the first in row {row + 1}, sample {sample + 1}"
+        step = "Cut the record, or leave the channel out"
+        raise StapeskitError.of("the samples", f"finite and below {LARGEST:g}", got, where, step)
     return tuple(rows)
-
-
-Records = list[tuple[Array | None, Array]]
 
 
 def _groups(
     series: Series, responses: Sequence[Listed], reference: Listed | None, notices: list[Notice]
 ) -> list[tuple[list[Listed], Records]]:
     """Return what was recorded together: channels with a point, and each row of channels without one."""
-    lead = None if reference is None else series.channels[reference.name]
+    lead = 1 if reference is None else len(series.channels[reference.name])
     fixed = [one for one in responses if one.channel.point or len(series.channels[one.name]) == 1]
     roving = [one for one in responses if one not in fixed]
     groups: list[tuple[list[Listed], Records]] = []
-    for members, one_group in ((fixed, True), (roving, False)):
+    for members in filter(None, (fixed, roving)):
         counts = {len(series.channels[one.name]) for one in members}
-        if len(counts) > 1 or (members and lead is not None and len(lead) not in (1, *counts)):
+        if len(counts) > 1 or lead not in (1, *counts):
             got = ", ".join(f"{one.name} {len(series.channels[one.name])}" for one in members[:6])
             raise StapeskitError.of("the channels", "of as many rows (records or points)", got, series.file)
-        rows = range(counts.pop() if counts else 0)
-        for part in [list(rows)] if one_group and rows else [[k] for k in rows]:
+        rows = list(range(counts.pop()))
+        for part in [rows] if members is fixed else [[k] for k in rows]:
             alive = [one for one in members if all(_moves(series.channels[one.name][k]) for k in part)]
             if len(alive) < len(members):
                 silent = list_some((one.name for one in members if one not in alive), 6)
@@ -262,8 +243,12 @@ def _groups(
                 )
                 notices.append(Notice("zero_rows", text))
             if alive:
+                point = "1" if members is fixed else str(part[0] + 1)
                 per = "" if reference is None else reference.per
-                named = [_named(one, "1" if one_group else str(part[0] + 1), per) for one in alive]
+                named = [
+                    replace(one, channel=replace(one.channel, point=one.channel.point or point, per=per))
+                    for one in alive
+                ]
                 groups.append((named, [_record(series, alive, reference, k) for k in part]))
     if not groups:
         step = "Check that the channels were connected"
@@ -275,10 +260,6 @@ def _moves(row: Array) -> bool:
     return bool(np.all(np.isfinite(row)) and np.any(row != row[0]))
 
 
-def _named(one: Listed, point: str, per: str) -> Listed:
-    return replace(one, channel=replace(one.channel, point=one.channel.point or point, per=per))
-
-
 def _record(
     series: Series, members: Sequence[Listed], reference: Listed | None, k: int
 ) -> tuple[Array | None, Array]:
@@ -288,32 +269,27 @@ def _record(
     if reference is not None:
         rows = series.channels[reference.name]
         lead = rows[k if len(rows) > 1 else 0] * reference.scale
-    sizes = {len(signal) for signal in (*signals, *([] if lead is None else [lead]))}
+    sizes = sorted({len(signal) for signal in (*signals, *([] if lead is None else [lead]))})
     if len(sizes) > 1:
-        step = "Resample channels that were sampled at another rate"
-        got = " and ".join(map(str, sorted(sizes)))
+        step, got = "Resample channels that were sampled at another rate", " and ".join(map(str, sizes))
         raise StapeskitError.of("the channels", "of one number of samples", got, series.file, step)
     return lead, np.array(signals)
 
 
-def _estimate(records: Records, series: Series, how: SeriesFacts, referenced: bool) -> Frf:
+def _estimate(records: Records, series: Series, how: SeriesFacts) -> Frf:
     """Estimate responses as the excitation is: steps, a period, or segments of anything else."""
     rate = series.sample_rate_hz
     if how.steps is not None or series.set_hz is not None:
         steps = [step for lead, signals in records for step in _steps(lead, signals, series, how)]
         return stepped_frf(steps, rate, how.settle, series.file)
     pairs = [(lead, signals) for lead, signals in records if lead is not None]
-    if not referenced or not pairs:
+    if not pairs:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
         raise StapeskitError.of("the table of channels", "with a reference", "none", series.file, step)
     if how.period_s is not None:
         return periodic_frf(pairs, rate, how.period_s, series.file)
     shortest = min(len(lead) for lead, _ in pairs)
     segment = segment_for(shortest, max(3, -(-how.averages // len(pairs))))
-    if segment < 8:
-        got = f"{segment} samples of a record of {shortest}"
-        step = "Ask for fewer --averages, or record longer"
-        raise StapeskitError.of("a segment", "at least 8 samples long", got, series.file, step)
     return welch_frf(pairs, rate, segment, series.file)
 
 
@@ -326,30 +302,14 @@ def _steps(lead: Array | None, signals: Array, series: Series, how: SeriesFacts)
             for start, stop, freq in read_steps(how.steps)
         ]
     else:
-        column = np.asarray(series.set_hz)
+        column = np.zeros(0) if series.set_hz is None else series.set_hz
         if len(column) != count:
             raise StapeskitError.of("freq_hz", f"{count} samples long", len(column), series.file)
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(column)) + 1, [count]]).tolist()
+        edges = [0, *(np.flatnonzero(np.diff(column)) + 1).tolist(), count]
         stretches = [(a, b, float(column[a])) for a, b in pairwise(edges) if column[a] > 0.0]
-    outside = [stretch for stretch in stretches if not 0 <= stretch[0] < stretch[1] <= count + 1]
+    outside = [f"samples {a} to {b}" for a, b, _ in stretches if not 0 <= a < b <= count + 1]
     if outside:
         want = f"within the record of {count} samples"
-        got = list_some(f"samples {a} to {b}" for a, b, _ in outside)
-        raise StapeskitError.of("a step", want, got, series.file, "Correct the table of steps")
+        step = "Correct the table of steps"
+        raise StapeskitError.of("a step", want, list_some(outside), series.file, step)
     return [Step(freq, None if lead is None else lead[a:b], signals[:, a:b]) for a, b, freq in stretches]
-
-
-def _rows(group: Sequence[Listed], frf: Frf, lines: Any) -> list[Row]:
-    """Return the estimated lines of every channel."""
-    return [
-        Row(
-            one.channel,
-            frf.freq_hz[lines],
-            frf.value[k, lines],
-            frf.sd[k, lines],
-            None if frf.coherence is None else frf.coherence[k, lines],
-            None if np.isnan(frf.n_avg) else frf.n_avg,
-            frf.common_sd[lines],
-        )
-        for k, one in enumerate(group)
-    ]

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinematics.readers.facts import SeriesFacts
+from kinematics.readers.facts import SeriesFacts, direction_of
 from kinematics.readers.points import require
-from kinematics.readers.recording import Channel, unknown_vector
+from kinematics.readers.recording import SI_UNITS, Channel, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
-from stapeskit.faults import Fault, StapeskitError, raise_all
-from stapeskit.frames import axis_vector
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 
 if TYPE_CHECKING:
     from stapeskit.tables import Table
@@ -57,11 +56,11 @@ def read_channels(path: Path) -> list[Listed]:
     faults = list(table.faults)
     listed = [_listed(table, row, faults) for row in range(len(table))]
     keys = [(row.name, row.file, row.channel.point) for row in listed]
-    for number, key in enumerate(keys):
-        if key in keys[:number]:
-            faults.append(
-                Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
-            )
+    faults += [
+        Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
+        for number, key in enumerate(keys)
+        if key in keys[:number]
+    ]
     raise_all(faults)
     return [row for row in listed if row.role != "ignore"]
 
@@ -69,47 +68,38 @@ def read_channels(path: Path) -> list[Listed]:
 def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
     """Read one row of the table of channels; what is wrong is added to the faults."""
     texts = {
-        name: one.names[one.codes[row]] if one.codes[row] >= 0 else "" for name, one in table.texts.items()
+        name: (*table.texts[name].names, "")[table.texts[name].codes[row]] if name in table.texts else ""
+        for name in _TEXTS
     }
-    numbers = {name: float(values[row]) for name, values in table.numbers.items()}
+    numbers = {name: table.numbers.get(name, np.full(row + 1, np.nan))[row] for name in _NUMBERS}
     where = table.where(row)
-    role = texts.get("role", "").lower() or "response"
+    role = texts["role"].lower() or "response"
     if role not in ROLES or not texts["channel"]:
-        got = shown(role) if texts["channel"] else "an empty cell"
+        got = shown(f"{texts['channel']} {role}")
         faults.append(Fault("channel and role", f"a name, and one of {', '.join(ROLES)}", got, where))
-    factor = numbers.get("sensitivity", np.nan)
-    factor = 1.0 if np.isnan(factor) else factor
+    factor = 1.0 if np.isnan(numbers["sensitivity"]) else float(numbers["sensitivity"])
     if not 0.0 < factor < np.inf:
         faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
     unit = motion_unit(texts["unit"])
-    if role == "response" and (unit is None or unit.per):
-        step = "Give the unit of the numbers times the sensitivity, e.g. m/s"
-        faults.append(unit_fault(shown(texts["unit"]), ("unit",), where, step))
+    direction = unknown_vector()
+    if role == "response":
+        if unit is None or unit.per:
+            step = "Give the unit of the numbers times the sensitivity, e.g. m/s"
+            faults.append(unit_fault(shown(texts["unit"]), ("unit",), where, step))
+        direction = np.array([numbers[name] for name in _NUMBERS[:3]])
+        with collect_faults(faults):
+            direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
     elif role == "reference" and is_none(texts["unit"]):
         faults.append(Fault("unit", "the unit of the reference, e.g. Pa, V or m/s", "an empty cell", where))
-    direction = unknown_vector()
-    if role == "response" and texts.get("dir"):
-        axis = axis_vector(texts["dir"])
-        direction = direction if axis is None else axis
-        if axis is None:
-            faults.append(Fault("dir", "x, y, z, -x, -y or -z", shown(texts["dir"]), where))
-    elif role == "response":
-        direction = np.array([numbers.get(name, np.nan) for name in _NUMBERS[:3]])
-        length = float(np.linalg.norm(direction))
-        if abs(length - 1.0) > 1e-3:
-            step = "Divide the direction by its length"
-            faults.append(
-                Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", f"{length:g}", where, step)
-            )
-            direction = unknown_vector()
-    position = 1e-3 * np.array([numbers.get(name, np.nan) for name in _NUMBERS[3:6]])
+    motion = unit if unit is not None and not unit.per else None
     channel = Channel(
-        plain_name(texts.get("point", "")), texts.get("body", ""), texts.get("run", ""),
-        order=unit.order if unit else 1, position_m=position, direction=direction, where=where,
+        plain_name(texts["point"]), texts["body"], texts["run"],
+        order=unit.order if unit else 1, direction=direction, where=where,
+        position_m=1e-3 * np.array([numbers[name] for name in _NUMBERS[3:6]]),
     )  # fmt: skip
-    scale = factor * (unit.scale if unit is not None and not unit.per else 1.0)
-    per = ("m", "m/s", "m/s2")[unit.order] if unit is not None and not unit.per else plain(texts["unit"])
-    return Listed(texts["channel"], role, texts.get("file", ""), scale, per, channel)
+    scale = factor * (motion.scale if motion else 1.0)
+    per = SI_UNITS[motion.order] if motion else plain(texts["unit"])
+    return Listed(texts["channel"], role, texts["file"], scale, per, channel)
 
 
 def reference_of(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
@@ -141,22 +131,32 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
         A column is missing, a cell is no finite number, a step ends before it starts, or a frequency is not
         positive.
     """
-    from stapeskit.tables import read_table
-
     columns = ("start_s", "stop_s", "freq_hz")
+    table = numbers_of(path, columns)
+    start, stop, freq = (table.numbers[name] for name in columns)
+    good = (stop > start) & (freq > 0.0) & np.isfinite(start + stop + freq)
+    want = "three finite numbers, the stop later than the start, the frequency positive"
+    raise_all(
+        Fault("a step", want, f"{start[row]:g} to {stop[row]:g} s at {freq[row]:g} Hz", table.where(row))
+        for row in np.flatnonzero(~good).tolist()
+    )
+    return list(zip(start.tolist(), stop.tolist(), freq.tolist(), strict=True))
+
+
+def numbers_of(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
+    """Read columns of numbers of a table.
+
+    Raises
+    ------
+    StapeskitError
+        A column is missing, or a cell is no number.
+    """
+    from stapeskit.tables import read_table
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         require(header, columns, file)
-        return set(columns), set()
+        return {*columns, *(set(optional) & set(header))}, set()
 
     table = read_table(Path(path), choose)
-    faults = list(table.faults)
-    start, stop, freq = (table.numbers[name] for name in columns)
-    for row in np.flatnonzero(
-        ~((stop > start) & (freq > 0.0) & np.isfinite(stop) & np.isfinite(freq))
-    ).tolist():
-        got = f"{start[row]:g} to {stop[row]:g} s at {freq[row]:g} Hz"
-        want = "three finite numbers, the stop later than the start, the frequency positive"
-        faults.append(Fault("a step", want, got, table.where(row)))
-    raise_all(faults)
-    return [(float(a), float(b), float(f)) for a, b, f in zip(start, stop, freq, strict=True)]
+    raise_all(table.faults)
+    return table

@@ -27,6 +27,7 @@ OVERLAP = 0.5
 """Share of a segment that it shares with the next: more adds nothing with a Hann window (Welch 1967)."""
 
 _FEWEST = 3  # two segments give no variance of a variance
+_SHORTEST = 8  # samples of a segment: shorter ones have no line apart from 0 Hz and its neighbour
 _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
 _ROUNDS = 4  # of own and common noise in turn
 _FEW = 8  # averages below which the stated noise is rough: sd of the sd above 25 %
@@ -123,13 +124,16 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     from scipy.signal import get_window, stft
 
     check_reference(records, where)
-    taper = np.asarray(get_window("hann", segment), dtype=float)
     hop = max(1, round(segment * (1.0 - OVERLAP)))
     counts = [1 + (len(x) - segment) // hop if len(x) >= segment else 0 for x, _ in records]
-    if sum(counts) < _FEWEST:
+    if sum(counts) < _FEWEST or segment < _SHORTEST:
         step = "Ask for fewer averages, or record longer"
-        got = f"{sum(counts)} of {segment} samples"
-        raise StapeskitError.of("the records", f"at least {_FEWEST} segments long", got, where, step)
+        want, got = (
+            f"{_FEWEST} segments of {_SHORTEST} samples or longer",
+            f"{sum(counts)} of {segment} samples",
+        )
+        raise StapeskitError.of("the records", want, got, where, step)
+    taper = np.asarray(get_window("hann", segment), dtype=float)
 
     def spectra(signal: Array) -> ComplexArray:
         """Return the lines of every segment (..., line, segment), without 0 Hz and its neighbour."""
