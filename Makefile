@@ -111,7 +111,7 @@ bench: $(TOOLS)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
 
 evidence: $(TOOLS)
-	$(BIN)/python tools/evidence.py $(ARGS)
+	$(BIN)/python -m tools.evidence $(ARGS)
 
 # ARGS="--room ct", ARGS="--only kd_", ARGS="-j 2": tests/golden/__main__.py says more
 golden: $(TOOLS)

@@ -1,109 +1,135 @@
-"""Do the intervals hold? Whole studies, everything drawn anew, recovered K and D against the truth.
+"""The intervals of K and D hold in whole studies, everything drawn anew.
 
-    python benchmarks/coverage_of_studies.py [STUDIES] [FIRST_SEED]
+Each study has its own pose, scan noise, vibrometer noise, errors of points and fiducials, and stated density;
+the whole chain runs on its files. Printed per entry: bias and scatter in standard deviations, and how often
+the 95 % interval holds; then the squared Mahalanobis distances of the 12 entries, and the same for M.
+``--what motion`` leaves the scans away: the true mass with the density's error, and the rigid motion by plain
+least squares.
 
-Each study has its own pose, scan noise, vibrometer noise, point and fiducial errors and stated density; the
-whole chain runs on its files. Printed per entry: bias and spread in standard deviations, and how often the
-95 % interval covers the truth; then the squared Mahalanobis distances of the 12 entries, and the same for M.
+    python -m benchmarks.coverage_of_studies --studies 100 --first 7000
+    python -m benchmarks.coverage_of_studies --what motion --studies 100
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
-import time
-from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks._table import PISTON_ENTRIES, Before, arguments, percent, print_table
+from fitting.dof2kd import dof2kd
+from fitting.result import KDFit
+from simulate import (
+    Ear,
+    Experiment,
+    Scan,
+    Truth,
+    motion_of,
+    simulate_recording,
+    simulate_study,
+    simulate_truth,
+)
+from stapeskit.arrays import Array
+from stapeskit.records.mass import MassMatrix
 
-ENTRIES = np.triu_indices(3)
+UPPER = np.triu_indices(3)
+REGISTRATION_SD = (1e-5, 2e-3)
+BEFORE = Before("coverage_of_studies_100_7000")
 
 
-def one_study(seed: int) -> dict[str, Any]:
-    """Make a study, run the chain on its files, compare with the truth."""
-    from legacy.ct_inertia.results import mass_of
-    from legacy.fitting.fit_kd import fit_kd
-    from legacy.kinematics.fit_options import fit_options
-    from legacy.kinematics.measure_motion import motion_inputs, motion_of, read_inputs
-    from legacy.pipeline.study import read_study
-    from sample_volumes.old_study import make_study
-    from sample_volumes.phantom import Ear
-    from sample_volumes.vibrometer import Vibrometry
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Deviations of one study in stated standard deviations, and errors of its mass."""
+
+    entries: Array
+    distance: float
+    level: float
+    mass_entries: Array
+    mass_percent: float = 0.0
+    centre_um: float = 0.0
+
+
+def against(fit: KDFit, truth: Truth, mass: MassMatrix, centre_um: float = 0.0) -> Outcome:
+    """Compare K, D and M with the truth."""
+    true = np.concatenate([truth.stiffness_si[UPPER], truth.damping_si[UPPER]])
+    sd = np.sqrt(np.diag(fit.covariance))
+    z = (fit.values - true) / sd
+    exact, stated = truth.mass_matrix_si, mass.standard_deviation
+    root = np.sqrt(np.diag(exact))
+    off = mass.matrix - exact
+    known = (stated > 0.0) & np.triu(np.ones((6, 6), dtype=bool))
+    return Outcome(
+        entries=z,
+        distance=float(z @ np.linalg.solve(fit.covariance / np.outer(sd, sd), z)),
+        level=fit.found.level,
+        mass_entries=off[known] / stated[known],
+        mass_percent=float(np.max(np.abs(off / np.outer(root, root)))) * 100.0,
+        centre_um=centre_um,
+    )
+
+
+def whole_study(seed: int) -> Outcome:
+    """Make a study and run the chain on its files."""
+    from pipeline.run import scan2kd
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = make_study(folder, Ear(pose_seed=seed, noise_seed=seed), Vibrometry(seed=seed), f"ear {seed}")
-        study = read_study(folder / "study.toml")
-        started = time.perf_counter()
-        measured = mass_of(study.scan).measured_mass()
-        mass, content = measured.record, measured.record.raw
-        inputs = motion_inputs(study.ldv)
-        motion = motion_of(inputs, read_inputs(inputs), fit_options(study.ldv), measured).motion
-        fit = fit_kd(motion, mass.mass_matrix, study.fit)
-        seconds = time.perf_counter() - started
-    wanted = np.concatenate([np.array(truth[key])[ENTRIES] for key in ("stiffness_si", "damping_si")])
-    estimates = np.concatenate([np.asarray(part)[ENTRIES] for part in (fit.stiffness, fit.damping)])
-    error = estimates - wanted
-    sd = np.sqrt(np.diag(fit.covariance))
-    correlation = fit.covariance / np.outer(sd, sd)
-    matrix, exact = mass.mass_matrix.matrix, np.array(truth["mass_matrix_si"])
-    root = np.sqrt(np.diag(exact))
-    mass_sd = mass.mass_matrix.standard_deviation
-    frame = np.linalg.inv(np.array(truth["scan_from_footplate"])) @ mass.scan_from_footplate.matrix
-    return {
-        "z": error / sd,
-        "mahalanobis": float((error / sd) @ np.linalg.solve(correlation, error / sd)),
-        "mass_z": ((matrix - exact) / np.where(mass_sd > 0.0, mass_sd, np.inf))[np.triu_indices(6)],
-        "mass_percent": float(np.abs((matrix - exact) / np.outer(root, root)).max() * 100.0),
-        "volume_percent": (content["volume_m3"] / truth["volume_m3"] - 1.0) * 100.0,
-        "origin_um": float(np.linalg.norm(frame[:3, 3]) * 1e3),
-        "normal_deg": float(np.degrees(np.arccos(min(1.0, frame[1, 1])))),
-        "chi2": fit.chi2 / fit.n_dof,
-        "seconds": seconds,
-    }
+        experiment = Experiment(lines=200, seed=seed)
+        truth = simulate_study(Ear(), Scan(voxel_um=34.0, seed=seed), experiment, folder)
+        assert truth.study is not None
+        result = scan2kd(truth.study, out=folder / "out")
+        record = result.measured.record
+        off = record.scan_from_footplate.translation_mm - truth.scan_from_footplate.translation_mm
+        return against(result.fit, truth, record.mass_matrix, 1e3 * float(np.linalg.norm(off)))
 
 
-def main() -> None:
-    """Run the studies on two processes and print the table."""
+def study_without_scan(seed: int) -> Outcome:
+    """Fit the motion by plain least squares with the true mass, its density off as stated."""
+    truth = simulate_truth(Ear(), Scan(seed=seed))
+    recording = simulate_recording(truth, Experiment(lines=200, seed=seed))
+    motion = motion_of(recording, registration_sd=REGISTRATION_SD, seed=seed)
+    stated = truth.parameters_si * truth.stated_density_kg_m3 / truth.ear.density_kg_m3
+    share = truth.stated_density_sd_kg_m3 / truth.stated_density_kg_m3
+    mass = MassMatrix(stated, contributions={"density": share**2 * np.outer(stated, stated)})
+    return against(dof2kd(motion, mass=mass), truth, mass)
+
+
+def report(done: list[Outcome]) -> None:
+    """Print the table and what follows it."""
     from scipy.stats import chi2
 
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    first = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
-    with ProcessPoolExecutor(2) as pool:
-        done = list(pool.map(one_study, range(first, first + count)))
-    z = np.array([result["z"] for result in done])
-    print(f"{count} studies, {np.mean([result['seconds'] for result in done]):.1f} s each\n")
-    print("| entry | mean z | sd z | 95 % interval covers |\n|-|-|-|-|")
-    names = [f"{letter}{i + 1}{j + 1}" for letter in "KD" for i, j in zip(*ENTRIES, strict=True)]
-    for k, name in enumerate(names):
-        covered = np.mean(np.abs(z[:, k]) < 1.96)
-        print(f"| {name} | {z[:, k].mean():+.2f} | {z[:, k].std():.2f} | {100 * covered:.0f} % |")
-    print(f"| all 12 | | | {100 * np.mean(np.abs(z) < 1.96):.1f} % |\n")
-    distance = np.array([result["mahalanobis"] for result in done])
-    p = chi2.sf(distance, 12)
-    print(
-        f"squared Mahalanobis distance of the 12 entries: mean {distance.mean():.1f} (12 expected), ", end=""
-    )
-    print(
-        f"p < 0.01 in {100 * np.mean(p < 0.01):.0f} %, p < 0.05 in {100 * np.mean(p < 0.05):.0f} % of studies"
-    )
-    mass_z = np.array([result["mass_z"] for result in done])
-    moving = np.any(mass_z != 0.0, axis=0)
-    print(f"entries of M: 95 % intervals cover {100 * np.mean(np.abs(mass_z[:, moving]) < 1.96):.1f} %")
-    for key, label in (
-        ("mass_percent", "largest error of M, % of sqrt(Mii Mjj)"),
-        ("volume_percent", "volume error, %"),
-        ("origin_um", "footplate centre, um"),
-        ("normal_deg", "piston direction, degrees"),
-        ("chi2", "chi2 per degree of freedom of the fit"),
+    z = np.array([one.entries for one in done])
+    rows = []
+    for place, name in enumerate(PISTON_ENTRIES):
+        own = z[:, place]
+        cells = [f"{own.mean():+.2f}", f"{own.std():.2f}", percent(np.abs(own) < 1.96, 0)]
+        old = [BEFORE.cell(column, name) for column in ("mean z", "sd z", "95 % interval covers")]
+        rows.append([name, *(cell for pair in zip(cells, old, strict=True) for cell in pair)])
+    whole = BEFORE.cell("95 % interval covers", "all 12")
+    rows.append(["all 12", "", "", "", "", percent(np.abs(z) < 1.96), whole])
+    print_table(("entry", "mean z", "0.2", "sd z", "0.2", "95 % interval covers", "0.2"), rows)
+    distance = np.array([one.distance for one in done])
+    p = chi2.sf(distance, len(PISTON_ENTRIES))
+    start = "squared Mahalanobis distance of the 12 entries:"
+    print(f"{start} mean {distance.mean():.1f} (12 expected), p < 0.01 in {percent(p < 0.01, 0)}, ", end="")
+    print(f"p < 0.05 in {percent(p < 0.05, 0)} of studies. 0.2: {BEFORE.line(start)}")
+    entries = np.concatenate([one.mass_entries for one in done])
+    start = "entries of M: 95 % intervals cover"
+    print(f"\n{start} {percent(np.abs(entries) < 1.96)}. 0.2: {BEFORE.line(start)}")
+    for label, values in (
+        ("largest error of M, % of sqrt(Mii Mjj):", [one.mass_percent for one in done]),
+        ("footplate centre, um:", [one.centre_um for one in done]),
+        ("chi2 per degree of freedom of the fit:", [one.level for one in done]),
     ):
-        values = np.array([result[key] for result in done])
-        print(f"{label}: median {np.median(values):.3g}, range {values.min():.3g} to {values.max():.3g}")
+        spread = f"median {np.median(values):.3g}, range {np.min(values):.3g} to {np.max(values):.3g}"
+        print(f"\n{label} {spread}. 0.2: {BEFORE.line(label)}")
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, what="studies", studies=4, first=7000)
+    study = whole_study if given.what == "studies" else study_without_scan
+    outcomes = [study(seed) for seed in range(given.first, given.first + given.studies)]
+    print(f"{len(outcomes)} studies.\n")
+    report(outcomes)
