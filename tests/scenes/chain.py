@@ -22,8 +22,8 @@ from tests.scenes.scenes import Scene
 
 COMMANDS = {
     "ct2mass": "legacy.ct_inertia.cli",
-    "points2dof": "legacy.kinematics.cli",
-    "dof2kd": "legacy.fitting.cli",
+    "points2dof": "kinematics.cli",
+    "dof2kd": "fitting.cli",
 }
 # One scene in ten thousand that is right falls beyond this.
 _LEVEL = 1e-4

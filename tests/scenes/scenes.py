@@ -76,15 +76,16 @@ def _format(name: str, voxel_um: float | tuple[float, float, float] = (44.0, 40.
     return Scene(scan=Scan(voxel_um=voxel_um, format=name, seed=7))
 
 
-def _points(experiment: Experiment = _POINTS, **more: object) -> Scene:
-    return Scene(experiment=experiment, **more)  # type: ignore[arg-type]
+def _points(experiment: Experiment = _POINTS, warnings: tuple[str, ...] = (), **more: object) -> Scene:
+    return Scene(experiment=experiment, codes={"points2dof": warnings}, **more)  # type: ignore[arg-type]
 
 
 def _with_fault(kind: str, experiment: Experiment = _POINTS, **more: object) -> Scene:
     from dataclasses import replace
 
     fault = MeasurementFault(kind=kind, **more)  # type: ignore[arg-type]
-    return Scene(experiment=replace(experiment, faults=(fault,)), culprits=True)
+    codes = {"points2dof": (f"channel_{kind}",)}
+    return Scene(experiment=replace(experiment, faults=(fault,)), codes=codes, culprits=True)
 
 
 def _fit(
@@ -131,22 +132,37 @@ SCENES: dict[str, Scene] = {
         Experiment(lines=80, in_footplate=True, stapes_points=4, seed=5), points2dof="--robust t4"
     ),
     "noise_from_coherence": _points(Experiment(lines=80, in_footplate=True, stated="coherence", seed=6)),
-    "noise_not_stated": _points(Experiment(lines=80, in_footplate=True, stated="none", seed=7)),
+    "noise_not_stated": _points(
+        Experiment(lines=80, in_footplate=True, stated="none", seed=7), ("noise_estimated",)
+    ),
     "one_laser": _points(
         Experiment(lines=80, in_footplate=True, lasers=1, stapes_points=12, bone_points=12, seed=8),
+        ("neglected_motion",),
         points2dof="--dof y,alpha,gamma",
     ),
     "missing_values": _points(
-        Experiment(lines=80, in_footplate=True, missing=0.1, missing_band=True, seed=9)
+        Experiment(lines=80, in_footplate=True, missing=0.1, missing_band=True, seed=9),
+        ("values_missing",),
     ),
     "three_excitations": _points(
         Experiment(lines=60, in_footplate=True, excitations=("x", "y", "z"), seed=10)
     ),
     "per_reference": _points(points2dof="--reference base:y"),
-    "noise_free": _points(Experiment(lines=40, in_footplate=True, exact=True, position_sd_mm=0.0, seed=11)),
-    "universal_file": _points(Experiment(lines=60, in_footplate=True, format="uff", seed=12)),
-    "matlab_file": _points(Experiment(lines=60, in_footplate=True, format="mat", seed=13)),
-    "wide_table": _points(Experiment(lines=60, in_footplate=True, format="wide", seed=14)),
+    "noise_free": _points(
+        Experiment(lines=40, in_footplate=True, exact=True, position_sd_mm=0.0, seed=11), ("noise_estimated",)
+    ),
+    "universal_file": _points(
+        Experiment(lines=60, in_footplate=True, format="uff", seed=12),
+        ("amplitude_assumed", "noise_estimated", "spectra_phase"),
+    ),
+    "matlab_file": _points(
+        Experiment(lines=60, in_footplate=True, format="mat", seed=13),
+        ("amplitude_assumed", "length_unit_assumed", "noise_estimated"),
+    ),
+    "wide_table": _points(
+        Experiment(lines=60, in_footplate=True, format="wide", seed=14),
+        ("amplitude_assumed", "noise_estimated"),
+    ),
     "gain": _with_fault("gain", size=0.2, point="3", laser=0),
     "sign": _with_fault("sign", point="2", laser=1),
     "wrong_position": _with_fault("position", size=0.4, point="5"),
