@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from kinematics.readers.facts import FileFacts, SeriesFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.identify import with_facts
 from kinematics.readers.noise import with_noise
 from kinematics.readers.recording import Recording
 
@@ -47,9 +47,4 @@ def read_vibrometer(
     """
     series = None if channels is None else SeriesFacts(Path(channels))
     facts = FileFacts(mapping=None if mapping is None else Path(mapping), n_avg=n_avg, series=series)
-    recording = read_file(Path(path), facts)
-    if n_avg is not None and recording.n_avg is None and recording.sd is None:
-        import numpy as np
-
-        recording = replace(recording, n_avg=np.full(recording.value.shape, float(n_avg)))
-    return with_noise(recording)
+    return with_noise(with_facts(read_file(Path(path), facts), facts))

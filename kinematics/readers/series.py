@@ -196,12 +196,12 @@ def sampling_rate(time: Array, where: str) -> float:
     span = float(time[-1] - time[0])
     if not (span > (len(time) - 1) / HIGHEST_HZ and np.all(np.isfinite(time))):
         raise StapeskitError.of("time_s", "at least two finite, ascending times in s", "others", where)
-    rate = (len(time) - 1) / span
-    off = np.abs((time - time[0]) * rate - np.arange(len(time)))
+    step = span / (len(time) - 1)
+    off = np.abs((time - time[0]) / step - np.arange(len(time)))
     if np.max(off) > _JITTER:
         got = f"{np.max(off):.3g} steps off at sample {np.argmax(off) + 1}"
         raise StapeskitError.of("time_s", "evenly spaced", got, where, "Resample to even times")
-    return rate
+    return 1.0 / step
 
 
 def _samples(values: Array, where: str) -> tuple[Array, ...]:

@@ -32,9 +32,7 @@ _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd k
 _ROUNDS = 4  # of own and common noise in turn
 _FEW = 8  # averages below which the stated noise is rough: sd of the sd above 25 %
 _MOST_PERIODS = 50  # periods a block that are tried: more would need a clock better than 1e-3 of a sample
-_LEAST_REFERENCE = (
-    1e-3  # share of the largest line from which on a line of a periodic excitation counts as excited
-)
+_LEAST_REFERENCE = 1e-3  # share of the largest line from which a line of a period counts as excited
 
 
 @dataclass(frozen=True)
@@ -167,8 +165,7 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     common_sd = np.sqrt(smoothed(common[None], width)[0] * scale / (2.0 * averages * gxx))
     freq = np.arange(2, (segment + 1) // 2) * sample_rate_hz / segment
     sd = np.sqrt(own * scale / (2.0 * averages))
-    notices = [*_common_notice(common_sd), *_few_notice(averages)]
-    return Frf(freq, value, sd, coherence, averages, common_sd, spread, tuple(notices))
+    return Frf(freq, value, sd, coherence, averages, common_sd, spread, _notices(common_sd, averages))
 
 
 def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where: str = "") -> Frf:
@@ -187,24 +184,17 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     averaged over lines.
     """
     check_reference(records, where)
-    exact = period_s * sample_rate_hz
-    whole = [
-        n
-        for n in range(1, _MOST_PERIODS + 1)
-        if abs(n * exact - round(n * exact)) < 1e-3 and n * exact >= 2.0
-    ]
-    if not whole:
+    blocks = period_s * sample_rate_hz * np.arange(1, _MOST_PERIODS + 1)
+    whole = blocks[(np.abs(blocks - np.round(blocks)) < 1e-3) & (blocks >= 2.0)]
+    if not len(whole):
         step = "Give the exact period, or sample in step with the generator"
-        got = f"{exact:.6g} samples of the record"
-        raise StapeskitError.of("the period", "whole samples", got, where, step)
-    samples = round(whole[0] * exact)
+        raise StapeskitError.of("the period", "whole samples", f"{blocks[0]:.6g} samples", where, step)
+    samples = round(float(whole[0]))
     stacks = [(_periods(x[samples:], samples), _periods(y[:, samples:], samples)) for x, y in records]
     counts = [len(x) for x, _ in stacks]
     if min(counts) < 2:
-        got, step = f"{min(counts)} after the first", "Record more periods"
-        raise StapeskitError.of(
-            "a record", f"at least two blocks of {samples} samples long", got, where, step
-        )
+        want, got = f"at least two blocks of {samples} samples long", f"{min(counts)} after the first"
+        raise StapeskitError.of("a record", want, got, where, "Record more periods")
     means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
     good = np.ones(stacks[0][0].shape[1], dtype=bool)
     for (x, _), (mean, _) in zip(stacks, means, strict=True):
@@ -237,8 +227,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     xy = sum(np.sum(x[:, None, lines].conj() * y[:, :, lines], axis=0) for x, y in stacks)
     coherence = np.clip(np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny), 0.0, 1.0)
     freq = (lines + 1) * sample_rate_hz / samples
-    notices = (*_common_notice(common_sd), *_few_notice(freedom))
-    sd = np.sqrt(own / (2.0 * power))
+    sd, notices = np.sqrt(own / (2.0 * power)), _notices(common_sd, freedom)
     return Frf(freq, value, sd, coherence, float(sum(counts)), common_sd, 1.0, notices)
 
 
@@ -322,20 +311,18 @@ def check_reference(records: Records, where: str) -> None:
         raise StapeskitError.of("the reference", "a signal", "one value in all samples", where, step)
 
 
-def _common_notice(common_sd: Array) -> list[Notice]:
-    if not np.any(common_sd > 0.0):
-        return []
-    text = (
-        "the noise of the reference moves all channels recorded together alike, by "
-        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from the "
-        "noise of each channel, does not change ratios of motions, K and D, and is part of the covariance "
-        "of the motion itself."
-    )
-    return [Notice("reference_noise", text)]
-
-
-def _few_notice(averages: float) -> list[Notice]:
-    if averages >= _FEW:
-        return []
-    text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
-    return [Notice("few_averages", text)]
+def _notices(common_sd: Array, averages: float) -> tuple[Notice, ...]:
+    """Report noise of the reference, and averages that are too few for a good estimate of the noise."""
+    notices = []
+    if np.any(common_sd > 0.0):
+        text = (
+            "the noise of the reference moves all channels recorded together alike, by "
+            f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from "
+            "the noise of each channel, does not change ratios of motions, K and D, and is part of the "
+            "covariance of the motion itself."
+        )
+        notices.append(Notice("reference_noise", text))
+    if averages < _FEW:
+        text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
+        notices.append(Notice("few_averages", text))
+    return tuple(notices)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -22,58 +23,48 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
     channels : mapping of str to iterable of ndarray (sample,)
         Records of every channel.
     """
-    clipped, still = [], []
+    found: dict[str, list[str]] = {"clipped": [], "dropouts": []}
     for name, rows in channels.items():
         moving = [row for row in rows if len(row) >= 4 * _STILL and np.ptp(row) > 0.0]
         if any(is_clipped(row) for row in moving):
-            clipped.append(name)
+            found["clipped"].append(name)
         elif any(is_still(row) for row in moving):
-            still.append(name)
-    notices = []
-    if clipped:
-        text = (
-            f"{', '.join(clipped)} of {file}: clipped; neighbouring samples lie at the largest or smallest "
-            "value again and again. The responses are too small there: lower the level or take a wider "
-            "range."
-        )
-        notices.append(Notice("clipped", text))
-    if still:
-        text = (
-            f"{', '.join(still)} of {file}: constant for {_STILL} samples or more in the midst of motion, as "
-            "when a decoder holds its last value. Such responses are too small: measure these points again."
-        )
-        notices.append(Notice("dropouts", text))
-    return notices
+            found["dropouts"].append(name)
+    texts = {
+        "clipped": "neighbouring samples lie at the largest or smallest value again and again. The responses "
+        "are too small there: lower the level or take a wider range",
+        "dropouts": f"constant for {_STILL} samples or more in the midst of motion, as when a decoder holds "
+        "its last value. Such responses are too small: measure these points again",
+    }
+    return [
+        Notice(code, f"{', '.join(names)} of {file}: {texts[code]}.")
+        for code, names in found.items()
+        if names
+    ]
 
 
 def is_clipped(row: Array) -> bool:
     """Return whether samples (n,) stay at an extreme in three stretches or more, and not at rest."""
-    low, high = float(np.min(row)), float(np.max(row))
-    middle = float(np.median(row))
-    for extreme in (low, high):
-        if (
-            abs(middle - extreme) > 0.01 * (high - low)
-            and len(_stretches(row == extreme, _CLIPPED)) >= _CLIPPED
-        ):
-            return True
-    return False
+    low, high, middle = float(np.min(row)), float(np.max(row)), float(np.median(row))
+    return any(
+        abs(middle - extreme) > 0.01 * (high - low)
+        and sum(stop - start >= _CLIPPED for start, stop in _stretches(row == extreme)) >= _CLIPPED
+        for extreme in (low, high)
+    )
 
 
 def is_still(row: Array) -> bool:
     """Return whether samples (n,) are equal for a while between samples that move."""
-    same = np.concatenate([[0], (np.diff(row) == 0.0).astype(np.int8), [0]])
-    edges = np.flatnonzero(np.diff(same))
-    least = 0.05 * float(np.std(row))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    least, extremes = 0.05 * float(np.std(row)), (np.min(row), np.max(row))
+    for start, stop in _stretches(np.diff(row) == 0.0):
         before, after = row[max(0, start - _BESIDE) : start], row[stop + 1 : stop + 1 + _BESIDE]
-        inside = len(before) == len(after) == _BESIDE and row[start] not in (np.min(row), np.max(row))
+        inside = len(before) == len(after) == _BESIDE and row[start] not in extremes
         if stop - start + 1 >= _STILL and inside and min(np.std(before), np.std(after)) > least:
             return True
     return False
 
 
-def _stretches(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], least: int) -> list[int]:
-    """Return the lengths of the stretches of a mask that are at least so long."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    lengths = edges[1::2] - edges[::2]
-    return [int(length) for length in lengths if length >= least]
+def _stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return start and stop of the stretches of a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
