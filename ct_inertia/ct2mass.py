@@ -29,7 +29,7 @@ from ct_inertia.surface.matched import moment_matched
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.provenance import input_record
 from stapeskit.warnings import Notice, unique
 
@@ -94,6 +94,25 @@ def measure_mass(options: MassOptions, progress: Progress = no_progress) -> Mass
         inputs.close()
 
 
+def check_inputs(options: MassOptions) -> None:
+    """Look at what is cheap to look at: landmarks, fiducials, calibration, and the header of the scan.
+
+    Raises
+    ------
+    StapeskitError
+        What is wrong with them.
+    """
+    from ct_inertia.scan.open_scan import open_scan
+
+    faults: list[Fault] = []
+    with collect_faults(faults):
+        _small_inputs(options)
+    if options.file is not None and not options.is_mesh:
+        with collect_faults(faults):
+            open_scan(options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
+    raise_all(faults)
+
+
 class Inputs:
     """The input files: hashed on another thread while they are read, and refused when they change meanwhile.
 
@@ -131,7 +150,9 @@ class Inputs:
         for path, state in self._states.items():
             if _state(path) != state:
                 step = "Wait until it is written, and try again"
-                raise StapeskitError.of("the input", "left alone while it is read", "changes", path.name, step)
+                raise StapeskitError.of(
+                    "the input", "left alone while it is read", "changes", path.name, step
+                )
 
     def close(self) -> None:
         """End the thread without waiting for what is left to hash."""
@@ -214,9 +235,7 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
     path = work.options.source
     mesh = read_mesh(path, work.options.close)
     check_mesh(mesh, path.name)
-    exact = (
-        "The input is a surface: it is taken as exact, and the budget holds density or mass and the frame only."
-    )
+    exact = "The input is a surface: it is taken as exact, and the budget holds density or mass and the frame only."
     turned = (
         f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, the ear is "
         "a mirror image. Check a known asymmetry in the report."
@@ -383,9 +402,7 @@ def _gap(
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:
     """Return the mass by every way that was given, scaled and with what was glued on, the leading one first."""
     options = work.options
-    found = masses_by_way(
-        moments, options.density_kg_m3, options.mass_mg, work.calibration, work.measured
-    )
+    found = masses_by_way(moments, options.density_kg_m3, options.mass_mg, work.calibration, work.measured)
     if options.density_kg_m3 is None and "density" in found:
         work.notices.insert(0, assumed_notice())
     spacing = np.ones(3) if work.scan is None else work.scan.spacing_mm

@@ -254,7 +254,10 @@ def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:
     if provenance.get("versions") != versions() or provenance.get("parameters") != options.parameters():
         return False
     stated = provenance.get("inputs") or {}
-    inputs = {role: path for role, path in options.inputs().items() if path is not None}
-    if set(stated) != set(inputs):
+    inputs: dict[str, Path] = dict(options.inputs)
+    if not set(inputs) <= set(stated):
         return False
-    return all(stated[role].get("hash") == f"sha256:{sha256(path)}" for role, path in inputs.items())
+    beside = next(iter(inputs.values())).parent  # where files that a header names are
+    paths = {role: inputs.get(role, beside / entry["file"]) for role, entry in stated.items()}
+    hashes = {role: f"sha256:{sha256(path)}" for role, path in paths.items() if path.exists()}
+    return all(hashes.get(role) == entry.get("hash") for role, entry in stated.items())
