@@ -23,7 +23,8 @@ FARTHEST_MM = 1.0
 """Root mean square distance of the points of a stapes from its surface from which on a registration is
 refused: a third of a stapes."""
 LEAST_APART_MM = 1e-2
-"""Extent of the points of a stapes below which they are in another unit: in metres, its 3 mm look like 3 um."""
+"""Extent of the points of a stapes below which they are in another unit: in metres, its 3 mm look like 3
+um."""
 
 _SURFACE_SD_EDGES = calibrated("sample_moved.surface_sd_edges")
 _UNLIKELY = 1e-3

@@ -70,7 +70,7 @@ def measured(folder: Path, mass: MeasuredMass | None = None, **given):
 
 
 def error_in_sd(result, truth: Truth) -> np.ndarray:
-    """Return real and imaginary errors of the motion over their sd of all sources, (2, run, body, freq, dof)."""
+    """Return errors of real and imaginary parts over their sd of all sources, (2, run, body, freq, dof)."""
     motion = result.motion
     true = np.stack([truth.motion_m[body] for body in motion.bodies], axis=1)[..., dof_indices(motion.dof)]
     variance = motion.standard_deviation**2
