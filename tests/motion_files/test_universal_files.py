@@ -12,7 +12,6 @@ from tests.motion_files.written_files import (
     DISPLACEMENT,
     FORCE,
     FREQ_HZ,
-    PLACES_M,
     SPECTRUM,
     TIME,
     VELOCITY,
@@ -142,7 +141,6 @@ def test_velocity_is_taken_before_displacement_and_responses_before_spectra(tmp_
 
 
 REFUSED = {
-    "decibels": (function(FREQ_HZ, VALUE, unit="dB"), "the unit of the values"),
     "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "the direction of a function"),
     "fewer values": (function(FREQ_HZ, VALUE, count=9), "the values of a function"),
     "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "quantity and unit"),
@@ -177,13 +175,3 @@ def test_directions_that_stand_in_the_text_alone_are_named(tmp_path):
     found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
     assert len(found) == 1
     assert "Vib X, Vib Y, Vib Z" in found[0].next_step
-
-
-def test_a_file_of_one_body_needs_no_name_of_it(tmp_path):
-    (tmp_path / "a.uff").write_bytes(universal_file())
-    measured = read_measurement([tmp_path / "a.uff"])
-    assert len(measured.bodies) == 1
-    assert np.allclose(measured.bodies[0].positions_m[::3], PLACES_M)
-    named = read_measurement([tmp_path / "a.uff"], facts=FileFacts(body=("stapes=1-2", "base=3")))
-    assert [body.body for body in named.bodies] == ["stapes", "base"]
-    assert [len(body.points) for body in named.bodies] == [6, 3]
