@@ -1,39 +1,39 @@
-"""How fast, and in how much memory? Whole processes from the file to mass, labels and mesh, side by side.
-
-    python benchmarks/ct_speed.py                        1024^3 voxels of 10 um (2 GiB)
-    python benchmarks/ct_speed.py --voxel-um 20 --shape 512 --repeat 5
-    python benchmarks/ct_speed.py --scan scan.tif --level 19000 --only stapeskit,vtk
-    python benchmarks/ct_speed.py --quick                without the peers that take more than ten seconds
+"""A scan of 1024^3 voxels is measured in seconds, faster than VTK that is given the grey level.
 
 Every method reads the same uncompressed TIFF in a process of its own and writes the mesh of the stapes as
-PLY, its labels as NRRD and mass, centre of mass and inertia as JSON; ct2mass writes its mesh of the plate,
-frames, M and uncertainty besides. The peers but multi-Otsu are given the right level, and all of them the
-volume of the stapes to choose the component by. The scan is in the page cache; the runs are interleaved. "Own
-memory" is the peak of anonymous memory (RssAnon, looked at every 5 ms): pages of a mapped file belong to the
-system.
+PLY, its labels as NRRD and mass, centre of mass and inertia as JSON; ct2mass writes frames, M and
+uncertainty besides. The peers are given the right level, and the volume of the stapes to choose the
+component by. The scan is in the page cache; the runs are interleaved. "Own memory" is the peak of anonymous
+memory (RssAnon, looked at every 5 ms): pages of a mapped file belong to the system. 0.2 had kernels in C.
+
+    python -m benchmarks.ct_speed --shape 1024 --voxel-um 10 --repeat 7
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks._table import Before, arguments, print_table
+from simulate import Ear, Scan, write_scan
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-PEERS = Path(__file__).parent / "peers"
-LEVEL = 19000.0
-# Of many seconds: left out by --quick, and run as often as said at most.
-SLOW = {"skimage": 2, "simpleitk": 2, "multiotsu": 1}
+BEFORE = Before("ct_speed_quick_repeat_7")
+OURS = "ct2mass"
+PEERS = {
+    "level given, VTK flying edges on the whole scan + trimesh": "vtk_trimesh",
+    "level given, scikit-image + trimesh": "skimage_trimesh",
+    "level given, SimpleITK statistics, scikit-image mesh": "simpleitk",
+}
+SLOW = ("skimage_trimesh", "simpleitk")
+"""Left out unless ``--slow yes``: they take minutes at 1024^3."""
 
 
 @dataclass(frozen=True)
@@ -41,157 +41,98 @@ class Run:
     """What one process cost."""
 
     wall_s: float
-    cpu_s: float
+    processor_s: float
     peak_mb: float
     own_mb: float
 
 
-def methods(scan: Path, folder: Path, level: float) -> dict[str, list[str]]:
-    """Return the command line of every method, by short name."""
-    python = sys.executable
-    peer = {
-        "skimage": ("skimage_trimesh.py", str(level)),
-        "vtk": ("vtk_trimesh.py", str(level)),
-        "connectivity": ("vtk_connectivity.py", str(level)),
-        "multiotsu": ("gauss_multiotsu.py",),
-        "simpleitk": ("simpleitk.py", str(level)),
-    }
-    ours = "import sys; from ct_inertia.cli import main; sys.exit(main())"
-    return {
-        "stapeskit": [
-            *(python, "-c", ours, str(scan), "--density", "1900+-60", "--anterior", "1,0,0"),
-            *("--no-report", "--quiet", "--out", str(folder / "stapeskit")),
-        ],
-        **{
-            name: [python, str(PEERS / script), str(scan), str(folder / name), *more]
-            for name, (script, *more) in peer.items()
-        },
-        "read": [python, str(PEERS / "read_once.py"), str(scan)],
-    }
+def run(command: list[str]) -> Run:
+    """Run a process to its end.
 
-
-TITLES = {
-    "stapeskit": "ct2mass",
-    "skimage": "level given, scikit-image + trimesh",
-    "vtk": "level given, VTK flying edges on the whole scan + trimesh",
-    "connectivity": "level given, VTK connectivity, flying edges on the box + trimesh",
-    "multiotsu": "Gauss + multi-Otsu, scikit-image + trimesh",
-    "simpleitk": "level given, SimpleITK statistics, scikit-image mesh",
-    "read": "reading the file once (no result)",
-}
-
-
-def measured(command: list[str], folder: Path, environment: dict[str, str]) -> Run:
-    """Run a process and return its cost."""
-    folder.mkdir(parents=True, exist_ok=True)
+    Raises
+    ------
+    SystemExit
+        It failed.
+    """
     started = time.perf_counter()
-    process = subprocess.Popen(
-        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=ROOT
-    )
-    own = 0
-    while True:
-        own = max(own, _own_kb(process.pid))
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    own, done = 0, 0
+    while not done:
+        own = max(own, own_kb(process.pid))
         done, status, usage = os.wait4(process.pid, os.WNOHANG)
-        if done:
-            break
         time.sleep(0.005)
     wall = time.perf_counter() - started
-    messages = process.stderr.read().decode() if process.stderr else ""
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{messages}")
+        message = process.stderr.read().decode() if process.stderr else ""
+        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{message}")
     return Run(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, own / 1024.0)
 
 
-def _own_kb(pid: int) -> int:
-    """Return the anonymous memory of a process, kB."""
+def own_kb(process: int) -> int:
+    """Return the anonymous memory of a process, kB; 0 when it has ended."""
     try:
-        for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
-            if line.startswith("RssAnon"):
-                return int(line.split()[1])
-    except (OSError, ValueError):
-        pass
-    return 0
+        lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("RssAnon")), 0)
 
 
-def make_scan(path: Path, voxel_um: float, shape: int) -> None:
-    """Write the scan of a stapes in its oval window, gap 100 um, with its plate, as OME-TIFF."""
-    from sample_volumes.phantom import Ear, scene, write_scan
-
-    ear = Ear(voxel_mm=(voxel_um * 1e-3,) * 3, shape=(shape,) * 3, gap_mm=0.1, pose_seed=3, noise_seed=3)
-    write_scan(path, scene(ear))
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--voxel-um", type=float, default=10.0)
-    parser.add_argument("--shape", type=int, default=1024, help="voxels along each side")
-    parser.add_argument("--scan", type=Path, help="a scan that exists already")
-    parser.add_argument("--level", type=float, default=LEVEL, help="grey value between air and bone")
-    parser.add_argument("--repeat", type=int, default=3)
-    parser.add_argument("--only", default=",".join(TITLES), help=f"some of {','.join(TITLES)}")
-    parser.add_argument("--quick", action="store_true", help=f"leave out {', '.join(SLOW)}")
-    options = parser.parse_args()
-    from legacy.ct_inertia.native import which
-
-    names = [name for name in options.only.split(",") if not (options.quick and name in SLOW)]
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        scan = options.scan
-        if scan is None:
-            scan = folder / "scan.ome.tif"
-            with ProcessPoolExecutor(1, get_context("spawn")) as apart:
-                apart.submit(make_scan, scan, options.voxel_um, options.shape).result()
-        commands = methods(scan, folder, options.level)
-        environment = dict(os.environ)
-        subprocess.run(commands["read"], check=True, stdout=subprocess.DEVNULL)
-        runs: dict[str, list[Run]] = {name: [] for name in names}
-        for turn in range(options.repeat):
-            for name in names:
-                if turn >= SLOW.get(name, options.repeat):
-                    continue
-                runs[name].append(measured(commands[name], folder / name, environment))
-                last = runs[name][-1]
-                print(f"{name} {last.wall_s:.2f} s, load {os.getloadavg()[0]:.1f}", file=sys.stderr)
-        size = scan.stat().st_size / 2**30
-        print(f"{size:.2f} GiB; {os.cpu_count()} cores; load {os.getloadavg()[0]:.1f} at the end;", end=" ")
-        print(f"kernels of ct2mass: {which()}\n")
-        print_table(runs)
-        if "stapeskit" in names:
-            first_run(commands["stapeskit"], folder, environment, runs["stapeskit"])
+def commands(path: Path, folder: Path, scan: Scan, slow: bool) -> dict[str, list[str]]:
+    """Return the command line of every method by its title."""
+    level = str(0.5 * (scan.levels[0] + scan.levels[2]))
+    ours = "import sys; from ct_inertia.cli import main; sys.exit(main())"
+    words = [
+        "--density",
+        "1900+-60",
+        "--anterior",
+        "1,0,0",
+        "--no-report",
+        "--quiet",
+        "--out",
+        str(folder / "own"),
+    ]
+    found = {OURS: [sys.executable, "-c", ours, str(path), *words, "--force"]}
+    for title, name in PEERS.items():
+        if slow or name not in SLOW:
+            script = str(ROOT / "benchmarks" / "peers" / f"{name}.py")
+            (folder / name).mkdir()
+            found[title] = [sys.executable, script, str(path), str(folder / name), level]
+    return found
 
 
-def print_table(runs: dict[str, list[Run]]) -> None:
-    """Print what every method cost, and how much more than ct2mass."""
-    ours = runs.get("stapeskit")
-    print("| method | wall, least (median) | x ct2mass | CPU, least | x ct2mass | peak RSS | own memory |")
-    print("|-|-|-|-|-|-|-|")
-    for name, own in runs.items():
-        wall, cpu = [run.wall_s for run in own], min(run.cpu_s for run in own)
-        times = ["", ""]
-        if ours:
-            least = min(run.wall_s for run in ours), min(run.cpu_s for run in ours)
-            times = [f"{value / unit:.2f}" for value, unit in zip((min(wall), cpu), least, strict=True)]
-        peak, memory = (max(getattr(run, key) for run in own) for key in ("peak_mb", "own_mb"))
-        print(
-            f"| {TITLES[name]} | {min(wall):.2f} s ({np.median(wall):.2f} s) | {times[0]} | {cpu:.2f} s | "
-            f"{times[1]} | {peak:.0f} MB | {memory:.0f} MB |"
-        )
-
-
-def first_run(command: list[str], folder: Path, environment: dict[str, str], usual: list[Run]) -> None:
-    """Print how much longer a first run takes: no compiled Python file of any package exists yet."""
-    with tempfile.TemporaryDirectory() as empty:
-        first = measured(command, folder / "stapeskit", environment | {"PYTHONPYCACHEPREFIX": empty})
-        again = measured(command, folder / "stapeskit", environment | {"PYTHONPYCACHEPREFIX": empty})
-    print(
-        f"\nFirst run, no Python file compiled yet: {first.wall_s:.2f} s; the next: {again.wall_s:.2f} s "
-        f"(usual {min(run.wall_s for run in usual):.2f} s)."
-    )
+def rows(runs: dict[str, list[Run]]) -> list[list[str]]:
+    """Return one row a method, least times first."""
+    least = {title: min(own, key=lambda one: one.wall_s) for title, own in runs.items()}
+    found = []
+    for title, best in least.items():
+        median = float(np.median([one.wall_s for one in runs[title]]))
+        processor = min(one.processor_s for one in runs[title])
+        cells = [
+            f"{best.wall_s:.2f} s ({median:.2f} s)",
+            f"{best.wall_s / least[OURS].wall_s:.2f}",
+            f"{processor:.2f} s",
+            f"{max(one.peak_mb for one in runs[title]):.0f} MB",
+            f"{max(one.own_mb for one in runs[title]):.0f} MB",
+        ]
+        columns = ("wall, least (median)", "x ct2mass", "CPU, least", "peak RSS", "own memory")
+        old = [BEFORE.cell(column, title) for column in columns]
+        found.append([title, *(cell for pair in zip(cells, old, strict=True) for cell in pair)])
+    return found
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, shape=512, voxel_um=20.0, repeat=3, slow="no")
+    scan = Scan(voxel_um=given.voxel_um, shape=(given.shape,) * 3, seed=3, format="ome.tif")
+    with tempfile.TemporaryDirectory() as place:
+        path = write_scan(Path(place), scan.placed(Ear(gap_mm=0.1)), scan)
+        methods = commands(path, Path(place), scan, given.slow == "yes")
+        runs: dict[str, list[Run]] = {title: [] for title in methods}
+        for _ in range(given.repeat):
+            for title, command in methods.items():
+                runs[title].append(run(command))
+        size = path.stat().st_size / 2**30
+    print(f"{size:.2f} GiB, {given.shape}^3 voxels (0.2: 1024^3); {os.cpu_count()} cores; load ", end="")
+    print(f"{os.getloadavg()[0]:.1f} at the end\n")
+    columns = ("wall, least (median)", "x ct2mass", "CPU, least", "peak RSS", "own memory")
+    print_table(("method", *(cell for column in columns for cell in (column, "0.2"))), rows(runs))

@@ -1,10 +1,10 @@
 """The rigid fit is as good as its Cramer-Rao bound, and its stated errors hold: every line is one replicate.
 
-Nine points on footplate, crura and head with three beams each (half-cone 20 degrees), motion with resonances
-of 100 nm and 35 urad. "Variance / bound" is the worst degree of freedom of the mean squared error over the
-bound of known noise, in brackets their mean. "Coverage" is the share of real and imaginary parts within 1.96
-stated standard deviations. The scenes are those of 0.2, drawn by the simulator; noise from few averages is
-read from files and not part of this table.
+Nine points on footplate, crura and head with three beams each (half-cone 20 degrees), motion with
+resonances of 100 nm and 35 urad. "Variance / bound" is the worst degree of freedom of the mean squared
+error over the bound of known noise, in brackets their mean. "Coverage" is the share of real and imaginary
+parts within 1.96 stated standard deviations. The scenes are those of 0.2, drawn by the simulator; noise
+from few averages is read from files and not part of this table.
 
     python -m benchmarks.points_estimation --lines 40000
 """
