@@ -65,17 +65,17 @@ def _one(path: object, chosen: RunOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.report import summary_rows, write_figures
-    from pipeline.run import FILES, run_study
-    from stapeskit.command import progress_line
+    from pipeline.run import FILES, once, run_study
+    from stapeskit.command import printable, progress_line
     from stapeskit.warnings import Notice
 
     told: list[Notice] = []
 
     def tell(notices: Sequence[Notice]) -> None:
-        fresh = [notice for notice in notices if notice not in told]
+        fresh = once([*told, *notices])[len(told) :]
         told.extend(fresh)
         for notice in () if chosen.quiet else fresh:
-            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
+            sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
 
     study = Path(str(path))
     out = chosen.out or Path(f"{study.stem}_out")

@@ -22,14 +22,14 @@ from stapeskit.provenance import record, sha256, versions
 from stapeskit.records.mass import read_mass_json
 from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.results import Result
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from kinematics.results import MotionResult
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from fitting.result import KDFit
+    from kinematics.results import MotionResult
     from stapeskit.command import Progress
 
 FILES = {
@@ -41,6 +41,17 @@ FILES = {
 """Files that each stage may write."""
 
 Tell = Callable[[Sequence[Notice]], None]
+
+
+def once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Return each warning once; one that has travelled names the stage of its origin before its text."""
+    kept: dict[tuple[str, str], Notice] = {}
+    for notice in notices:
+        text = notice.text
+        for source in ("motion: ", "mass: "):
+            text = text.removeprefix(source)
+        kept.setdefault((notice.code, text), notice)
+    return tuple(kept.values())
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,7 +108,7 @@ class StudyResult(Result):
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Every warning of all stages, once."""
-        return unique([*self.measured.record.notices, *self.moved.notices, *self.fit.notices])
+        return once([*self.measured.record.notices, *self.moved.notices, *self.fit.notices])
 
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return verdict, mass, K, D and modes."""
@@ -175,9 +186,8 @@ def run_study(
         Gets the warnings of each stage as it ends, also where a later stage fails.
     """
     from ct_inertia.ct2mass import measure_mass
-    from kinematics.points2dof import measure_motion
-
     from fitting.dof2kd import fit_of, mass_source
+    from kinematics.points2dof import measure_motion
     from pipeline.report import study_page
 
     study = read_study(Path(path))
@@ -206,7 +216,7 @@ def run_study(
     progress("fitting stiffness and damping")
     source = mass_source(measured, study.fit)
     inputs = {"motion": out / "dof.h5", "mass": mass_file, "study": study.path}
-    provenance = record(inputs, study.fit.parameters())
+    provenance = record(inputs, study.fit.given())
     fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
     tell(fit.notices)
     with outputs["fit"].staged() as stage:
@@ -251,7 +261,7 @@ def _provenance(path: Path) -> Mapping[str, Any]:
 
 def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:
     """Return whether a result of these inputs, parameters and versions would be the same again."""
-    if provenance.get("versions") != versions() or provenance.get("parameters") != options.parameters():
+    if provenance.get("versions") != versions() or provenance.get("parameters") != options.given():
         return False
     stated = provenance.get("inputs") or {}
     inputs: dict[str, Path] = dict(options.inputs)
