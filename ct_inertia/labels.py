@@ -5,7 +5,7 @@ They enter the measurement where those found in a scan do, as `Labelled`, and sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -363,8 +363,8 @@ def _offset(scan: Scan, labels: Scan) -> Index:
 
 
 def _in_words(grid: Scan) -> str:
-    def listed(values: Sequence[float] | Array, between: str) -> str:
+    def listed(values: Iterable[float], between: str) -> str:
         return between.join(f"{value:.6g}" for value in values)
 
     spacing = listed(grid.spacing_mm, " x ")
-    return f"{listed(grid.size, ' x ')} voxels of {spacing} mm from {listed(grid.origin_mm, ', ')}"
+    return f"{listed(grid.size.astype(float), ' x ')} voxels of {spacing} mm from {listed(grid.origin_mm, ', ')}"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.surface.fields import Diffusion, refined, sum_at_corners, unit
-from ct_inertia.surface.surface import Surface
+from ct_inertia.surface.surface import Surface, as_mesh
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
@@ -209,15 +209,13 @@ class _Cone:
     @classmethod
     def of(cls, region: Region, normals: Array, y_axis: Array, cosine: float) -> _Cone:
         """Cut the cone out of a region, for one field of normals."""
-        import pyvista as pv
-
         faces = region.mesh.regular_faces
         near = -(normals @ y_axis) > cosine - _CONE_MARGIN
         faces = faces[np.any(near[faces], axis=1)]
         if not len(faces):
             raise _no_face("a body without such a face")
         used, place = np.unique(faces, return_inverse=True)
-        mesh = pv.PolyData.from_regular_faces(np.asarray(region.mesh.points)[used], place.reshape(-1, 3))
+        mesh = as_mesh(np.asarray(region.mesh.points)[used], place.reshape(-1, 3))
         mesh.point_data["place"] = region.points[used]
         return cls(y_axis, mesh, normals[used], region.ends[used])
 

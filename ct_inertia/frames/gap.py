@@ -15,7 +15,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM
 from ct_inertia.surface.fields import Diffusion, refined, unit
-from ct_inertia.surface.surface import Surface
+from ct_inertia.surface.surface import Surface, as_mesh
 from stapeskit.arrays import Array
 
 FARTHEST_MM = 0.25
@@ -112,7 +112,6 @@ def _places(outline_mm: Array) -> tuple[Array, Array]:
 
 def _near(points: Array, surface: Surface, low: float, places: Array) -> tuple[Array, Array] | None:
     """Return vertices (n, 3) and normals (n, 3) of the part of a surface near the rim, in footplate axes."""
-    import pyvista as pv
     from scipy.spatial import cKDTree
 
     margin = 2.0 * NORMAL_SCALE_MM
@@ -123,7 +122,7 @@ def _near(points: Array, surface: Surface, low: float, places: Array) -> tuple[A
     if not len(faces):
         return None
     used, place = np.unique(faces, return_inverse=True)
-    part = refined(pv.PolyData.from_regular_faces(points[used], place.reshape(-1, 3)), EDGE_MM).clean()
+    part = refined(as_mesh(points[used], place.reshape(-1, 3)), EDGE_MM).clean()
     vertices, corners = np.asarray(part.points, dtype=float), np.asarray(part.regular_faces, dtype=np.int64)
     return vertices, unit(Diffusion(vertices, corners, NORMAL_SCALE_MM).normals())
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.repair import MendedMesh
-from ct_inertia.surface.surface import enclosed_moments
+from ct_inertia.surface.surface import as_mesh, enclosed_moments
 from stapeskit.faults import StapeskitError
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
@@ -200,9 +200,7 @@ def check_mesh(mesh: MendedMesh, name: str) -> None:
 
 def body_volumes(mesh: MendedMesh) -> list[float]:
     """Return the enclosed volume, mm3, of every connected piece of a mesh; negative for a cavity."""
-    import pyvista as pv
-
-    pieces = pv.PolyData.from_regular_faces(mesh.vertices_mm, mesh.faces).connectivity("all")
+    pieces = as_mesh(mesh.vertices_mm, mesh.faces).connectivity("all")
     of = np.asarray(pieces.cell_data["RegionId"])
     faces = np.asarray(pieces.regular_faces, dtype=np.int64)
     points = np.asarray(pieces.points, dtype=float)

@@ -10,10 +10,10 @@ import numpy as np
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.frames.anatomy import NO_HINT, directions
 from ct_inertia.report.pictured import Pictured, Slices
-from ct_inertia.surface.surface import Surface
+from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
-from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, PAGE_COLOURS, lighten
+from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, OTHER_COLOURS, PAGE_COLOURS, lighten
 from stapeskit.report.figures import panels, style
 from stapeskit.report.scene3d import decimate
 
@@ -29,7 +29,7 @@ _LIGHT = np.array([-0.35, 0.45, 0.82])  # direction of the light: right, up, tow
 _PIXELS = 340  # along an edge of a slice
 _MARGIN_MM = 0.4
 _ABOVE_MM = 0.12  # height of the slice along the footplate: within its bone
-_BODIES = ((OTHER_BONE, "bone", "other bone"), (PLATE, "plate", "plate"))
+_BODIES = ((OTHER_BONE, OTHER_COLOURS[0], "other bone"), (PLATE, BODY_COLOURS["base"], "plate"))
 
 
 def frame_of(content: Mapping[str, Any], name: str) -> RigidTransform | None:
@@ -69,7 +69,7 @@ def _word(name: str, names: Mapping[str, str]) -> str:
 
 
 def _view(
-    axes: Axes, local: Array, faces: Array, view: tuple[str, str, str], names: Mapping[str, str], half: float
+    axes: Axes, local: Array, faces: Faces, view: tuple[str, str, str], names: Mapping[str, str], half: float
 ) -> None:
     """Draw one side: triangles from back to front, lit; names of the directions at the edges."""
     from matplotlib.collections import PolyCollection
@@ -87,7 +87,7 @@ def _view(
     base = np.array([int(lighten(BODY_COLOURS["stapes"], 0.35)[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
     colours = np.clip(base * (0.45 + 0.65 * light[:, None]), 0.0, 1.0)
     axes.add_collection(
-        PolyCollection(corners[order, :, :2], facecolors=colours, edgecolors=colours, linewidths=0.3)
+        PolyCollection(list(corners[order, :, :2]), facecolors=colours, edgecolors=colours, linewidths=0.3)
     )
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.set(aspect="equal", xticks=[], yticks=[])
@@ -145,9 +145,9 @@ def slices_figure(content: Mapping[str, Any], pictured: Pictured) -> Figure | No
     for ax, axis in zip(axes[1], (2, 1, 0), strict=True):
         _native(ax, slices, pictured.stapes, axis)
     handles = [Line2D([], [], color=BODY_COLOURS["stapes"], label="stapes, as measured")]
-    for number, body, words in _BODIES:
+    for number, colour, words in _BODIES:
         if np.any(slices.labels == number):
-            handles.append(Line2D([], [], color=BODY_COLOURS[body], label=words))
+            handles.append(Line2D([], [], color=colour, label=words))
     drawing.legend(handles=handles, loc="lower center", ncols=len(handles))
     return drawing
 
@@ -172,11 +172,11 @@ def _oblique(
     grey = map_coordinates(slices.grey, places, order=1, mode="constant", cval=window[0])
     extent = (u[0], u[-1], v[0], v[-1])
     axes.imshow(grey, extent=extent, origin="lower", cmap="gray", vmin=window[0], vmax=window[1])
-    for number, body, _ in _BODIES:
+    for number, colour, _ in _BODIES:
         mask = (slices.labels == number).astype(np.float32)
         share = map_coordinates(mask, places, order=1) if mask.any() else np.zeros(1)
         if share.max() > 0.5:
-            axes.contour(u, v, share, levels=[0.5], colors=BODY_COLOURS[body], linewidths=0.9)
+            axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
     origin = frame.points(level * np.eye(3)[normal])
     for line in _cut(stapes, origin, frame.rotation[:, normal]):
         at = frame.inverse().points(line)
@@ -213,10 +213,10 @@ def _native(axes: Axes, slices: Slices, stapes: Surface, axis: int) -> None:
     axes.imshow(grey, extent=extent, cmap="gray", vmin=window[0], vmax=window[1], aspect=aspect)
     u = begin_u + (np.arange(grey.shape[1]) + 0.5) * step[right] - 0.5
     v = begin_v + (np.arange(grey.shape[0]) + 0.5) * step[up] - 0.5
-    for label, body, _ in _BODIES:
+    for label, colour, _ in _BODIES:
         share = np.take(slices.labels == label, number, axis=2 - axis).astype(float)
         if share.any():
-            axes.contour(u, v, share, levels=[0.5], colors=BODY_COLOURS[body], linewidths=0.9)
+            axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
     columns = slices.scan_from_index[:3, :3]
     origin = slices.scan_from_index[:3, 3] + number * columns[:, axis]
     for line in _cut(stapes, origin, np.cross(columns[:, right], columns[:, up])):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _LARGEST = 5  # sources of uncertainty that are listed one by one
+_LEAST_SHOWN = 5e-4  # percent and micrometres: less is none
 _PLATE_AXIS_MM = 1.0
 
 Content = Mapping[str, Any]
@@ -173,7 +174,7 @@ def budget_blocks(content: Content) -> list[Markup]:
     for source, row in content["uncertainty"].items():
         if source not in ("total", "not_included"):
             shares = np.array(row["mass_matrix_diagonal_si"])[[0, 3, 4, 5]] / values
-            rows[source] = np.append(100.0 * shares, SMALL_LENGTH.of(np.linalg.norm(row["center_of_mass_m"])))
+            rows[source] = np.append(100.0 * shares, SMALL_LENGTH.of(float(np.linalg.norm(row["center_of_mass_m"]))))
     order = sorted(rows, key=lambda source: -float(np.max(rows[source][:4])))
     listed = [(source_words(source), *_digits(rows[source])) for source in order[:_LARGEST]]
     rest = order[_LARGEST:]
@@ -188,7 +189,7 @@ def budget_blocks(content: Content) -> list[Markup]:
 
 
 def _digits(values: Any) -> list[str]:
-    return [f"{value:.2g}" for value in values]
+    return [f"{value:.2g}" if value >= _LEAST_SHOWN else "0" for value in values]
 
 
 def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:

@@ -18,7 +18,7 @@ def plotter_of(result: MassResult) -> Any:
     """Return a plotter of pyvista with the stapes, the plate and the axes of the footplate."""
     import pyvista as pv
 
-    plotter = pv.Plotter(title=result.title)
+    plotter: Any = pv.Plotter(title=result.title)
     plotter.add_mesh(result.stapes.mesh(), color=BODY_COLOURS["stapes"], smooth_shading=True, name="stapes")
     if result.plate is not None:
         plotter.add_mesh(result.plate.mesh(), color=BODY_COLOURS["plate"], opacity=0.4, name="plate")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ct_inertia.bodies import Grey
@@ -65,7 +67,8 @@ def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
     import pyvista as pv
 
     grid = pv.ImageData(dimensions=field.shape[::-1])
-    found = grid.contour([0.0], scalars=field.ravel(), method="flying_edges", compute_scalars=False)
+    values: Any = field.ravel()
+    found = grid.contour([0.0], scalars=values, method="flying_edges", compute_scalars=False)
     points, faces = np.asarray(found.points, dtype=float), np.asarray(found.regular_faces, dtype=np.int64)
     if not len(faces):
         step = "Check the labels and the grey values there"

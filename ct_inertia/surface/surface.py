@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,9 +74,7 @@ class Surface:
 
     def mesh(self) -> PolyData:
         """Return the surface as a mesh of pyvista, mm."""
-        import pyvista as pv
-
-        return pv.PolyData.from_regular_faces(self.vertices_mm, self.faces)
+        return as_mesh(self.vertices_mm, self.faces)
 
     def write(self, path: Path) -> None:
         """Write the surface in mm as STL, PLY, OBJ or GLB, by its suffix."""
@@ -89,6 +87,14 @@ class Surface:
         mesh = trimesh.Trimesh(self.vertices_mm, self.faces, process=False)
         mesh.units = "mm"
         mesh.export(path)
+
+
+def as_mesh(points: Array, faces: NDArray[np.integer]) -> PolyData:
+    """Return points (n, 3) and triangles (m, 3) as a mesh of pyvista."""
+    import pyvista as pv
+
+    corners: Any = faces
+    return pv.PolyData.from_regular_faces(points, corners)
 
 
 def enclosed_moments(vertices: Array, faces: Faces) -> tuple[float, Array, Array]:
