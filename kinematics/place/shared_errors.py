@@ -27,6 +27,7 @@ Fits = Mapping[tuple[int, int], LineFit]
 
 _MOST_BYTES = 2**26  # of derivatives by name; beyond, positions are patterns
 _MOST_OPERATIONS = 2e9  # of maps of each line; beyond, those of some lines stand for all
+_FEW_LINES = 100  # for which one product a line takes less memory
 _LEFT_OUT = 1e-4  # share of the variance that the patterns of positions leave out
 
 
@@ -110,10 +111,23 @@ def shared_errors(
         moved[drifting[own]] *= tau[:, None]
         derivatives[own, run, body] = moved
         places = dof_indices(fit.beams.dof)
-        maps[np.ix_(own, [body], places, places)] += mean[:, None] / runs
+        _enter_map(maps[:, body], np.ix_(own, places, places), mean, first=run == 0)
     if drifting.any():
         return SharedErrors(names, covariance, derivatives)
     return SharedErrors(names, covariance, derivatives, maps, powers)
+
+
+def _enter_map(maps: ComplexArray, at: tuple[NDArray[Any], ...], mean: ComplexArray, first: bool) -> None:
+    """Enter the maps (p, m, m) of a run into those of a body; NaN where they differ from an earlier run's.
+
+    The map of an error depends on the weights of the channels, which each excitation has of its own.
+    """
+    if first:
+        maps[at] = mean
+        return
+    size = np.max(np.abs(mean), axis=(1, 2), keepdims=True)
+    same = np.all(np.abs(maps[at] - mean) <= _ALIKE * size, axis=(1, 2), keepdims=True)
+    maps[at] = np.where(same, mean, np.nan)
 
 
 def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, ComplexArray]:
@@ -176,8 +190,11 @@ def _maps(fit: LineFit, inside: NDArray[Any], lines: NDArray[Any]) -> ComplexArr
     size = basis.shape[1]
     pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
     gram = (weight.T @ pairs).reshape(-1, size, size)
-    turned = (basis[:, None, :, None] * inside.transpose(1, 0, 2)[:, :, None, :]).reshape(len(basis), -1)
-    right = (weight.T @ turned).reshape(len(lines), len(inside), size, size)
+    if len(lines) < _FEW_LINES:
+        right = np.stack([(basis * own[:, None]).T @ inside for own in weight.T])
+    else:
+        turned = basis[:, None, :, None] * inside.transpose(1, 0, 2)[:, :, None, :]
+        right = (weight.T @ turned.reshape(len(basis), -1)).reshape(len(lines), len(inside), size, size)
     return np.asarray(-np.linalg.solve(gram[:, None], right), dtype=complex)
 
 

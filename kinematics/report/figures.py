@@ -208,7 +208,7 @@ def _outlines(result: MotionResult) -> list[Array]:
     stapes = result.surfaces.get("stapes")
     if stapes is None or result.mass is None:
         return []
-    some = stapes.vertices_mm[:: max(1, len(stapes.vertices_mm) // 1500)]
+    some = stapes.vertices_mm[:: max(1, len(stapes.vertices_mm) // 500)]
     return [result.mass.record.scan_from_footplate.inverse().points(some)]
 
 

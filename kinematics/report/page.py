@@ -114,7 +114,7 @@ def _channels(result: MotionResult) -> list[Markup]:
                 ", ".join(f"{value:.3f}" for value in one.direction),
                 one.verdict,
                 one.estimate,
-                f"{one.p_value:.2g}",
+                f"{one.p_value:.2g}" if one.p_value > 0.0 else "< 1e-300",
             )
             for one in odd[:_MOST_ROWS]
         ]
