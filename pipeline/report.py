@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.methods import methods
 from stapeskit.report import page
-from stapeskit.report.quantities import MASS, plus_minus
+from stapeskit.report.quantities import MASS, diagonal_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,12 +26,15 @@ if TYPE_CHECKING:
 
 # Sections of the first two pages, by their headings; all others are in the folded appendix.
 _MAIN = (
-    "Where it was cut",
-    "Mass matrix",
-    "Channels",
+    "Measured and simulated responses",
+    "What was measured",
+    "Mass matrix M",
     "Modes",
     "Where the uncertainty comes from",
+    "Channels and verdicts",
 )
+# The one view of the report shows all of it.
+_LEFT_OUT = ("The stapes in three dimensions",)
 
 
 def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
@@ -78,7 +81,7 @@ def study_page(result: StudyResult) -> page.Page:
     motion_sections(collected, result.moved)
     report_sections(fit, collected)
     made.section("The moving stapes", page.viewer(moving_stapes(result, pictured)))
-    sections = [*collected.sections, *collected.appendix]
+    sections = [each for each in (*collected.sections, *collected.appendix) if each.name not in _LEFT_OUT]
     first = [section for name in _MAIN for section in sections if section.name == name]
     made.sections.extend(replace(section, folded=False) for section in first)
     made.section("Warnings", page.notices(result.notices))
@@ -123,7 +126,7 @@ def truth_table(result: StudyResult, path: Path) -> Any:
     """Return true values of a simulated ear beside those that were found."""
     truth = json.loads(path.read_text(encoding="utf-8"))
     fit = result.fit
-    rows = [("mass (mg)", f"{1e6 * truth['mass_kg']:.4f}", _mass_text(result.mass))]
+    rows = [("mass", MASS.text(float(truth["mass_kg"]), ".4g"), _mass_text(result.mass))]
     true_dof = list(truth.get("dof", ()))
     for letter, key, values, sds in (
         ("K", "stiffness_si", fit.stiffness, fit.standard_deviation[0]),
@@ -132,8 +135,9 @@ def truth_table(result: StudyResult, path: Path) -> Any:
         for place, name in enumerate(fit.dof):
             if name in true_dof:
                 at = true_dof.index(name)
-                found = plus_minus(float(values[place, place]), float(sds[place, place]))
-                rows.append((f"{letter}({name}), SI", f"{truth[key][at][at]:.5g}", found))
+                unit = diagonal_unit(letter, name, fit.law.time_power)
+                found = unit.with_sd(float(values[place, place]), float(sds[place, place]))
+                rows.append((f"{letter}({name})", unit.text(float(truth[key][at][at]), ".4g"), found))
     return page.table(("simulated ear", "true", "found"), rows, words=True, file="truth")
 
 
