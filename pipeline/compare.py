@@ -57,7 +57,7 @@ class Comparison:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return a row a quantity: name, first, second, difference, p."""
-        shown = []
+        shown: list[tuple[str, ...]] = []
         for entry in self.differences:
             unit = _unit(entry)
             first, second = (

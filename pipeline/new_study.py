@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
@@ -51,9 +52,9 @@ def look(folder: Path) -> Found:
             found.others["labels"] = path
         elif lower.endswith((".mrk.json", ".fcsv")) or lower == "landmarks.csv":
             found.others["landmarks"] = path
-        elif _is(lambda path=path: scan_format(path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
+        elif _is(partial(scan_format, path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
             found.scans.append(path)
-        elif path.is_file() and _is(lambda path=path: measurement_format(path)):
+        elif path.is_file() and _is(partial(measurement_format, path)):
             found.measurements.append(path)
     return found
 
