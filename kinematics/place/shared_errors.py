@@ -27,6 +27,7 @@ Fits = Mapping[tuple[int, int], LineFit]
 
 _MOST_BYTES = 2**26  # of derivatives by name; beyond, positions are patterns
 _MOST_OPERATIONS = 2e9  # of maps of each line; beyond, those of some lines stand for all
+_ALIKE = 1e-2  # share of the effect of an error by which its maps may differ between runs
 _FEW_LINES = 100  # for which one product a line takes less memory
 _LEFT_OUT = 1e-4  # share of the variance that the patterns of positions leave out
 
