@@ -154,8 +154,8 @@ def labels_alone(volume: LabelVolume) -> Labelled:
 def labels_on_scan(scan: Scan, volume: LabelVolume) -> Labelled:
     """Return the bodies of a label volume with the grey values of its scan.
 
-    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; bright voxels between go
-    to the body whose flood of grey values reaches them first.
+    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; bright voxels
+    between go to the body whose flood of grey values reaches them first.
 
     Raises
     ------
@@ -367,4 +367,6 @@ def _in_words(grid: Scan) -> str:
         return between.join(f"{value:.6g}" for value in values)
 
     spacing = listed(grid.spacing_mm, " x ")
-    return f"{listed(grid.size.astype(float), ' x ')} voxels of {spacing} mm from {listed(grid.origin_mm, ', ')}"
+    return (
+        f"{listed(grid.size.astype(float), ' x ')} voxels of {spacing} mm from {listed(grid.origin_mm, ', ')}"
+    )

@@ -80,9 +80,7 @@ Voxels = Annotated[
 Lengths = Annotated[
     tuple[tuple[float, ...], ...],
     PlainValidator(_lengths),
-    Says(
-        "lengths x0, y0, z0, x1, y1, z1, length+-sd in mm, both positive", "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD"
-    ),
+    Says("lengths x0, y0, z0, x1, y1, z1, length+-sd in mm, both positive", "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD"),
 ]
 
 
@@ -351,10 +349,10 @@ class MassOutputs(Options):
 
     out: Annotated[Folder | None, Opt("default <scan name>_mass", _OUTPUT, "ear_mass")] = None
     no_report: Annotated[Flag, Opt("do not write report.html", _OUTPUT)] = False
-    export: Annotated[
-        Words, Opt(f"further files: {', '.join(EXPORTS)}", _OUTPUT, ["stl", "mat"])
-    ] = ()
-    smooth: Annotated[CountOrZero | None, Opt("steps of smoothing of the surface exported", _OUTPUT, 20)] = None
+    export: Annotated[Words, Opt(f"further files: {', '.join(EXPORTS)}", _OUTPUT, ["stl", "mat"])] = ()
+    smooth: Annotated[CountOrZero | None, Opt("steps of smoothing of the surface exported", _OUTPUT, 20)] = (
+        None
+    )
     faces: Annotated[Count | None, Opt("triangles of the surface exported", _OUTPUT, 20000)] = None
     force: Annotated[Flag, Opt("replace files that this command did not write", _OUTPUT)] = False
     as_json: Annotated[Flag, Opt("print mass.json", _OUTPUT, name="json")] = False

@@ -124,11 +124,17 @@ class MassResult(Result):
 
         def entry(row: int, column: int, unit: ShownUnit) -> str:
             value = float(matrix.matrix[row, column])
-            return unit.with_sd(value, float(sd[row, column])) if self.lead.stated else unit.text(value, ".5g")
+            return (
+                unit.with_sd(value, float(sd[row, column])) if self.lead.stated else unit.text(value, ".5g")
+            )
 
         size = f"{footplate.length_mm:.2f} × {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm"
         rows = [
-            *([("density", "ASSUMED: 1900 ± 200 kg/m³; --density, --mass-mg, --calibration")] if assumed else []),
+            *(
+                [("density", "ASSUMED: 1900 ± 200 kg/m³; --density, --mass-mg, --calibration")]
+                if assumed
+                else []
+            ),
             ("volume", f"{VOLUME.text(body.volume_m3, '.4f')} at {body.density_kg_m3:.0f} kg/m³"),
             ("mass", entry(0, 0, MASS)),
             ("centre of mass (footplate)", _vector(LENGTH.of(centre))),
@@ -148,7 +154,12 @@ class MassResult(Result):
         for way in self.ways[1:]:
             change = 100.0 * (way.body.mass_kg / body.mass_kg - 1.0)
             density = f"{way.body.density_kg_m3:.0f} kg/m³"
-            rows.append((f"by {way.way} instead", f"{MASS.text(way.body.mass_kg, '.4g')} ({change:+.1f} %), {density}"))
+            rows.append(
+                (
+                    f"by {way.way} instead",
+                    f"{MASS.text(way.body.mass_kg, '.4g')} ({change:+.1f} %), {density}",
+                )
+            )
         return rows
 
     @cached_property

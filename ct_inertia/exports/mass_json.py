@@ -173,12 +173,17 @@ def _cross_check(result: MassResult) -> dict[str, Any]:
     first, second = (one.mass_matrix(frame.scan_from_footplate, np.zeros((6, 6))).matrix for one in bare)
     root = np.sqrt(np.diag(first))
     return {
-        "used": "surface" if result.body is None else "voxels" if result.body.scene is None else "partial volume",
+        "used": "surface"
+        if result.body is None
+        else "voxels"
+        if result.body.scene is None
+        else "partial volume",
         "other": "surface",
         "volume_m3": mesh.volume_m3,
         "volume_difference_percent": 100.0 * (mesh.volume_mm3 / used.volume_mm3 - 1.0),
         "centroid_difference_mm": mesh.centroid_mm - used.centroid_mm,
-        "largest_mass_matrix_difference_percent": 100.0 * float(np.max(np.abs(second - first) / np.outer(root, root))),
+        "largest_mass_matrix_difference_percent": 100.0
+        * float(np.max(np.abs(second - first) / np.outer(root, root))),
         "mass_matrix_difference_of": "sqrt(Mii Mjj)",
         "volume_by_vtk_m3": 1e-9 * float(result.stapes.mesh().volume),
     }

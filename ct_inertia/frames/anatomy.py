@@ -22,8 +22,8 @@ Z_IS = {"left": "superior", "right": "inferior"}
 
 NO_HINT = "no hint: scan x"
 
-# Chosen by judgement: points set by hand scatter by some hundredths of a millimetre, directions read off a viewer by
-# some degrees.
+# Chosen by judgement: points set by hand scatter by some hundredths of a millimetre, directions read off a
+# viewer by some degrees.
 _SQUARE_DEG, _WEAK_DEG = 87.0, 70.0  # angle to the long axis: refused, reported
 _LEAST_OFFSET_MM = 0.1  # of a landmark from the centre, below which it says nothing
 _HEAD_MM = 1.0  # most distance of the landmark head from the bone: about the width of the head
@@ -65,7 +65,9 @@ class AnatomyHints:
         if sideways and self.side is None and not lengthways:
             step = "Add --side left or --side right, or an anterior landmark"
             thing = f"landmark {min(sideways)}"
-            raise StapeskitError.of(thing, "given together with the side of the ear", "no side", next_step=step)
+            raise StapeskitError.of(
+                thing, "given together with the side of the ear", "no side", next_step=step
+            )
 
 
 @dataclass(frozen=True)

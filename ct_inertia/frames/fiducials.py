@@ -64,7 +64,9 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     faults = list(table.faults)
     for column, values in table.numbers.items():
         for row in np.flatnonzero(~np.isfinite(values)):
-            faults.append(Fault(column, "a finite number", "nothing", table.where(int(row)), "Fill in the cell"))
+            faults.append(
+                Fault(column, "a finite number", "nothing", table.where(int(row)), "Fill in the cell")
+            )
     raise_all(faults)
     codes, known = table.texts["name"].codes, table.texts["name"].names
     names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
@@ -90,8 +92,8 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
     Parameters
     ----------
     fiducials : PlateFiducials
-        With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order; y out of
-        their plane towards the stapes, x along the longest side, origin their centroid.
+        With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order;
+        y out of their plane towards the stapes, x along the longest side, origin their centroid.
     stapes_mm : ndarray, (3,)
         A point of the stapes, scan coordinates.
 

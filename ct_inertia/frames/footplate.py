@@ -18,9 +18,15 @@ from stapeskit.frames import RigidTransform
 from stapeskit.registration import displacement
 from stapeskit.warnings import Notice
 
-_DIRECTIONS, _FINE_DIRECTIONS, _NEAR_DEG = 300, 1200, 10.0  # over the sphere: 12, then 6 degrees apart near the best
+_DIRECTIONS, _FINE_DIRECTIONS, _NEAR_DEG = (
+    300,
+    1200,
+    10.0,
+)  # over the sphere: 12, then 6 degrees apart near the best
 _REFINED = 3  # faces whose direction is refined: the footplate and two rivals
-_CELL = 0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the slab of a face
+_CELL = (
+    0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the slab of a face
+)
 _CONE_DEG = calibrated("footplate.search_cone_deg")
 _SLAB = calibrated("footplate.search_slab")
 _OTHER_DEG = 40.0  # faces whose normals are nearer belong to one
@@ -38,7 +44,8 @@ class FootplateFrame:
     scan_from_footplate : RigidTransform
         Axes x anterior, y lateral, z; origin the footplate centre; mm.
     contributions : mapping of str to ndarray, (6, 6)
-        Covariance of the frame's displacement in its own axes (m, rad; x, y, z, alpha, beta, gamma) by source.
+        Covariance of the frame's displacement in its own axes (m, rad; x, y, z, alpha, beta, gamma) by
+        source.
     outline_mm : ndarray, (n, 3)
         Outline of the medial face in footplate coordinates, in order.
     face_area_mm2, face_rms_mm : float
@@ -173,9 +180,9 @@ def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, floa
 
     Notes
     -----
-    For directions spread evenly over the sphere: the projected area of what faces that direction within a cone and
-    lies within a slab of the extreme plane. Side views of the arch, the head and the lateral side of the footplate
-    score less: narrow, small, or not at an extremity.
+    For directions spread evenly over the sphere: the projected area of what faces that direction within a
+    cone and lies within a slab of the extreme plane. Side views of the arch, the head and the lateral side
+    of the footplate score less: narrow, small, or not at an extremity.
     """
     pieces = _pooled(surface, _CELL * extent_mm)
     directions, fine = sphere(_DIRECTIONS), sphere(_FINE_DIRECTIONS)
@@ -199,7 +206,9 @@ def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: fl
     """Return the area (n,) of the face that each direction (n, 3) sees at the extremity of the body."""
     centres, normals, areas = pieces
     facing, height = directions @ normals.T, directions @ centres.T
-    seen = (facing > np.cos(np.radians(_CONE_DEG))) & (height > height.max(axis=1)[:, None] - _SLAB * extent_mm)
+    seen = (facing > np.cos(np.radians(_CONE_DEG))) & (
+        height > height.max(axis=1)[:, None] - _SLAB * extent_mm
+    )
     return np.asarray(np.where(seen, facing, 0.0) @ areas)
 
 

@@ -1,10 +1,11 @@
 """The medial face of the footplate on a surface: cut out by pyvista, its robust plane, the fixed point of both.
 
-The definition. On the surface, n are the outward normals diffused over 0.05 mm. For a direction y the medial face F(y)
-is the largest connected part where n lies within 60 degrees of -y. Then y is the normal of the robust plane of F(y)
-into the body (lateral, towards the head): a fixed point; the origin is the area-weighted centroid of F(y) in space;
-x is the long principal axis of the area within the outline of F(y), projected on that plane; z = x cross y. The scale
-of 0.05 mm makes the frame one of the bone and not of the voxels or triangles it is known by.
+The definition. On the surface, n are the outward normals diffused over 0.05 mm. For a direction y the
+medial face F(y) is the largest connected part where n lies within 60 degrees of -y. Then y is the normal of
+the robust plane of F(y) into the body (lateral, towards the head): a fixed point; the origin is the
+area-weighted centroid of F(y) in space; x is the long principal axis of the area within the outline of
+F(y), projected on that plane; z = x cross y. The scale of 0.05 mm makes the frame one of the bone and not
+of the voxels or triangles it is known by.
 """
 
 from __future__ import annotations
@@ -32,8 +33,14 @@ PLANE_SCALE_MM = 0.03
 EDGE_MM = 0.04
 """Longest edges of triangles after refinement: below the scale of the normals."""
 
-_DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches the region's end
-_CONE_MARGIN, _CONE_TURN = 0.15, 0.05  # cosines around the face that are kept; turn (rad) after which they are cut anew
+_DEPTH_MM, _DEEPER = (
+    0.6,
+    1.5,
+)  # of the region around a footplate; deeper where the face reaches the region's end
+_CONE_MARGIN, _CONE_TURN = (
+    0.15,
+    0.05,
+)  # cosines around the face that are kept; turn (rad) after which they are cut anew
 _ROUNDS = 60  # most iterations of the fixed point and of its plane: a guard against cycles
 _NEXT_STEP = "Check the segmentation or the mesh, or correct it with --seed or --labels"
 
@@ -176,8 +183,9 @@ def region_around(surface: Surface, outward: Array, depth_mm: float, blur_mm: fl
 
     Notes
     -----
-    Blur moves an iso surface inward where it is convex, by blur^2 / 2 times the sum of the principal curvatures; one
-    step of diffusion on the scale s moves it by s^2 / 4 times its mean curvature vector. So blur is taken back.
+    Blur moves an iso surface inward where it is convex, by blur^2 / 2 times the sum of the principal
+    curvatures; one step of diffusion on the scale s moves it by s^2 / 4 times its mean curvature vector. So
+    blur is taken back.
     """
     middle = np.round(surface.vertices_mm.mean(axis=0), 3)
     mesh = surface.mesh()
@@ -232,13 +240,17 @@ class _Cone:
         patch = patch.triangulate().connectivity("all")
         faces = np.asarray(patch.regular_faces)
         corners = np.asarray(patch.points, dtype=float)[faces]
-        areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas = 0.5 * np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
         of = np.asarray(patch.cell_data["RegionId"])
         kept = of == int(np.argmax(np.bincount(of, areas)))
         places = np.asarray(patch.point_data["place"], dtype=float)
         outline, segments, slopes = np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0)
         if border:
-            outline, segments, slopes = _border(patch.extract_cells(kept).extract_surface(algorithm="dataset_surface"))
+            outline, segments, slopes = _border(
+                patch.extract_cells(kept).extract_surface(algorithm="dataset_surface")
+            )
         ends = bool(np.any(np.asarray(patch.point_data["end"])[faces[kept]] > 0.5))
         return Face(places[faces[kept]].mean(axis=1), areas[kept], outline, segments, slopes, ends)
 

@@ -1,8 +1,9 @@
 """How well the footplate frame is known: influence functions of the surface's errors, no simulation.
 
-A small outward height h(r) of the medial face moves the frame by the integral of an influence function a(r) h(r): its
-mean height and the slopes of the robust plane. A normal that errs by e across the rim moves the place where the face
-ends by e / curvature, which adds or takes off area there: influence b(s) along the rim.
+A small outward height h(r) of the medial face moves the frame by the integral of an influence function a(r)
+h(r): its mean height and the slopes of the robust plane. A normal that errs by e across the rim moves the
+place where the face ends by e / curvature, which adds or takes off area there: influence b(s) along the
+rim.
 """
 
 from __future__ import annotations
@@ -98,7 +99,9 @@ def contributions_of(solved: Solved, error: SurfaceError) -> dict[str, Array]:
     per_mm = _FITTED_RIM_DEG_PER_MM if error.fitted else _RIM_DEG_PER_MM
     step_deg = min(per_mm * resolution, _MOST_STEP_DEG)
     y_axis = solved.axes[:, 1]
-    wider, narrower = (solve(region, y_axis, FACE_ANGLE_DEG + sign * step_deg, accuracy=_ROUGH) for sign in (1, -1))
+    wider, narrower = (
+        solve(region, y_axis, FACE_ANGLE_DEG + sign * step_deg, accuracy=_ROUGH) for sign in (1, -1)
+    )
     rim = scale * 0.5 * _displacement(narrower, wider, solved)
     smoother = solve(region, y_axis, normals=region.smoother, accuracy=_ROUGH)
     wanting = min(2.0 * (resolution / NORMAL_SCALE_MM) ** 2, 4.0)
@@ -121,7 +124,8 @@ class Influence:
     points : ndarray, (k, 3)
         Centres of the triangles of the face, scan coordinates, mm.
     heights : ndarray, (k, 6)
-        Change of (x, y, z in mm, alpha, beta, gamma in rad) per mm of outward height and mm2, at the triangles.
+        Change of (x, y, z in mm, alpha, beta, gamma in rad) per mm of outward height and mm2, at the
+        triangles.
     rims : ndarray, (s, 6)
         The same per mm of outward shift of the rim and mm of its length, at the pieces of the border.
     lengths, curvature : ndarray, (s,)
@@ -170,8 +174,8 @@ class Influence:
 
         Notes
         -----
-        Shape of the edge and place on the grid change along the rim. The sectors are those of a circle that the face
-        is stretched to: by angles on the face itself two of them would be its whole ends.
+        Shape of the edge and place on the grid change along the rim. The sectors are those of a circle that
+        the face is stretched to: by angles on the face itself two of them would be its whole ends.
         """
         steps = self.rims * (shift_mm * self.lengths)[:, None]
         along, across = self.flat.T
@@ -185,9 +189,9 @@ class Influence:
 
         Notes
         -----
-        Errors that are white noise averaged over a Gaussian of width L have the correlation exp(-r^2 / 4 L^2):
-        density 4 pi L^2 sd^2, no more than all of the face together; and slopes across a line of the density
-        sqrt(pi) sd^2 / L.
+        Errors that are white noise averaged over a Gaussian of width L have the correlation exp(-r^2 / 4
+        L^2): density 4 pi L^2 sd^2, no more than all of the face together; and slopes across a line of the
+        density sqrt(pi) sd^2 / L.
         """
         density = min(4.0 * np.pi * length_mm**2, float(self.areas.sum()))
         inside = self.heights * (sd_mm(self.points) * np.sqrt(density * self.areas))[:, None]
@@ -219,8 +223,9 @@ def _slope_density(density: float, correlation_mm: float, error: SurfaceError) -
 
     Notes
     -----
-    1 / 2 pi times the integral of density k^2 H(k)^2, H the two steps of diffusion, the averaging that made the noise
-    common over a length (exp(-k^2 l^2 / 4)), and the gain by which taking a blur back raises short waves.
+    1 / 2 pi times the integral of density k^2 H(k)^2, H the two steps of diffusion, the averaging that made
+    the noise common over a length (exp(-k^2 l^2 / 4)), and the gain by which taking a blur back raises
+    short waves.
     """
     k = np.linspace(-60.0 / NORMAL_SCALE_MM, 60.0 / NORMAL_SCALE_MM, 12001)
     low = step_response(k, NORMAL_SCALE_MM)
@@ -241,8 +246,8 @@ def shown_noise(solved: Solved, correlation_mm: float) -> float:
 
     Notes
     -----
-    From the second difference of the heights after one, two and three steps of diffusion, a band where noise is
-    larger than the curvature of bone, robustly (median absolute deviation) over the face.
+    From the second difference of the heights after one, two and three steps of diffusion, a band where
+    noise is larger than the curvature of bone, robustly (median absolute deviation) over the face.
     """
     region = solved.region
     facing = -(region.normals @ solved.axes[:, 1]) > np.cos(np.radians(FACE_ANGLE_DEG))

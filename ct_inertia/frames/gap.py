@@ -1,8 +1,9 @@
 """The gap between the rim of the footplate and the wall of the oval window, which the ligament bridges.
 
-The definition. The rim is what of the stapes looks outward along the plane of the medial face, from 0.3 mm below the
-lowest point of that face to 0.45 mm above it. The gap at a place of the rim is the shortest distance to the surface of
-other bone that looks back, where that is at most 0.25 mm; as a number the median over equal steps along the outline.
+The definition. The rim is what of the stapes looks outward along the plane of the medial face, from 0.3 mm
+below the lowest point of that face to 0.45 mm above it. The gap at a place of the rim is the shortest
+distance to the surface of other bone that looks back, where that is at most 0.25 mm; as a number the median
+over equal steps along the outline.
 """
 
 from __future__ import annotations

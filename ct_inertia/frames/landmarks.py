@@ -31,8 +31,8 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     Parameters
     ----------
     path : Path
-        ``.mrk.json`` or ``.json`` and ``.fcsv`` (3D Slicer; LPS or RAS as the file says), or ``.csv`` with columns
-        name, x_mm, y_mm, z_mm (scan coordinates).
+        ``.mrk.json`` or ``.json`` and ``.fcsv`` (3D Slicer; LPS or RAS as the file says), or ``.csv`` with
+        columns name, x_mm, y_mm, z_mm (scan coordinates).
 
     Returns
     -------
@@ -42,13 +42,13 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     Raises
     ------
     StapeskitError
-        The file is of another kind, damaged, in no unit of length, names a point twice, or holds none of the names
-        anterior, posterior, superior, inferior, head, footplate_centre.
+        The file is of another kind, damaged, in no unit of length, names a point twice, or holds none of
+        the names anterior, posterior, superior, inferior, head, footplate_centre.
 
     Notes
     -----
-    RAS to LPS turns the signs of x and y. An .fcsv without a coordinate system is RAS, as Slicer wrote it before
-    version 4.11; there 0 means RAS and 1 LPS.
+    RAS to LPS turns the signs of x and y. An .fcsv without a coordinate system is RAS, as Slicer wrote it
+    before version 4.11; there 0 means RAS and 1 LPS.
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
@@ -73,7 +73,9 @@ def _by_name(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
     raise_all(faults)
     if not named.keys() & set(LANDMARK_NAMES):
         expected, got = f"named out of {', '.join(LANDMARK_NAMES)}", ", ".join(named) or "no point at all"
-        raise StapeskitError.of("the landmarks", expected, got, file, "Rename them in the program they were set in")
+        raise StapeskitError.of(
+            "the landmarks", expected, got, file, "Rename them in the program they were set in"
+        )
     return named
 
 
@@ -107,7 +109,9 @@ def _to_lps_mm(markups: dict[str, Any], file: str) -> Array:
     names = {str(unit) for unit in (units if isinstance(units, list) else [units])}
     factor = mm_per_unit(names.pop()) if len(names) == 1 else None
     if factor is None:
-        raise StapeskitError.of("coordinateUnits", "one unit of length", units, file, "Save the markups in mm")
+        raise StapeskitError.of(
+            "coordinateUnits", "one unit of length", units, file, "Save the markups in mm"
+        )
     return _signs(markups.get("coordinateSystem", "LPS"), file) * factor
 
 
@@ -136,7 +140,9 @@ def _slicer_fcsv(path: Path) -> Named:
             elif key.strip().lower() == "columns":
                 columns = [column.strip() for column in value.split(",")]
         elif line.strip():
-            cells = dict(zip(columns, next(csv.reader([line])), strict=False))  # labels with commas are quoted
+            cells = dict(
+                zip(columns, next(csv.reader([line])), strict=False)
+            )  # labels with commas are quoted
             if "label" not in cells:
                 step = "Save the list again in 3D Slicer"
                 thing = "a row of an .fcsv file"

@@ -88,7 +88,9 @@ class _Pieces:
 
     def main_direction(self) -> Array:
         """Return about the direction (3,) that most of the area faces within the cone of a face."""
-        group = np.unique(np.rint(_BINS * self.normals) @ [1.0, 4.0 * _BINS, 16.0 * _BINS**2], return_inverse=True)[1]
+        group = np.unique(
+            np.rint(_BINS * self.normals) @ [1.0, 4.0 * _BINS, 16.0 * _BINS**2], return_inverse=True
+        )[1]
         areas = np.bincount(group, self.areas)
         weighted = self.normals * self.areas[:, None]
         directions = unit(np.stack([np.bincount(group, column) for column in weighted.T], axis=1))
@@ -101,10 +103,10 @@ def plane_faces(surface: Surface) -> list[PlaneFace]:
 
     Notes
     -----
-    Faces are found one after the other: the direction that most of the remaining area faces, the layer in which most
-    of that lies, then a robust plane (Tukey's weights) through it. Height noise is taken from means over cells, so that
-    correlation between neighbours counts. The border of the field of view is looked at apart, for at a shallow angle
-    it would pass for the face.
+    Faces are found one after the other: the direction that most of the remaining area faces, the layer in
+    which most of that lies, then a robust plane (Tukey's weights) through it. Height noise is taken from
+    means over cells, so that correlation between neighbours counts. The border of the field of view is
+    looked at apart, for at a shallow angle it would pass for the face.
     """
     vectors = surface.area_vectors_mm2
     areas = np.linalg.norm(vectors, axis=1)

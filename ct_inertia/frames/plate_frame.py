@@ -1,8 +1,8 @@
 """The plate frame from the mesh of the plate: +y out of its large face towards the stapes, x along its longest edge.
 
-The edges are the lines where the fitted plane of the face meets those of the plate's sides, so that bone and glue on
-the face do not matter. Edges that are parallel or square to the longest one within what is known of them help to
-tell its direction. Where the field of view crops the plate, its border ends the face.
+The edges are the lines where the fitted plane of the face meets those of the plate's sides, so that bone
+and glue on the face do not matter. Edges that are parallel or square to the longest one within what is
+known of them help to tell its direction. Where the field of view crops the plate, its border ends the face.
 """
 
 from __future__ import annotations
@@ -181,8 +181,8 @@ def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, wei
 def _side_weights(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose) -> Array:
     """Return the weight (n,) of each side in the mean direction of x; they sum to 1.
 
-    Sides parallel or square to the longest edge, within their uncertainty, are weighted by the inverse of their
-    variance; the others have weight 0.
+    Sides parallel or square to the longest edge, within their uncertainty, are weighted by the inverse of
+    their variance; the others have weight 0.
     """
     weights = np.zeros(len(sides))
     if pose.along < 0:

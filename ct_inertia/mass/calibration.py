@@ -51,14 +51,15 @@ def read_calibration(path: Path) -> Calibration:
     ----------
     path : Path
         TOML with ``points = [[grey, kg_m3], ...]``, two or more (a least-squares line), or
-        ``points_mg_ha_cm3 = [[grey, mg_ha_cm3], ...]`` of a hydroxyapatite phantom together with ``kg_m3_at_zero``
-        and ``kg_m3_per_mg_ha_cm3``, which turn mineral into bone density. Optional ``sd_kg_m3``.
+        ``points_mg_ha_cm3 = [[grey, mg_ha_cm3], ...]`` of a hydroxyapatite phantom together with
+        ``kg_m3_at_zero`` and ``kg_m3_per_mg_ha_cm3``, which turn mineral into bone density. Optional
+        ``sd_kg_m3``.
 
     Raises
     ------
     StapeskitError
-        The file is missing, no TOML, has an unknown or missing key, fewer than two grey values, or a line that
-        does not rise.
+        The file is missing, no TOML, has an unknown or missing key, fewer than two grey values, or a line
+        that does not rise.
     """
     path = Path(path)
     table = read_toml(path)
@@ -131,11 +132,10 @@ def from_calibration(
 
     Notes
     -----
-    A voxel with the share s of bone of grey value b has g = (1 - s) air + s b and the mass
-    s (intercept + slope b) = slope (g - air) + s (intercept + slope air), so that the mass moments are
-    slope (bone - air) times the grey moments plus the line's density at air times the moments of the shape. The
-    air in a voxel of the boundary has no weight, and bone that varies from place to place is weighed where it
-    lies.
+    A voxel with the share s of bone of grey value b has g = (1 - s) air + s b and the mass s (intercept +
+    slope b) = slope (g - air) + s (intercept + slope air), so that the mass moments are slope (bone - air)
+    times the grey moments plus the line's density at air times the moments of the shape. The air in a voxel
+    of the boundary has no weight, and bone that varies from place to place is weighed where it lies.
     """
     inner, rest = line.slope_kg_m3 * (bone - air), line.density(air)
     density = (inner * grey.volume_mm3 + rest * shape.volume_mm3) / shape.volume_mm3

@@ -72,9 +72,11 @@ class MassProperties:
     contributions : mapping of str to ndarray, (10, 10)
         Their covariance by independent source, SI.
     length_powers : ndarray, (10,)
-        Powers of length in the bone's parameters about a point of the body: what a wrong voxel size does to them.
+        Powers of length in the bone's parameters about a point of the body: what a wrong voxel size does to
+        them.
     added : ndarray, (10,)
-        The part of ``parameters`` that added masses make: a wrong voxel size moves them, but their masses stay.
+        The part of ``parameters`` that added masses make: a wrong voxel size moves them, but their masses
+        stay.
     length_scale : float
         True length of 1 mm in scan coordinates, mm: applied to all but ``com_mm``.
     """

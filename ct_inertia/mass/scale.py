@@ -15,9 +15,7 @@ SCANNER_SD = 0.003
 """Relative standard deviation of the voxel size of laboratory scanners, off by 0.1 to 0.5 %
 (doi:10.1371/journal.pone.0332263): what is known of the scale before a length is measured."""
 
-SCANNER_WORDS = (
-    "scanners are off by 0.1 to 0.5 %, doi:10.1371/journal.pone.0332263; inertia by 5 times that"
-)
+SCANNER_WORDS = "scanners are off by 0.1 to 0.5 %, doi:10.1371/journal.pone.0332263; inertia by 5 times that"
 
 _PICKED_VOXELS = 1.0 / np.sqrt(12.0)  # a point that is picked in a viewer lies evenly within a voxel
 _MOST = 0.1  # a factor that no scanner needs: another length was measured
@@ -62,7 +60,8 @@ def voxel_scale(
 
     Notes
     -----
-    Mean, weighted by information, of the measured factors and of 1 with the standard deviation of the voxel size.
+    Mean, weighted by information, of the measured factors and of 1 with the standard deviation of the voxel
+    size.
     """
     if not lengths:
         return None
@@ -73,7 +72,9 @@ def voxel_scale(
         apart = float(np.linalg.norm(np.subtract(row[3:6], row[:3])))
         length, sd = row[6], row[7]
         if not abs(length - apart) < _MOST * apart:
-            expected = f"within {100 * _MOST:.0f} % of the distance of its points in the scan ({apart:.4g} mm)"
+            expected = (
+                f"within {100 * _MOST:.0f} % of the distance of its points in the scan ({apart:.4g} mm)"
+            )
             step = "Check the points (scan mm) and the voxel spacing"
             raise StapeskitError.of("--scale-length", expected, f"{length:g} mm", next_step=step)
         factors.append(length / apart)

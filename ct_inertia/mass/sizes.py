@@ -23,9 +23,7 @@ _CALLIGAS = "Calligas and Todd 2018, Ear Nose Throat J 97:116 (micro-CT, mean an
 _GONG = "Gong et al. 2024, Folia Morphol 83:401, PMID 37622391 (micro-CT)"
 _DASS = "Dass, Grewal and Thapar 1966 (mean and range)"
 _IVANOVIC = "Ivanovic et al. 2024, doi:10.1038/s41598-024-69608-9 (synchrotron)"
-_MODELS = (
-    "models of the middle ear, 1300 (doi:10.1007/s10237-016-0758-5) to 2200 kg/m3 (even distribution)"
-)
+_MODELS = "models of the middle ear, 1300 (doi:10.1007/s10237-016-0758-5) to 2200 kg/m3 (even distribution)"
 _VINAYACHANDRA = "Vinayachandra et al. 2013, Medico-Legal Update 13(1):69 (mean)"
 
 
@@ -177,8 +175,8 @@ def check_mesh(mesh: MendedMesh, name: str) -> None:
     Raises
     ------
     StapeskitError
-        More than one piece encloses a positive volume (a cavity does not), or the longest extent is below 1 or
-        above 12 mm.
+        More than one piece encloses a positive volume (a cavity does not), or the longest extent is below 1
+        or above 12 mm.
     """
     volumes = body_volumes(mesh)
     bodies = sorted((volume for volume in volumes if volume > _LEAST_BODY * max(volumes)), reverse=True)

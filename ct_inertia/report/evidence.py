@@ -27,7 +27,10 @@ def evidence_rows(content: Mapping[str, Any]) -> list[Row]:
         return []
     size = " × ".join(map(str, segmentation["size_voxels"]))
     voxel = " × ".join(f"{1e3 * value:.4g}" for value in segmentation["voxel_size_mm"])
-    rows = [("voxels", f"{size} of {voxel} µm"), ("separated from other bone", str(segmentation["separation"]))]
+    rows = [
+        ("voxels", f"{size} of {voxel} µm"),
+        ("separated from other bone", str(segmentation["separation"])),
+    ]
     levels = segmentation["levels"]
     if levels:
         contrast = levels["bone"] - levels["air"]
@@ -38,7 +41,9 @@ def evidence_rows(content: Mapping[str, Any]) -> list[Row]:
             ("noise of one voxel", f"{100.0 * levels['noise'] / contrast:.1f} % of the contrast"),
             ("blur of the scan", f"{1e3 * segmentation['psf_sigma_mm']:.1f} µm (sd, voxel included)"),
         ]
-    rows += [(f"fitted: {name}".replace("_", " "), f"{value:.3g}") for name, value in segmentation["media"].items()]
+    rows += [
+        (f"fitted: {name}".replace("_", " "), f"{value:.3g}") for name, value in segmentation["media"].items()
+    ]
     for part in ("found", "measured"):
         rows += _flat(segmentation[part])
     return rows

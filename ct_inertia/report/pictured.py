@@ -121,7 +121,9 @@ def _slices(labels_file: Path, scan_file: Path, content: Mapping[str, Any]) -> S
     from ct_inertia.scan.open_scan import open_labels, open_scan
 
     given = content["provenance"]["parameters"]
-    known = {key: given[key] for key in ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype") if key in given}
+    known = {
+        key: given[key] for key in ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype") if key in given
+    }
     known |= {key: given[key] for key in ("byte_order", "header_bytes") if key in given}
     options = MassOptions.read({**known, "file": scan_file}, "mass.json", {key: key for key in given})
     scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)

@@ -1,6 +1,7 @@
 """The page of ``ct2mass`` and its sections, which other pages take over.
 
-Everything comes from mass.json, the meshes and slices of the scan, so a result that is read back gives the same page.
+Everything comes from mass.json, the meshes and slices of the scan, so a result that is read back gives the
+same page.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from ct_inertia.mass.ways import WAYS
 from ct_inertia.report.evidence import evidence_rows
 from ct_inertia.report.pictured import Pictured, pictured_from
 from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure, views
+from stapeskit.records.mass_matrix import source_words
 from stapeskit.report import page
 from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS
 from stapeskit.report.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, Quantity, matrix_units
 from stapeskit.report.scene3d import Line, Mesh, Scene
-from stapeskit.records.mass_matrix import source_words
 from stapeskit.warnings import from_json
 
 if TYPE_CHECKING:
@@ -129,7 +130,10 @@ def summary_cards(content: Content) -> Markup:
     ]
     size = f"{found['footplate_length_mm']:.2f} × {found['footplate_width_mm']:.2f} mm"
     sizes = [("footplate", size), ("height", f"{found['height_mm']:.2f} mm"), ("gap", _gap_words(found))]
-    words = [("anterior", content["frames"].get("anterior_in_words", "")), ("z points", content["frames"]["z_is"])]
+    words = [
+        ("anterior", content["frames"].get("anterior_in_words", "")),
+        ("z points", content["frames"]["z_is"]),
+    ]
     return page.cards(("Mass", mass), ("In footplate axes", place), ("Sizes", sizes), ("Frame", words))
 
 
@@ -159,8 +163,13 @@ def matrix_blocks(content: Content) -> list[Markup]:
         "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small rotations about "
         "x, y, z). "
     )
-    order += f"No standard deviations: {missing}." if missing else "± is one standard deviation with all sources."
-    blocks = [page.text(order), _matrix(content, "mass_matrix", "about the footplate centre, in footplate axes")]
+    order += (
+        f"No standard deviations: {missing}." if missing else "± is one standard deviation with all sources."
+    )
+    blocks = [
+        page.text(order),
+        _matrix(content, "mass_matrix", "about the footplate centre, in footplate axes"),
+    ]
     if content["mass_matrix_plate_axes"] is not None:
         plate = _matrix(content, "mass_matrix_plate_axes", "about the footplate centre, in plate axes")
         blocks.append(page.folded("M in the axes of the plate", plate))
@@ -174,7 +183,9 @@ def budget_blocks(content: Content) -> list[Markup]:
     for source, row in content["uncertainty"].items():
         if source not in ("total", "not_included"):
             shares = np.array(row["mass_matrix_diagonal_si"])[[0, 3, 4, 5]] / values
-            rows[source] = np.append(100.0 * shares, SMALL_LENGTH.of(float(np.linalg.norm(row["center_of_mass_m"]))))
+            rows[source] = np.append(
+                100.0 * shares, SMALL_LENGTH.of(float(np.linalg.norm(row["center_of_mass_m"])))
+            )
     order = sorted(rows, key=lambda source: -float(np.max(rows[source][:4])))
     listed = [(source_words(source), *_digits(rows[source])) for source in order[:_LARGEST]]
     rest = order[_LARGEST:]
@@ -183,7 +194,11 @@ def budget_blocks(content: Content) -> list[Markup]:
         listed.append((f"{len(rest)} others together", *_digits(together)))
     listed.append(("all of these", *_digits(np.sqrt(sum(np.square(row) for row in rows.values())))))
     head = ("source", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)", "centre (µm)")
-    blocks = [page.table(head, listed, "One standard deviation that each source adds; centre: of mass.", file="budget")]
+    blocks = [
+        page.table(
+            head, listed, "One standard deviation that each source adds; centre: of mass.", file="budget"
+        )
+    ]
     missing = content["uncertainty"].get("not_included") or []
     return blocks + ([page.text("Not in the budget: " + "; ".join(missing) + ".")] if missing else [])
 
@@ -195,9 +210,7 @@ def _digits(values: Any) -> list[str]:
 def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
     """Return the stapes seen along the footplate axes, where anterior is in words, and both frames."""
     frames = content["frames"]
-    caption = (
-        "The stapes along the axes of the footplate: x along it, anterior; y the piston direction, lateral; z = x × y."
-    )
+    caption = "The stapes along the axes of the footplate: x along it, anterior; y the piston direction, lateral; z = x × y."
     alt = "The stapes seen from the medial side and from two others, with the directions named."
     words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
     return [
@@ -244,7 +257,9 @@ def scene(content: Content, pictured: Pictured) -> Scene:
     if pictured.plate is not None:
         plate = pictured.plate
         colour = BODY_COLOURS["plate"]
-        surfaces.append(Mesh("plate", plate.vertices_mm, plate.faces, colour, 0.4, most_faces=3000, in_view=False))
+        surfaces.append(
+            Mesh("plate", plate.vertices_mm, plate.faces, colour, 0.4, most_faces=3000, in_view=False)
+        )
     outline = np.array(content["found"]["footplate_outline_in_footplate_mm"])
     closed = frame.points(np.vstack([outline, outline[:1]]))
     lines.append(Line("outline", closed, BODY_COLOURS["base"], "outline of the footplate", width=2.0))
@@ -253,7 +268,9 @@ def scene(content: Content, pictured: Pictured) -> Scene:
         for name, axis in zip("xyz", plate_frame.rotation.T, strict=True):
             start = plate_frame.translation_mm
             ends = np.stack([start, start + _PLATE_AXIS_MM * axis])
-            lines.append(Line(f"{name}p", ends, AXIS_COLOURS[name], "plate frame", False, f"{name} plate", True))
+            lines.append(
+                Line(f"{name}p", ends, AXIS_COLOURS[name], "plate frame", False, f"{name} plate", True)
+            )
     return Scene(
         surfaces,
         axes=frame,
@@ -290,7 +307,13 @@ def ways_blocks(content: Content) -> list[Markup]:
     sd = None if _missing(content) else content["uncertainty"]["total"]["mass_kg"]
     lead = content["mass_known_by"]
     rows: list[tuple[object, ...]] = [
-        (f"{WAYS[lead].words} (used)", Quantity(content["mass_kg"], sd, MASS), content["density_kg_m3"], "", "")
+        (
+            f"{WAYS[lead].words} (used)",
+            Quantity(content["mass_kg"], sd, MASS),
+            content["density_kg_m3"],
+            "",
+            "",
+        )
     ]
     for way in others:
         mass = Quantity(way["mass_kg"], way["mass_sd_kg"] if way["mass_sd_stated"] else None, MASS)

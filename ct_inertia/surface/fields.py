@@ -15,7 +15,9 @@ from stapeskit.arrays import Array
 if TYPE_CHECKING:
     from pyvista import PolyData
 
-_LEAST_SINE = 0.1  # twice the area over the square of the longest edge: the stiffness of slivers is limited there
+_LEAST_SINE = (
+    0.1  # twice the area over the square of the longest edge: the stiffness of slivers is limited there
+)
 
 
 class Diffusion:
@@ -23,9 +25,9 @@ class Diffusion:
 
     Notes
     -----
-    Stiffness by cotangents (Pinkall and Polthier 1993, doi:10.1080/10586458.1993.10504266), lumped mass. One step
-    multiplies a field of surface wave number k by 1 / (1 + sigma^2 k^2 / 4); two of them are close to a Gaussian of
-    standard deviation sigma.
+    Stiffness by cotangents (Pinkall and Polthier 1993, doi:10.1080/10586458.1993.10504266), lumped mass.
+    One step multiplies a field of surface wave number k by 1 / (1 + sigma^2 k^2 / 4); two of them are close
+    to a Gaussian of standard deviation sigma.
     """
 
     def __init__(self, points: Array, faces: Faces, sigma_mm: float) -> None:
@@ -35,7 +37,9 @@ class Diffusion:
         self.points, self.faces, self.sigma_mm = points, faces, sigma_mm
         count = len(points)
         corners = points[faces]
-        areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas = 0.5 * np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
         longest = np.max(np.sum((corners - np.roll(corners, -1, axis=1)) ** 2, axis=-1), axis=1)
         double = np.maximum(2.0 * areas, _LEAST_SINE * longest + 1e-30)
         rows, columns, weights = [], [], []

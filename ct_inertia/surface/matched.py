@@ -39,12 +39,12 @@ def moment_matched(field: Grey, moments: Moments, scan_from_index: Array) -> Sur
     Notes
     -----
     A surface cut from blurred values encloses too little where it is convex and at thin walls. The level is
-    therefore a polynomial of the second degree in position, with ten coefficients for the ten moments: of all
-    small displacements of the surface along its normals that restore the moments, the least in the mean square
-    has this form. The surface remains an iso surface of one continuous field, closed and without intersections.
-    The moment of phi_j changes with coefficient k by minus the integral of phi_j phi_k over the surface per
-    gradient (coarea formula), counted over the voxels in a band about the level; Newton's method with this
-    matrix, and with the exact moments of the triangles.
+    therefore a polynomial of the second degree in position, with ten coefficients for the ten moments: of
+    all small displacements of the surface along its normals that restore the moments, the least in the mean
+    square has this form. The surface remains an iso surface of one continuous field, closed and without
+    intersections. The moment of phi_j changes with coefficient k by minus the integral of phi_j phi_k over
+    the surface per gradient (coarea formula), counted over the voxels in a band about the level; Newton's
+    method with this matrix, and with the exact moments of the triangles.
     """
     first, part = padded_part(field)
     rim = _Rim.about(part, moments, scan_from_index, first)

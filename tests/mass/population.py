@@ -1,6 +1,7 @@
 """Simulated ears, scanned at random, and how far what is measured lies from the truth in stated sd.
 
-``python -m tests.mass.population FIRST COUNT [labels]`` prints the table that the numbers of calibrated.toml are fitted on.
+``python -m tests.mass.population FIRST COUNT [labels]`` prints the table that the numbers of
+calibrated.toml are fitted on.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from ct_inertia.options import EXPORTS as EXPORT_NAMES
 from ct_inertia.options import MassOptions
 from ct_inertia.report.sections import page_from
 from ct_inertia.results import MassResult
-from simulate import Ear, Scan, Stapes, Truth, simulate_study, stapes_solid
 from ct_inertia.surface.surface import Surface
+from simulate import Ear, Scan, Stapes, Truth, simulate_study, stapes_solid
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass import read_mass_json
 from stapeskit.records.measured_mass import measured_mass
@@ -113,7 +113,14 @@ def test_what_is_written_is_what_was_measured(tmp_path: Path) -> None:
     result = scanned()
     files = result.write(tmp_path / "out")
     names = {path.name for path in files}
-    assert names == {"mass.json", "stapes.ply", "plate.ply", "labels.seg.nrrd", "scan_crop.nrrd", "report.html"}
+    assert names == {
+        "mass.json",
+        "stapes.ply",
+        "plate.ply",
+        "labels.seg.nrrd",
+        "scan_crop.nrrd",
+        "report.html",
+    }
     record = read_mass_json(tmp_path / "out" / "mass.json")
     np.testing.assert_allclose(record.mass_matrix.matrix, result.matrix.matrix, rtol=1e-12)
     np.testing.assert_allclose(record.mass_matrix.covariance, result.matrix.covariance, rtol=1e-9)
@@ -284,8 +291,13 @@ def test_labels_of_another_scan_are_refused() -> None:
     labels[8:22, 8:22, 8:22] = 1
     grey = np.where(labels, 30000, 8000).astype(np.uint16)
     scan = Grid.from_array(grey, 0.05)
-    for grid in (Grid.from_array(labels, 0.04), Grid.from_array(labels, 0.05, origin_mm=np.array([9.0, 0, 0]))):
-        moved = label_volume(labels[:, :, :28], Grid.from_array(labels[:, :, :28], grid.spacing_mm, origin_mm=grid.origin_mm))
+    for grid in (
+        Grid.from_array(labels, 0.04),
+        Grid.from_array(labels, 0.05, origin_mm=np.array([9.0, 0, 0])),
+    ):
+        moved = label_volume(
+            labels[:, :, :28], Grid.from_array(labels[:, :, :28], grid.spacing_mm, origin_mm=grid.origin_mm)
+        )
         with pytest.raises(StapeskitError) as error:
             labels_on_scan(scan, moved)
         assert error.value.faults[0].thing == "the label volume"

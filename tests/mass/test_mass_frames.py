@@ -15,7 +15,8 @@ from ct_inertia.frames.footplate_face import solve_at
 from ct_inertia.frames.footplate_sd import Influence, SurfaceError
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.surface.surface import Surface
-from simulate import STAPES, Stapes, footplate_frame as true_frame, stapes_solid
+from simulate import STAPES, Stapes, stapes_solid
+from simulate import footplate_frame as true_frame
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.registration import displacement
@@ -34,7 +35,9 @@ def found_of(stapes: Stapes) -> FootplateFrame:
 
 
 @pytest.mark.parametrize(
-    "stapes", [Stapes(), Stapes(family="analytic"), Stapes(family="gutter"), Stapes(warp=0.05, seed=3)], ids=str
+    "stapes",
+    [Stapes(), Stapes(family="analytic"), Stapes(family="gutter"), Stapes(warp=0.05, seed=3)],
+    ids=str,
 )
 def test_the_frame_is_that_of_the_definition(stapes: Stapes) -> None:
     truth = POSE @ RigidTransform(true_frame(stapes_solid(stapes)).matrix, "body", "footplate")
@@ -212,7 +215,9 @@ def test_a_ball_has_no_footplate() -> None:
 def test_every_family_of_stapes_has_a_frame() -> None:
     for family in STAPES:
         solid = stapes_solid(Stapes(family=family))
-        frame = footplate_frame(Surface(solid.vertices_mm, solid.faces), AnatomyHints(np.array([1.0, 0.0, 0.0])))
+        frame = footplate_frame(
+            Surface(solid.vertices_mm, solid.faces), AnatomyHints(np.array([1.0, 0.0, 0.0]))
+        )
         step = displacement(frame.scan_from_footplate, RigidTransform.identity("scan", "footplate"))
         assert np.all(np.abs(step) < [5e-7] * 3 + [5e-4] * 3), family
 
@@ -232,7 +237,9 @@ def test_landmarks_of_slicer_are_turned_to_lps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("header", "signs"), [("", [-1, -1, 1]), ("# CoordinateSystem = LPS\n", [1, 1, 1])])
-def test_landmarks_of_fcsv_have_the_system_that_they_say(tmp_path: Path, header: str, signs: list[int]) -> None:
+def test_landmarks_of_fcsv_have_the_system_that_they_say(
+    tmp_path: Path, header: str, signs: list[int]
+) -> None:
     path = tmp_path / "points.fcsv"
     row = '1,1.0,2.0,3.0,0,0,0,1,1,1,0,"anterior"'
     path.write_text(f"{header}{row}\n")

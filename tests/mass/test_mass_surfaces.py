@@ -13,7 +13,7 @@ from ct_inertia.surface.fields import Diffusion, step_response
 from ct_inertia.surface.matched import moment_matched
 from ct_inertia.surface.repair import read_mesh
 from ct_inertia.surface.surface import Surface
-from simulate import coverage_of, ellipsoid, stapes_solid, Stapes
+from simulate import Stapes, coverage_of, ellipsoid, stapes_solid
 from simulate.solids import Solid
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import rotation_from_vector
@@ -111,7 +111,9 @@ def test_a_matched_surface_has_the_moments_it_was_given(step: float) -> None:
     plain = contour(field, transform).moments()
     surface = moment_matched(field, wanted, transform)
     found = surface.moments()
-    assert abs(found.volume_mm3 / exact.volume_mm3 - 1.0) < 5e-4 < abs(plain.volume_mm3 / exact.volume_mm3 - 1.0)
+    assert (
+        abs(found.volume_mm3 / exact.volume_mm3 - 1.0) < 5e-4 < abs(plain.volume_mm3 / exact.volume_mm3 - 1.0)
+    )
     np.testing.assert_allclose(found.centroid_mm, exact.centroid_mm, atol=1e-3)
     np.testing.assert_allclose(found.second_mm5, exact.second_mm5, atol=1e-3 * np.trace(exact.second_mm5))
     assert Solid(surface.vertices_mm, surface.faces).is_closed()

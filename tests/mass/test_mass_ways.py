@@ -21,7 +21,9 @@ from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.option_types import WithSd
 from stapeskit.spatial import matrix_from_parameters
 
-POSE = RigidTransform.from_parts(rotation_from_vector([0.4, -0.9, 1.3]), [31.0, -12.0, 57.0], "scan", "footplate")
+POSE = RigidTransform.from_parts(
+    rotation_from_vector([0.4, -0.9, 1.3]), [31.0, -12.0, 57.0], "scan", "footplate"
+)
 SOLID = stapes_solid(Stapes())
 NO_ERROR = np.zeros((6, 6))
 
@@ -91,7 +93,9 @@ def test_added_masses_enter_as_points() -> None:
     root = np.sqrt(np.diag(exact))
     assert np.max(np.abs(matrix.matrix - exact) / np.outer(root, root)) < 1e-9
     expected = 0.1 * point_mass(0.5e-6, (0.3, 2.1, -0.4))
-    np.testing.assert_allclose(np.sqrt(np.diag(matrix.contributions["added_mass"])), np.abs(expected), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(matrix.contributions["added_mass"])), np.abs(expected), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("by", ["density", "mass"])
@@ -101,9 +105,7 @@ def test_a_larger_voxel_is_a_scaled_scan(by: str) -> None:
 
     def body(scale: float) -> tuple[np.ndarray, np.ndarray]:
         exact = SOLID.moments()
-        moments = Moments(
-            exact.volume_mm3 * scale**3, exact.centroid_mm * scale, exact.second_mm5 * scale**5
-        )
+        moments = Moments(exact.volume_mm3 * scale**3, exact.centroid_mm * scale, exact.second_mm5 * scale**5)
         found = from_density(moments, 1900.0, None) if by == "density" else from_mass(moments, 4.4e-6, None)
         return found.mass_matrix(RigidTransform.identity("scan", "footplate"), NO_ERROR).parameters, moments
 
