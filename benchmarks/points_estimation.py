@@ -106,8 +106,10 @@ def row(name: str, fit: LineFit, data: Readings, tested: bool = True) -> list[ob
 def known_noise(lines: int) -> Iterator[list[object]]:
     """Yield noise that is known: equal, unequal between channels or values; gaps; outliers."""
     kinds = {
-        "equal noise": (0.0, False), "channels differ up to 10 x": (0.5, False), "all values differ": (0.5, True),
-    }  # fmt: skip
+        "equal noise": (0.0, False),
+        "channels differ up to 10 x": (0.5, False),
+        "all values differ": (0.5, True),
+    }
     for seed, (name, (spread, per_value)) in enumerate(kinds.items()):
         data = readings(seed, lines, spread, per_value)
         value = data.noisy(seed, 1)
