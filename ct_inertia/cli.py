@@ -97,10 +97,11 @@ def _usual_folder(options: MassOptions) -> Path:
 
 def _config(words: list[str]) -> list[Path]:
     """Return the file of ``--config``: an input, too."""
+    import itertools
     from pathlib import Path
 
     joined = [word.partition("=")[2] for word in words if word.startswith("--config=")]
-    after = [second for first, second in zip(words, words[1:], strict=False) if first == "--config"]
+    after = [second for first, second in itertools.pairwise(words) if first == "--config"]
     return [Path(word) for word in (*joined, *after)]
 
 

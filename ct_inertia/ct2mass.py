@@ -235,9 +235,12 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
     path = work.options.source
     mesh = read_mesh(path, work.options.close)
     check_mesh(mesh, path.name)
-    exact = "The input is a surface: it is taken as exact, and the budget holds density or mass and the frame only."
+    exact = (
+        "The input is a surface: it is taken as exact; the budget holds density or mass and the frame only."
+    )
     turned = (
-        f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, the ear is "
+        f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, "
+        "the ear is "
         "a mirror image. Check a known asymmetry in the report."
     )
     work.notices += [
@@ -368,7 +371,7 @@ def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Mome
 
 
 def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateFrame | None:
-    """Return the plate frame by fiducials, else by the faces of the plate; None without a plate, with a warning."""
+    """Return the plate frame by fiducials, else by the faces of the plate; None, with a warning, without."""
     if work.fiducials is not None:
         from ct_inertia.frames.fiducials import plate_frame_from_fiducials
 
@@ -381,7 +384,8 @@ def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateF
         return plate_frame(plate, moments.centroid_mm, _PLATE_SHIFT * cell)
     if work.measured is not None:
         text = (
-            "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. If the scan "
+            "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. "
+            "If the scan "
             "holds one, give --plate-fiducials, or label it (--labels)."
         )
         work.notices.append(Notice("plate_not_found", text))
@@ -400,7 +404,7 @@ def _gap(
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:
-    """Return the mass by every way that was given, scaled and with what was glued on, the leading one first."""
+    """Return the mass by every way given, scaled and with what was glued on, the leading one first."""
     options = work.options
     found = masses_by_way(moments, options.density_kg_m3, options.mass_mg, work.calibration, work.measured)
     if options.density_kg_m3 is None and "density" in found:

@@ -113,7 +113,8 @@ def _without_islands(mask: Mask, grid: Scan) -> tuple[Mask, list[Notice]]:
         raise StapeskitError.of(thing, "one connected body", got, grid.name, step)
     text = (
         f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "
-        f"({rest * grid.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove them from the "
+        f"({rest * grid.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove them "
+        "from the "
         "label volume."
     )
     return np.asarray(parts == main), [Notice("label_islands_left_out", text)]
@@ -130,7 +131,8 @@ def labels_alone(volume: LabelVolume) -> Labelled:
     begins, ends = (np.array([flat[axis, end] for axis in range(3)]) for end in (0, 1))
     box = _box(stapes.astype(np.float32), first, block, grid, begins, ends, is_mask=True)
     text = (
-        "The bodies come from labels alone: without grey values their surfaces are known to the voxel only, and a "
+        "The bodies come from labels alone: without grey values their surfaces are known to the voxel only, "
+        "and a "
         "threshold's bias of some percent in volume stays unseen. Give the scan together with --labels."
     )
     return Labelled(
@@ -311,7 +313,7 @@ def _levels(
 
 
 def _flat_cuts(array: NDArray[np.uint8]) -> Mask:
-    """Return where the labels end in a flat cut, (x, y, z) by (first, last); a crop that only touches is none."""
+    """Return where labels end in a flat cut, (x, y, z) by (first, last); a crop that touches is none."""
     flat = np.zeros((3, 2), dtype=bool)
     for axis in range(3):
         for end, (outer, inner) in enumerate(((0, 1), (-1, -2))):
@@ -338,7 +340,8 @@ def _goes_on(scan: Scan, volume: LabelVolume, offset: Index, middle: float) -> l
             bright = scan.read((part[2], part[1], part[0])).squeeze(2 - axis) > middle
             if np.count_nonzero(drawn & bright) > max(_LEAST_END, 0.5 * np.count_nonzero(drawn)):
                 text = (
-                    f"The stapes touches the border of the label volume at its {end} layer along {'xyz'[axis]} while "
+                    f"The stapes touches the border of the label volume at its {end} layer along "
+                    f"{'xyz'[axis]} while "
                     "its bone goes on in the scan: what lies beyond is missing from volume and mass, and the "
                     "uncertainty does not hold it. Draw the labels to its end."
                 )

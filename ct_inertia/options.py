@@ -131,7 +131,7 @@ _VOXELS = {
 
 
 class MassOptions(Options):
-    """Everything that decides a mass matrix; every field is an option of ``ct2mass`` and a key of ``[scan]``."""
+    """Everything that decides a mass matrix: options of ``ct2mass``, keys of ``[scan]``."""
 
     table: ClassVar[str] = "scan"
     rules: ClassVar[tuple[Rule, ...]] = (

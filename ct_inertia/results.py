@@ -253,7 +253,7 @@ class MassResult(Result):
     def write_into(
         self, stage: Path, *, report: bool = True, labels_name: str = "labels.seg.nrrd", **more: Any
     ) -> tuple[str, ...]:
-        """Write every file into an empty folder and return their names; further files as `write_files` takes them."""
+        """Write every file into an empty folder and return their names; ``more`` as in `write_files`."""
         from ct_inertia.exports.write import write_files
 
         return write_files(self, stage, report=report, labels_name=labels_name, **more)

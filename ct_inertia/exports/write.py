@@ -185,7 +185,7 @@ def _write_mesh(_result: MassResult, shown: Surface, path: Path) -> None:
 
 
 def _write_mat(result: MassResult, _shown: Surface, path: Path) -> None:
-    """Write mass.mat (version 5) for MATLAB and Octave: SI units, every matrix with its standard deviation."""
+    """Write mass.mat (version 5) for MATLAB and Octave: SI units, matrices with standard deviations."""
     from scipy.io import savemat
 
     matrix, plate = result.matrix, result.record.plate_mass_matrix

@@ -1,4 +1,4 @@
-"""What a person knows about the ear: side, anterior, landmarks; it gives the found axes their sense, in words."""
+"""What a person knows about the ear: side, anterior, landmarks. It gives the found axes their sense."""
 
 from __future__ import annotations
 
@@ -104,13 +104,14 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
         if unused:
             raise StapeskitError(*unused)
         text = (
-            "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with the positive "
+            "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with "
+            "the positive "
             "component along scan x (ties: y, z). Give --anterior or an anterior landmark."
         )
         return Orientation(_scan_sign(x_axis), NO_HINT, (*notices, Notice("anterior_not_given", text)))
     if len({sign for sign, _ in votes}) > 1:
         statements = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
-        step = "Correct the wrong one; a wrong --side or a mirrored scan (--mirror) does this to superior and inferior"
+        step = "Correct the wrong one; a wrong --side or a mirrored scan (--mirror) can do this"
         expected = "of one mind about which end of the footplate is anterior"
         raise StapeskitError.of("the anatomical hints", expected, statements, next_step=step)
     notices += [Notice("landmark_unused", str(fault)) for fault in unused]
@@ -124,7 +125,7 @@ def _scan_sign(axis: Array) -> float:
 def _votes(
     hints: AnatomyHints, origin_mm: Array, x_axis: Array, z_axis: Array
 ) -> tuple[list[tuple[float, str]], list[Notice], list[Fault]]:
-    """Return (sign of the long axis, source) of every usable hint, notices, and landmarks that say nothing."""
+    """Return sign of the long axis and source of every usable hint, notices, landmarks that say nothing."""
     votes: list[tuple[float, str]] = []
     notices: list[Notice] = []
     unused: list[Fault] = []

@@ -134,13 +134,15 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     square = np.abs(sides @ longest) < 0.7 * lengths * lengths.max()
     listed = ", ".join(f"{value:+.3f}" for value in frame[:, 0])
     text = (
-        "x of the plate frame is the longest side between the --plate-fiducials in the sense with the positive "
+        "x of the plate frame is the longest side between the --plate-fiducials in the sense with the "
+        "positive "
         f"component along scan x, [{listed}] in scan axes."
     )
     notices = [Notice("plate_axis_sign", text)]
     if np.max(lengths[square], initial=0.0) > AMBIGUOUS * lengths.max():
         text = (
-            "Two sides between the --plate-fiducials are nearly equally long: which of them is x is ambiguous. Give "
+            "Two sides between the --plate-fiducials are nearly equally long: which of them is x is "
+            "ambiguous. Give "
             "their x_ref_mm, y_ref_mm, z_ref_mm."
         )
         notices.append(Notice("plate_axis_ambiguous", text))

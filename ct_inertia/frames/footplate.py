@@ -135,7 +135,8 @@ def _solve(surface: Surface, hints: AnatomyHints, blur_mm: float) -> tuple[Solve
     notices += oriented.notices
     if solved.elongation < _ROUND:
         text = (
-            f"The footplate is nearly round (length to width {solved.elongation:.2f}): its long axis, and with it x "
+            f"The footplate is nearly round (length to width {solved.elongation:.2f}): its long axis, and "
+            "with it x "
             "and z, are weakly determined."
         )
         notices.append(Notice("long_axis_weak", text))
@@ -161,8 +162,10 @@ def _choose_face(
         if len(faces) < 2 or faces[1][1] < _RIVAL * faces[0][1] or known:
             return solved, []
         text = (
-            f"Another face of the body is nearly as large as the one taken for the footplate ({faces[1][1]:.2f} "
-            f"against {faces[0][1]:.2f} mm2). Check the report; a landmark named head or footplate_centre settles it."
+            f"Another face of the body is nearly as large as the one taken for the footplate "
+            f"({faces[1][1]:.2f} "
+            f"against {faces[0][1]:.2f} mm2). Check the report; a landmark named head or footplate_centre "
+            "settles it."
         )
         return solved, [Notice("footplate_ambiguous", text)]
     for outward, area in faces[1:]:
@@ -170,13 +173,13 @@ def _choose_face(
             break
         trial = solve_at(surface, outward, extent, blur_mm)
         if contradiction(trial.origin, trial.axes, hints) is None:
-            text = "The footplate was taken to be another than the largest face of the body, as the landmarks ask."
+            text = "The footplate was taken to be another face than the largest, as the landmarks ask."
             return trial, [Notice("footplate_by_landmark", text)]
     raise StapeskitError(fault)
 
 
 def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, float]]:
-    """Return near-planar faces at the extremities of a body: outward direction (3,) and area (mm2), largest first.
+    """Return near-planar faces at the extremities of a body: direction (3,) and area (mm2), largest first.
 
     Notes
     -----

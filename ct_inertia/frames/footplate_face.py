@@ -1,4 +1,4 @@
-"""The medial face of the footplate on a surface: cut out by pyvista, its robust plane, the fixed point of both.
+"""The medial face of the footplate: cut out of a surface by pyvista, its plane, the fixed point of both.
 
 The definition. On the surface, n are the outward normals diffused over 0.05 mm. For a direction y the
 medial face F(y) is the largest connected part where n lies within 60 degrees of -y. Then y is the normal of
@@ -268,7 +268,7 @@ def _slope(mesh: PolyData, field: Array) -> Array:
 
 
 def _border(patch: PolyData) -> tuple[Array, Array, Array]:
-    """Return the longest closed line (n, 3) of a patch's border, all its pieces (s, 2, 3) and the slopes there."""
+    """Return the longest line (n, 3) of a patch's border, all its pieces (s, 2, 3), the slopes there."""
     edges = patch.extract_feature_edges(
         boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
     )

@@ -165,12 +165,12 @@ class Influence:
         return _to_si((moved * (self.lengths * slope_density)[:, None]).T @ moved)
 
     def rim_heights(self, height_density: float) -> Array:
-        """Return what heights of the rim itself add, which move it outward, (6, 6), SI, by line density, mm3."""
+        """Return what heights of the rim, which move it outward, add, (6, 6), SI, by line density, mm3."""
         sine = float(np.sin(np.radians(FACE_ANGLE_DEG)))
         return _to_si((self.rims * (self.lengths * height_density)[:, None]).T @ self.rims) * sine**2
 
     def sectors(self, shift_mm: Array) -> Array:
-        """Return what shifts of the rim (s,), mm, common to a sector of it and independent between, add, (6, 6), SI.
+        """Return what shifts of the rim (s,), mm, that are common to a sector of it add, (6, 6), SI.
 
         Notes
         -----

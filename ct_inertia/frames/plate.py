@@ -1,4 +1,4 @@
-"""The plane faces of a solid such as the plate: found by direction, fitted robustly below the size of a voxel."""
+"""The plane faces of a solid such as the plate: found by direction, fitted robustly."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class _Pieces:
 
 
 def plane_faces(surface: Surface) -> list[PlaneFace]:
-    """Return the plane faces of a closed surface that hold more than a hundredth of its area, the largest first.
+    """Return plane faces of more than a hundredth of the area of a closed surface, the largest first.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""The plate frame from the mesh of the plate: +y out of its large face towards the stapes, x along its longest edge.
+"""The plate frame from its mesh: +y out of the large face towards the stapes, x along the longest edge.
 
 The edges are the lines where the fitted plane of the face meets those of the plate's sides, so that bone
 and glue on the face do not matter. Edges that are parallel or square to the longest one within what is
@@ -65,7 +65,7 @@ class PlateFrame:
 
 @dataclass(frozen=True)
 class _Pose:
-    """A frame built from planes: axes (3, 3), origin (3,), corners (n, 3), edge lengths, planes behind the edges."""
+    """A frame built from planes: axes, origin, corners (n, 3), edge lengths, planes behind the edges."""
 
     axes: Array
     origin: Array
@@ -289,13 +289,15 @@ def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
     listed = ", ".join(f"{value:+.3f}" for value in pose.axes[:, 0])
     if pose.along < 0:
         text = (
-            "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and its turn "
+            "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and "
+            "its turn "
             "about y says nothing about the plate. Give --plate-fiducials."
         )
         notices.append(Notice("plate_edges_not_visible", text))
     else:
         text = (
-            "x of the plate frame is the longest edge of the plate in the sense with the positive component along scan "
+            "x of the plate frame is the longest edge of the plate in the sense with the positive component "
+            "along scan "
             f"x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
         )
         notices.append(Notice("plate_axis_sign", text))
@@ -305,13 +307,15 @@ def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
         ratio = max(other, default=0.0) / max(length for length, owner in pairs if owner == pose.along)
         if ratio > AMBIGUOUS:
             text = (
-                f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is ambiguous. "
+                f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
+                "ambiguous. "
                 "Give --plate-fiducials."
             )
             notices.append(Notice("plate_axis_ambiguous", text))
     if any(side.at_border for side in sides):
         text = (
-            "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, no point of "
+            "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, "
+            "no point of "
             "the plate itself. Give --plate-fiducials to tie it to the plate."
         )
         notices.append(Notice("plate_cropped", text))

@@ -96,7 +96,7 @@ class MassProperties:
         return float(self.parameters[0])
 
     def scaled(self, factor: float) -> MassProperties:
-        """Return the properties of bone whose voxels are larger by a factor; ``com_mm`` remains in scan mm."""
+        """Return the properties with voxels larger by a factor; ``com_mm`` remains in scan mm."""
         powers = factor**self.length_powers
         return replace(
             self,

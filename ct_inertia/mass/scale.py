@@ -23,7 +23,7 @@ _MOST = 0.1  # a factor that no scanner needs: another length was measured
 
 @dataclass(frozen=True)
 class VoxelScale:
-    """The true length of a length of 1 by the voxel size, with its standard deviation, and what it is from."""
+    """The true length of a length of 1 by the voxel size, its standard deviation, and what it is from."""
 
     factor: float
     sd: float
@@ -34,7 +34,8 @@ class VoxelScale:
         spacing = ",".join(f"{self.factor * value:.7g}" for value in spacing_mm)
         text = (
             f"The voxel size was corrected by {100.0 * (self.factor - 1.0):+.3f} +- {100.0 * self.sd:.3f} % "
-            f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm of the scan "
+            f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm "
+            "of the scan "
             f"as it is stored; --spacing {spacing} corrects those too."
         )
         return Notice("voxel_scale_corrected", text)

@@ -1,4 +1,4 @@
-"""Published sizes and weights of human stapedes: how far a measured one lies from them, and whether it can be one."""
+"""Published sizes and weights of human stapedes, and how far a measured one lies from them."""
 
 from __future__ import annotations
 
@@ -133,7 +133,8 @@ def unusual_notice(sizes: Mapping[str, float]) -> list[Notice]:
     if not unusual:
         return []
     text = (
-        f"Outside of what is published of human stapedes: {'; '.join(unusual)}. Check the voxel spacing (1 % of it "
+        f"Outside of what is published of human stapedes: {'; '.join(unusual)}. Check the voxel spacing (1 "
+        "% of it "
         "is 3 % of the volume), the density, and in the report what was measured."
     )
     return [Notice("outside_published_sizes", text)]
@@ -151,7 +152,8 @@ def impossible(sizes: Mapping[str, float]) -> list[str]:
 def size_notice(reasons: Sequence[str]) -> Notice:
     """Return the warning for a body that somebody named."""
     text = (
-        f"The body has {', '.join(reasons)}: it cannot be a whole human stapes. Check what was measured in the report, "
+        f"The body has {', '.join(reasons)}: it cannot be a whole human stapes. Check what was measured in "
+        "the report, "
         "the voxel spacing, and the unit of a mesh."
     )
     return Notice("size_implausible", text)
@@ -160,7 +162,8 @@ def size_notice(reasons: Sequence[str]) -> Notice:
 def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> StapeskitError:
     """Return the error for a body that cannot be a stapes, with the warnings about the scan's border."""
     step = (
-        "Name the stapes with --seed X,Y,Z (a point inside it, scan mm) or --labels, leave other bone out with --box "
+        "Name the stapes with --seed X,Y,Z (a point inside it, scan mm) or --labels, leave other bone out "
+        "with --box "
         "or --threshold, and check the voxel spacing"
     )
     border = [notice.text for notice in notices if notice.code == "touches_border"]

@@ -18,8 +18,8 @@ from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
 
 ASSUMED_DENSITY = WithSd(1900.0, 200.0)
-"""Density of bone, kg/m3, where nothing is given (contract): cortical bone of the middle ear, with the spread of
-published models (`ct_inertia.mass.sizes`)."""
+"""Density of bone, kg/m3, where nothing is given (contract); its spread is that of published models of the
+middle ear (`ct_inertia.mass.sizes`)."""
 
 _LIKELY_SDS = 3.0  # 3 of 1000 normal values are further apart
 _UNSTATED_SHARE = 0.05  # of the mass: replaces a standard deviation that was not given, in comparisons only
@@ -150,8 +150,10 @@ def assumed_notice() -> Notice:
     """Return the warning that the density was assumed, with what it moves and how to state one's own."""
     value, sd = ASSUMED_DENSITY.value, ASSUMED_DENSITY.sd
     text = (
-        f"Nothing says what the stapes weighs: a density of bone of {value:g} +- {sd:g} kg/m3 is assumed, and its "
-        "standard deviation is in every interval. M, K and D scale with it, frequencies and mode shapes do not. "
+        f"Nothing says what the stapes weighs: a density of bone of {value:g} +- {sd:g} kg/m3 is assumed, "
+        "and its "
+        "standard deviation is in every interval. M, K and D scale with it, frequencies and mode shapes do "
+        "not. "
         "State your own with --mass-mg M+-SD (a balance), --calibration FILE.toml or --density RHO+-SD."
     )
     return Notice("density_assumed", text)
@@ -162,7 +164,7 @@ def not_stated(way: MassByWay) -> list[Notice]:
     if way.stated:
         return []
     entry = WAYS[way.way]
-    text = f"No standard deviation of {entry.what} was given ({entry.how}): {way.way} not included in the budget."
+    text = f"No sd of {entry.what} was given ({entry.how}): {way.way} not included in the budget."
     return [Notice(entry.code, text)]
 
 
@@ -182,7 +184,8 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
         if abs(apart) > limit:
             percent = 100.0 * apart / lead.body.mass_kg
             text = (
-                f"The mass by {WAYS[other.way].words} is {MASS.text(apart, '+.3g')} ({percent:+.1f} %) off that by "
+                f"The mass by {WAYS[other.way].words} is {MASS.text(apart, '+.3g')} ({percent:+.1f} %) off "
+                "that by "
                 f"{WAYS[lead.way].words}, which is used; their standard deviations explain "
                 f"{MASS.text(limit, '.2g')}. Check voxel size, density and balance."
             )

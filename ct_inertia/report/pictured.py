@@ -1,4 +1,4 @@
-"""What the pictures of a page need beside mass.json: surfaces, and the grey values and labels around the stapes."""
+"""What pictures need in addition to mass.json: surfaces, grey values and labels around the stapes."""
 
 from __future__ import annotations
 

@@ -80,11 +80,14 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
     cut = slices_figure(content, pictured)
     if cut is not None:
         caption = (
-            "Grey values with the outline of what was measured as stapes, and of what was taken for other bone and for "
-            "the plate. Above: planes of the footplate frame. Below: slices of the scan in which the stapes is largest."
+            "Grey values with the outline of what was measured as stapes, and of what was taken for other "
+            "bone and for "
+            "the plate. Above: planes of the footplate frame. Below: slices of the scan in which the stapes "
+            "is largest."
         )
         correct = (
-            "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes labels.seg.nrrd "
+            "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes "
+            "labels.seg.nrrd "
             "corrected in 3D Slicer or ITK-SNAP."
         )
         alt = "Six slices with the outlines of stapes, plate and other bone."
@@ -160,7 +163,8 @@ def matrix_blocks(content: Content) -> list[Markup]:
     """Return M in full and the budget of its largest sources."""
     missing = _missing(content)
     order = (
-        "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small rotations about "
+        "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small "
+        "rotations about "
         "x, y, z). "
     )
     order += (
@@ -210,7 +214,9 @@ def _digits(values: Any) -> list[str]:
 def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
     """Return the stapes seen along the footplate axes, where anterior is in words, and both frames."""
     frames = content["frames"]
-    caption = "The stapes along the axes of the footplate: x along it, anterior; y the piston direction, lateral; z = x × y."
+    caption = (
+        "The stapes along the axes of the footplate: x anterior, y lateral (piston direction), z = x × y."
+    )
     alt = "The stapes seen from the medial side and from two others, with the directions named."
     words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
     return [
@@ -324,13 +330,14 @@ def ways_blocks(content: Content) -> list[Markup]:
 
 
 def check_blocks(content: Content) -> list[Markup]:
-    """Return the comparison of the numbers used with the surface that is written, and with another library."""
+    """Return how the numbers used compare with the surface that is written, and with another library."""
     check = content["cross_check"]
     surface = check["volume_m3"]
     away = 1e3 * float(np.linalg.norm(check["centroid_difference_mm"]))
     text = (
         f"Numbers come from the {check['used']}. The surface in stapes.ply encloses "
-        f"{check['volume_difference_percent']:+.4f} % of that volume, its centre is {away:.2f} µm off, M differs by "
+        f"{check['volume_difference_percent']:+.4f} % of that volume, its centre is {away:.2f} µm off, M "
+        "differs by "
         f"{check['largest_mass_matrix_difference_percent']:.4f} % of √(Mii Mjj) at most."
     )
     other = abs(check["volume_by_vtk_m3"] / surface - 1.0)

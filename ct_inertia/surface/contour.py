@@ -38,7 +38,7 @@ def contour(field: Grey, scan_from_index: Array, level: float = 0.0, largest: bo
 
 
 def padded_part(field: Grey) -> tuple[Array, Grey]:
-    """Return the positive part of a field [z, y, x] with two voxels around, closed, and its first index x, y, z.
+    """Return the positive part of a field [z, y, x], two voxels around, and its first index x, y, z.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def padded_part(field: Grey) -> tuple[Array, Grey]:
 
 
 def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
-    """Return points (n, 3; index x, y, z) and outward faces of a zero surface, or of its largest closed piece."""
+    """Return points (n, 3; index x, y, z) and outward faces of a zero surface, or of its largest piece."""
     import pyvista as pv
 
     grid = pv.ImageData(dimensions=field.shape[::-1])

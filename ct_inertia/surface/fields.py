@@ -63,7 +63,7 @@ class Diffusion:
         return np.asarray(self._solve(self.mass[:, None] * field))
 
     def normals(self, points: Array | None = None) -> Array:
-        """Return outward normals (n, 3) after two steps, not of unit length; of displaced points where given."""
+        """Return outward normals (n, 3) after two steps, not of unit length; of displaced points if given."""
         corners = (self.points if points is None else points)[self.faces]
         thirds = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6.0
         return self.step(self._solve(sum_at_corners(self.faces, thirds, len(self.points))))
@@ -76,7 +76,7 @@ def sum_at_corners(faces: Faces, values: Array, count: int) -> Array:
 
 
 def step_response(wave_number: Array, sigma_mm: float) -> Array:
-    """Return the factor by which one step of `Diffusion` multiplies a surface wave of that number (rad/mm)."""
+    """Return the factor by which one step of `Diffusion` multiplies a surface wave (rad/mm)."""
     return np.asarray(1.0 / (1.0 + 0.25 * sigma_mm**2 * np.square(wave_number)))
 
 

@@ -1,4 +1,4 @@
-"""The footplate frame: its definition on exact meshes, its sense by hints, its covariance by influence functions."""
+"""The footplate frame: definition on exact meshes, sense by hints, covariance by influence functions."""
 
 from __future__ import annotations
 

@@ -165,5 +165,5 @@ def test_the_gap_of_exact_surfaces_is_the_one_that_was_built(gap_mm: float) -> N
 def test_without_a_wall_there_is_no_gap() -> None:
     ear = Ear(bone=False)
     stapes = Surface(ear.solid.vertices_mm, ear.solid.faces)
-    far = Solid(ear.solid.vertices_mm + [20.0, 0.0, 0.0], ear.solid.faces)
+    far = Solid(ear.solid.vertices_mm + np.array([20.0, 0.0, 0.0]), ear.solid.faces)
     assert window_gap(footplate_frame(stapes), stapes, Surface(far.vertices_mm, far.faces), 0.0, 0.0) is None

@@ -27,7 +27,7 @@ def ball_field(step_mm: float, radius_mm: float = 0.5) -> tuple[np.ndarray, np.n
     transform[:3, 3] = [3.0, -2.0, 7.0]
     z, y, x = np.indices((count, count, count)).astype(float)
     index = np.stack([x, y, z], axis=-1)
-    centre = np.full(3, 0.5 * (count - 1.0)) + [0.13, -0.21, 0.37]
+    centre = np.full(3, 0.5 * (count - 1.0)) + np.array([0.13, -0.21, 0.37])
     away = np.linalg.norm(index - centre, axis=-1) * step_mm
     return (radius_mm - away).astype(np.float32), transform
 
@@ -49,7 +49,7 @@ def test_a_contour_is_closed_outward_and_in_scan_coordinates() -> None:
     assert Solid(surface.vertices_mm, surface.faces).is_closed()
     assert surface.holes == 0
     count = field.shape[0]
-    centre = np.full(3, 0.5 * (count - 1.0)) + [0.13, -0.21, 0.37]
+    centre = np.full(3, 0.5 * (count - 1.0)) + np.array([0.13, -0.21, 0.37])
     expected = transform[:3, :3] @ centre + transform[:3, 3]
     np.testing.assert_allclose(surface.moments().centroid_mm, expected, atol=2e-3)
     assert surface.on_border is None

@@ -100,7 +100,7 @@ def test_added_masses_enter_as_points() -> None:
 
 @pytest.mark.parametrize("by", ["density", "mass"])
 def test_a_larger_voxel_is_a_scaled_scan(by: str) -> None:
-    """Scaling the result is measuring a scan whose voxels are 1 % larger, and its derivative the budget's entry."""
+    """Scaling the result is measuring larger voxels, and its derivative is the entry of the budget."""
     factor = 1.01
 
     def body(scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +140,7 @@ def test_a_stated_length_corrects_the_voxel_size() -> None:
 
 
 def test_a_calibration_weighs_two_bones_of_one_body() -> None:
-    """Half of a bar has 1800, the other 2200 kg/m3: grey values show it, and the line weighs each where it lies."""
+    """Half of a bar has 1800, the other 2200 kg/m3: the line weighs each where it lies."""
     line = Calibration(slope_kg_m3=0.1, intercept_kg_m3=-800.0)  # air at 8000 has no density
     air, bone = 8000.0, 28000.0  # 2000 kg/m3
     half = np.array([0.9, 1.1])  # grey over the mean bone, above air
