@@ -29,10 +29,8 @@ class SeriesFacts:
         Segments of a record of random excitation.
     period_s : float, optional
         Period of a periodic excitation.
-    steps : Path, optional
-        Table of the steps of a stepped sine: start_s, stop_s, freq_hz.
-    settle : float
-        Share of each step left out at its start.
+    steps, settle : Path, float
+        Table of the steps of a stepped sine (start_s, stop_s, freq_hz); share left out at the start of each.
     band_hz : (float, float), optional
         Frequencies to keep.
     """

@@ -60,24 +60,19 @@ class Format:
 
     Attributes
     ----------
-    words : str
-        What it is, in messages.
+    words, reads : str
+        What it is, in messages; what is read of it, for the help and the documentation.
     holds : callable
         Takes the Head of a file and returns whether it is of this format.
     module : str
         Below this package; has ``read(path, facts)``.
-    reads : str
-        What is read of it, for the help and the documentation.
     suffixes : tuple of str
         Endings of names that decide where no content does.
     libraries : tuple of str
         What reads the file in a child process with limits; empty: plain text, read in this process.
-    in_folders : bool
-        Whether a folder of such files is one measurement.
-    series : bool
-        Whether a table of channels makes it time series.
-    mapped : bool
-        Whether a mapping may say what is what in it.
+    in_folders, series, mapped : bool
+        Whether a folder of such files is one measurement, a table of channels makes it time series, a mapping
+        may say what is what in it.
     """
 
     name: str

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.recording import Recording
+from kinematics.readers.recording import Recording, from_parts
 
 if TYPE_CHECKING:
     import h5py
@@ -76,15 +75,7 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
     values = np.asarray(node)
     if kind == "char":
         return "".join(map(chr, values.T.reshape(-1).astype(int).tolist()))
-    values = _complex(values)
+    names = values.dtype.names or ()
+    if len(names) == 2:  # a compound of real and imaginary part
+        values = from_parts(values[names[0]], values[names[1]])
     return values.T.squeeze() if kind else values
-
-
-def _complex(values: NDArray[Any]) -> NDArray[Any]:
-    """Return compound numbers of a real and an imaginary part as complex ones."""
-    names = values.dtype.names
-    if names is None or len(names) != 2:
-        return values
-    result = np.empty(values.shape, dtype=complex)
-    result.real, result.imag = values[names[0]], values[names[1]]
-    return result

@@ -134,14 +134,14 @@ def _fastscan(blocks: Sequence[Sheet], name: str) -> tuple[list[Row], list[Notic
                 if np.any(np.abs(place - first) > _SAME_PLACE_M + 1e-5 * np.abs(first)):
                     got, step = f"{first.tolist()} and {place.tolist()} m", "Export one scan"
                     faults.append(Fault(f"the position of point {point}", "one", got, block.where, step))
-            for one in values_of(block, beams_of(block.names)[0]):
+            for one in _values(block):
                 for row, point in enumerate(points):
                     key = (point, one.beam.direction, one.unit.order, one.unit.per)
-                    made = _row(point, one, block.where, places[point], np.empty(0), one.value[:0])
-                    readings.setdefault(key, (made, {}))[1][freq] = complex(one.value[row])
+                    if key not in readings:
+                        made = _row(point, one, block.where, places[point], np.empty(0), one.value[:0])
+                        readings[key] = (made, {})
+                    readings[key][1][freq] = complex(one.value[row])
     raise_all(faults)
-    if not readings:
-        raise _no_values(blocks[0])
     rank = {point: number for number, point in enumerate(places)}
     rows = []
     for key in sorted(readings, key=lambda key: rank[key[0]]):
@@ -171,10 +171,7 @@ def _per_point(blocks: Sequence[Sheet], name: str) -> tuple[list[Row], list[Noti
             match = _AXIS.search(block.field_of(_COMPONENT)) or _AXIS.search(block.field_of(("signal",)))
             axis = match[1].replace("+", "") + match[2].lower() if match else ""
             source = block.field_of(_SOURCE) or block.where.file
-            found = values_of(block, beams_of(block.names)[0])
-            if not found:
-                raise _no_values(block)
-            for one in found:
+            for one in _values(block):
                 beam = replace(one.beam, direction=one.beam.direction or axis)
                 made = _row(number[1], replace(one, beam=beam), block.where, position, freq, one.value)
                 rows.append((made, source))
@@ -202,12 +199,14 @@ def _row(point: str, one: BeamValues, where: Place, position: Array, freq: Array
     return Row(channel, freq, value)
 
 
-def _no_values(block: Sheet) -> StapeskitError:
-    want, step = (
-        "real and imaginary part, or magnitude and phase",
-        "Export Real & Imag., or Magnitude & Phase",
-    )
-    return StapeskitError.of("the columns", want, shown(", ".join(block.names)), block.where, step)
+def _values(block: Sheet) -> list[BeamValues]:
+    """Return the complex values of a block; as `values_of`, and refused without any."""
+    found = values_of(block, beams_of(block.names)[0])
+    if not found:
+        want, got = "real and imaginary part, or magnitude and phase", shown(", ".join(block.names))
+        step = "Export Real & Imag., or Magnitude & Phase"
+        raise StapeskitError.of("the columns", want, got, block.where, step)
+    return found
 
 
 def _frequency(block: Sheet) -> float:

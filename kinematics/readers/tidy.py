@@ -170,7 +170,7 @@ class _Rows:
                 bad = (cells < low) | (cells > high) | (missing & (name == "freq_hz"))
                 want = f"from {low:g} to {high:g}"
                 self._report(bad, name, want, partial(_cell, cells), step)
-        if columns.sd and np.all(np.isnan(numbers[columns.sd])):
+        if columns.sd and len(self.table) and np.all(np.isnan(numbers[columns.sd])):
             step = "Leave the column out to have the noise estimated from the residuals"
             want, where = "a number in at least one row", Place(self.table.file, detail=columns.sd)
             self.faults.append(Fault(columns.sd, want, "NaN or empty cells throughout", where, step))
@@ -183,7 +183,7 @@ class _Rows:
             column = self.table.texts["dir"]
             vectors = np.array([*map(_axis, column.names), unknown_vector()])
             code, invalid = column.codes, np.zeros(len(column.codes), dtype=bool)
-            names, want = "dir", "x, y, z, -x, -y or -z"
+            names, want, step = "dir", "x, y, z, -x, -y or -z", "Correct the cell"
             got = [*map(shown, column.names), "an empty cell"]
         else:
             parts = [self.table.numbers[name] for name in DIRECTION]
@@ -191,12 +191,12 @@ class _Rows:
             vectors = np.column_stack(parts)[first]
             invalid = np.any([self.table.invalid_rows(name) for name in DIRECTION], axis=0)
             names, want = ", ".join(DIRECTION), "a unit vector (within 1e-3)"
+            step = "Divide the direction by its length"
             got = [f"({', '.join(f'{part:g}' for part in vector)})" for vector in vectors]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             length = np.linalg.norm(vectors, axis=1)
             units = vectors / length[:, None]
         good = (np.abs(length - 1.0) <= 1e-3)[code]
-        step = "Divide the direction by its length"
         self._report(~good & ~invalid, names, want, lambda row: got[code[row]], step)
         return units, np.where(good, code, -1)
 

@@ -76,7 +76,7 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
             step = "Convert the values, and name their unit in the header"
             thing = f"the unit of column {name}"
             faults.append(Fault(thing, _UNITS[match[1]], "an unknown one", place, step))
-    direction = ("dir",) if "dir" in header else DIRECTION
+    direction = ("dir",) if "dir" in header or set(DIRECTION).isdisjoint(header) else DIRECTION
     positions = POSITION if any(name in header for name in POSITION) else ()
     wanted = ("body", "point", "freq_hz", *direction, *positions)
     missing = [name for name in wanted if name not in header]
