@@ -5,10 +5,8 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
 from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
+from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import MassProperties, point_masses
 from ct_inertia.mass.scale import voxel_scale
 from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
@@ -30,7 +29,6 @@ from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
-from stapeskit.provenance import input_record
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
@@ -111,60 +109,6 @@ def check_inputs(options: MassOptions) -> None:
         with collect_faults(faults):
             open_scan(options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
     raise_all(faults)
-
-
-class Inputs:
-    """The input files: hashed on another thread while they are read, and refused when they change meanwhile.
-
-    Parameters
-    ----------
-    paths : mapping of str to Path
-        By role.
-    """
-
-    def __init__(self, paths: Mapping[str, Path]) -> None:
-        self._pool = ThreadPoolExecutor(1)
-        self._states: dict[Path, tuple[int, int]] = {}
-        self._records: dict[str, Future[dict[str, Any]]] = {}
-        for role, path in paths.items():
-            self.add(role, path)
-
-    def add(self, role: str, path: Path) -> None:
-        """Take one more file."""
-        if path not in self._states:
-            self._states[path] = _state(path)
-            self._records[role] = self._pool.submit(input_record, path)
-
-    def records(self) -> dict[str, dict[str, Any]]:
-        """Return name, size, time and hash of every input by its role."""
-        return {role: record.result() for role, record in self._records.items()}
-
-    def check(self) -> None:
-        """Refuse inputs that have changed since they were given.
-
-        Raises
-        ------
-        StapeskitError
-            One of them has changed.
-        """
-        for path, state in self._states.items():
-            if _state(path) != state:
-                step = "Wait until it is written, and try again"
-                raise StapeskitError.of(
-                    "the input", "left alone while it is read", "changes", path.name, step
-                )
-
-    def close(self) -> None:
-        """End the thread without waiting for what is left to hash."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _state(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError:
-        return -1, -1
-    return status.st_size, status.st_mtime_ns
 
 
 def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassResult:
