@@ -113,8 +113,17 @@ class Data:
         turn = np.eye(len(self.measured), dtype=complex)[None, None].repeat(2, axis=1)
         for part in self.maps:
             moved = part.values @ errors[part.errors]
-            turn = turn + (moved if part.power == 0 else self.powers(part.power)[:, None, None, None] * moved)
+            if part.power or part.run is not None:
+                size = np.zeros(self.count, dtype=complex)
+                lines = self.lines_of(part.run)
+                size[lines] = self.powers(part.power)[lines]
+                moved = size[:, None, None, None] * moved
+            turn = turn + moved
         return turn
+
+    def lines_of(self, run: int | None) -> NDArray[np.intp]:
+        """Return the places of the lines of a run, or of all."""
+        return np.arange(self.count) if run is None else np.flatnonzero(self.run == run)
 
     def powers(self, power: int) -> ComplexArray:
         """Return (i w)^p, (lines,)."""

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from stapeskit.records.mass import MassMatrix
 
 
+_HASH = "sha256:"  # of hashes that can be compared; earlier versions wrote others
+
+
 class HasMotion(Protocol):
     """A result that has a motion, as that of points2dof."""
 
@@ -186,8 +189,14 @@ def check_chain(
     inputs = motion.provenance.get("inputs")
     used = inputs.get("mass") if isinstance(inputs, Mapping) else None
     if isinstance(used, Mapping) and used.get("document_hash"):
-        same = used["document_hash"] == own
         origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')}"
+        if not str(used["document_hash"]).startswith(_HASH):
+            text = (
+                f"{motion_name} was written by an earlier version, with {origin}: whether that is the given "
+                f"mass.json cannot be checked."
+            )
+            return [Notice("mass_not_checked", text), *travelling]
+        same = used["document_hash"] == own
     else:
         same = motion.provenance.get("frames_hash") in (None, own_frames)
         origin = "the mass.json of its study"

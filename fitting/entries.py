@@ -68,9 +68,13 @@ def names(n: int) -> tuple[str, ...]:
 
 
 def sizes(stiffness: Array, damping: Array) -> Array:
-    """Return sqrt(Xii Xjj) of every entry of X = K and D, with which entries of different units compare."""
-    roots = [np.sqrt(np.maximum(np.abs(np.diag(part)), 1e-300)) for part in (stiffness, damping)]
-    return join(*(np.outer(root, root) for root in roots))
+    """Return sqrt(Xii Xjj) of every entry of X = K and D, with which entries of different units compare.
+
+    Infinite where Xii or Xjj is zero, at its bound: nothing is small or large against it.
+    """
+    roots = [np.sqrt(np.abs(np.diag(part))) for part in (stiffness, damping)]
+    products = join(*(np.outer(root, root) for root in roots))
+    return np.where(products > 0.0, products, np.inf)
 
 
 def units(dof: tuple[str, ...]) -> list[list[str]]:

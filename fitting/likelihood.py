@@ -242,15 +242,16 @@ class Likelihood:
         bare = (elastic - square * (loading @ self._seen_mass(parts.mass)), -elastic)
         columns = np.zeros((len(data.sources), data.count, self.n, width), dtype=complex)
         for maps in data.maps:
-            power = data.powers(maps.power)[:, None, None]
+            lines = data.lines_of(maps.run)
+            power = data.powers(maps.power)[lines, None, None]
             for body, factor in ((0, parts.structure), (1, parts.base)):
                 used = np.flatnonzero(np.any(maps.values[body], axis=(0, 1)))
-                flat = motion[:, body * m : (body + 1) * m].transpose(1, 0, 2).reshape(m, -1)
+                flat = motion[lines, body * m : (body + 1) * m].transpose(1, 0, 2).reshape(m, -1)
                 turned = maps.values[body][..., used].transpose(0, 2, 1).reshape(-1, m) @ flat
-                turned = turned.reshape(m, len(used), data.count, width).transpose(2, 0, 1, 3)
-                moved = (bare[body] * (factor[:, None, None] * power)) @ turned.reshape(data.count, m, -1)
-                moved = moved.reshape(data.count, self.n, len(used), width)
-                columns[maps.errors[used]] += moved.transpose(2, 0, 1, 3)
+                turned = turned.reshape(m, len(used), len(lines), width).transpose(2, 0, 1, 3)
+                acting = bare[body][lines] * (factor[lines, None, None] * power)
+                moved = (acting @ turned.reshape(len(lines), m, -1)).reshape(len(lines), self.n, -1, width)
+                columns[np.ix_(maps.errors[used], lines)] += moved.transpose(2, 0, 1, 3)
         heavy = np.flatnonzero(np.any(data.mass_changes, axis=(1, 2)))
         changes = np.array([loading @ self._seen_mass(data.mass_changes[error]) for error in heavy])
         if len(heavy):

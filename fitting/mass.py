@@ -209,7 +209,9 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
         wanted = f"{len(dof)} x {len(dof)} for --dof {','.join(dof)}, or 6 x 6"
         got = f"{len(values)} rows of {' or '.join(map(str, widths))} numbers"
         raise StapeskitError.of("M.csv", wanted, got, path.name, "Give M in the order of --dof")
-    return np.array(values)
+    matrix = np.array(values)
+    check_mass(matrix, path.name)
+    return matrix
 
 
 def _numbers(words: str, place: Place, faults: list[Fault]) -> list[float]:

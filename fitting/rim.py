@@ -115,6 +115,8 @@ def linear_ratio(points_mm: Array, entries_si: Array) -> Array:
 
 def rim_figure(rim: RimStiffness) -> Figure:
     """Draw the rim with its stiffness as colour and width, and the names of its sides."""
+    from matplotlib import colormaps
+
     from stapeskit.report.figures import panels, style
 
     with style():
@@ -123,8 +125,6 @@ def rim_figure(rim: RimStiffness) -> Figure:
         closed = np.vstack([rim.points_mm, rim.points_mm[:1]])
         lowest, highest = float(rim.ratio.min()), float(rim.ratio.max())
         shade = (rim.ratio - lowest) / max(highest - lowest, 1e-9)
-        from matplotlib import colormaps
-
         colours = colormaps["viridis"](shade)
         for place in range(len(rim.points_mm)):
             pair = closed[place : place + 2]
@@ -134,13 +134,13 @@ def rim_figure(rim: RimStiffness) -> Figure:
         low, high = rim.points_mm.min(axis=0), rim.points_mm.max(axis=0)
         middle = 0.5 * (low + high)
         up = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(rim.side, ("+z", "-z"))
-        for text, place in (
-            ("anterior", (high[0] + 0.25, middle[1])),
-            ("posterior", (low[0] - 0.25, middle[1])),
-            (up[0], (middle[0], high[1] + 0.2)),
-            (up[1], (middle[0], low[1] - 0.2)),
+        for text, x, z in (
+            ("anterior", high[0] + 0.25, middle[1]),
+            ("posterior", low[0] - 0.25, middle[1]),
+            (up[0], middle[0], high[1] + 0.2),
+            (up[1], middle[0], low[1] - 0.2),
         ):
-            axes.text(*place, text, ha="center", va="center", fontsize=9, color="#52606d")
+            axes.text(x, z, text, ha="center", va="center", fontsize=9, color="#52606d")
         axes.set_aspect("equal")
         axes.set(xlabel="x (mm)", ylabel="z (mm)", xlim=(low[0] - 0.7, high[0] + 0.7))
         axes.set_ylim(low[1] - 0.45, high[1] + 0.45)

@@ -27,6 +27,8 @@ _NO_ERROR = 1e-9
 # A recorded change grows with frequency where that leaves less than this share of what a constant map leaves:
 # noise of readings leaves all of it, a delay less than a hundredth.
 _GROWS = 0.25
+# Maps of two runs that differ by less than this share are one: rounding leaves less, other weights more.
+_ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,14 @@ class Maps:
         Places of the errors.
     values : ndarray, (2, m, m, j), complex
         T of structure and base: [body, to, from, error].
+    run : int or None
+        Of the one run that they hold for; None: for all.
     """
 
     power: int
     errors: NDArray[np.intp]
     values: ComplexArray
+    run: int | None = None
 
 
 def with_shared_errors(
@@ -73,9 +78,11 @@ def with_shared_errors(
                 if source == "footplate_frame" and axis in DOF_NAMES:
                     along[place] = slopes[DOF_NAMES.index(axis)]
         changes.append(np.tensordot(columns, along, 1) / root)
-        maps = _recorded_maps(data, shared, columns, bodies, unit) or _regressed_maps(
-            data, _derivatives(shared, columns, bodies, keeps) * unit
-        )
+        recorded = _recorded(shared, bodies)
+        maps = _recorded_maps(data, shared, columns * recorded, bodies, unit)
+        if not np.all(recorded):
+            changes_of = _derivatives(shared, columns * ~recorded, bodies, keeps)
+            maps += _regressed_maps(data, changes_of * unit)
     if inertia.complete:
         joined = any(name.startswith("footplate_frame.") for name in (shared.names if shared else ()))
         parts = {
@@ -121,22 +128,26 @@ def _derivatives(
     return np.tensordot(columns, np.nan_to_num(np.concatenate(parts, axis=1)), 1)
 
 
+def _recorded(shared: SharedErrors, bodies: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return for which errors (p,) one map was recorded with the motion; it is NaN where the runs differ."""
+    if shared.maps is None or shared.powers is None:
+        return np.zeros(len(shared.names), dtype=bool)
+    return np.asarray(np.all(np.isfinite(np.asarray(shared.maps)[:, bodies]), axis=(1, 2, 3)))
+
+
 def _recorded_maps(
     data: Data, shared: SharedErrors, columns: Array, bodies: tuple[int, int], unit: Array
 ) -> tuple[Maps, ...]:
-    """Return the maps that were recorded with the motion, for errors of unit variance; none: empty."""
-    recorded, powers = shared.maps, shared.powers
-    if recorded is None or powers is None or not np.all(np.isfinite(recorded)):
+    """Return the maps that were recorded with the motion, for errors of unit variance."""
+    if shared.maps is None or shared.powers is None:
         return ()
     places = [DOF_NAMES.index(name) for name in data.measured]
-    if np.shape(recorded)[-1] == len(data.measured):
-        places = list(range(len(data.measured)))
-    whole = np.asarray(recorded)[:, bodies][:, :, places][..., places]
+    whole = np.nan_to_num(np.asarray(shared.maps)[:, bodies][:, :, places][..., places])
     m = len(places)
     scale = unit[:m, None] / unit[None, :m]
     found = []
-    for power in sorted({int(value) for value in powers}):
-        own = np.asarray(powers) == power
+    for power in sorted({int(value) for value in shared.powers}):
+        own = np.asarray(shared.powers) == power
         values = np.tensordot(columns[:, own], whole[own], 1) * scale * data.reference**power
         used = np.flatnonzero(np.any(values != 0.0, axis=(1, 2, 3)))
         if len(used):
@@ -147,17 +158,39 @@ def _recorded_maps(
 def _regressed_maps(data: Data, changes: ComplexArray) -> tuple[Maps, ...]:
     """Find the maps that make recorded changes (k, lines, 2 m) of the motion.
 
+    Errors whose one map does not make them in all runs have a map in each: the map of an error of a position
+    depends on the weights of the channels, which each excitation has of its own.
+    """
+    errors = np.flatnonzero(np.any(changes, axis=(1, 2)))
+    if not len(errors):
+        return ()
+    maps, left = _maps_in(data, changes, errors, None)
+    differs = left > _ALIKE**2 * np.sum(np.abs(changes[errors]) ** 2, axis=(1, 2))
+    if len(data.runs) == 1 or not np.any(differs):
+        return maps
+    maps = _maps_in(data, changes, errors[~differs], None)[0] if not np.all(differs) else ()
+    for run in range(len(data.runs)):
+        maps += _maps_in(data, changes, errors[differs], run)[0]
+    return maps
+
+
+def _maps_in(
+    data: Data, changes: ComplexArray, errors: NDArray[np.intp], run: int | None
+) -> tuple[tuple[Maps, ...], Array]:
+    """Return the maps of some errors in one run or in all, and what they leave of the changes, squared.
+
     Most are constant; those as of a delay grow with the frequency, and are found by a constant map and one
     times i w together: a constant map alone would be laid on columns of the motion that are nothing but
     noise.
     """
-    k, lines, m = len(changes), data.count, len(data.measured)
-    growth = 1j * data.omega
+    places = data.lines_of(run)
+    k, lines, m = len(errors), len(places), len(data.measured)
+    growth, wanted_all = 1j * data.omega[places], changes[errors][:, places]
     constant, growing = np.zeros((2, m, m, k), dtype=complex), np.zeros((2, 2, m, m, k), dtype=complex)
     left = np.zeros((2, k))
     for body in (0, 1):
-        place = slice(body * m, (body + 1) * m)
-        y, wanted = data.y[:, place], np.moveaxis(changes[:, :, place], 0, 2).reshape(lines, -1)
+        own = slice(body * m, (body + 1) * m)
+        y, wanted = data.y[places, own], np.moveaxis(wanted_all[:, :, own], 0, 2).reshape(lines, -1)
         both = np.concatenate([y, y * growth[:, None]], axis=1)
         for number, columns in enumerate((y, both)):
             size = np.sqrt(np.mean(np.abs(columns) ** 2, axis=0))
@@ -169,11 +202,10 @@ def _regressed_maps(data: Data, changes: ComplexArray) -> tuple[Maps, ...]:
                 growing[:, body] = parts
             else:
                 constant[body] = parts[0]
-    size = np.sum(np.abs(changes) ** 2, axis=(1, 2))
+    size = np.sum(np.abs(wanted_all) ** 2, axis=(1, 2))
     freed = max(lines - 2 * m, 1) / max(lines - m, 1)
     grows = (lines > 2 * m) & (left[1] < _GROWS * freed * left[0]) & (left[0] > 1e-12 * size)
-    constant = np.where(grows, growing[0], constant)
-    maps: tuple[Maps, ...] = (Maps(0, np.arange(k), constant),)
+    maps: tuple[Maps, ...] = (Maps(0, errors, np.where(grows, growing[0], constant), run),)
     if np.any(grows):
-        maps += (Maps(1, np.flatnonzero(grows), growing[1][..., grows]),)
-    return maps if k else ()
+        maps += (Maps(1, errors[grows], growing[1][..., grows], run),)
+    return maps, np.where(grows, left[1], left[0])

@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
+from scipy.special import chdtrc
 
 from fitting.data import Data
 from fitting.entries import diagonal, names, split
 from fitting.likelihood import Likelihood, Model
 from fitting.model import state_matrix
-from fitting.solve import Fit, _from_roots, _roots_of, degrees, entry_scale
+from fitting.solve import MISFIT_P, Fit, _from_roots, _roots_of, degrees, entry_scale
 from stapeskit.arrays import Array
 
 CONSTRAINTS = ("eigenvalues", "psd")
@@ -105,6 +106,8 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
+    Where chi2 contradicts the stated noise, each line's own residuals take its place: a few loud lines rule
+    an unweighted estimate (White 1980, doi:10.2307/1912934).
     """
     data, entries = likelihood.data, likelihood.at["entries"]
     inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
@@ -117,7 +120,10 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     white, *_ = likelihood.look(theta)
     chi2 = 2.0 * float(np.sum(np.abs(white) ** 2))
     n_dof = degrees(likelihood)
-    own = own * max(1.0, chi2 / max(n_dof, 1))
+    if n_dof > 0 and chdtrc(n_dof, chi2) < MISFIT_P:
+        residuals = (operator @ data.y[:, :, None])[..., 0]
+        by_line = np.einsum("pli,li->pl", whole, residuals).real
+        own = by_line @ by_line.T * (data.count * 2 * likelihood.n / n_dof)
     bias = _bias(likelihood, theta, equations, weights)
     shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
         ..., 0

@@ -345,7 +345,9 @@ def _identifiability(fit: KDFit) -> dict[str, Any]:
             {"relative_sd": finite_or_none(sd), "entries": parts} for sd, parts in fit.combinations[:3]
         ],
         "cramer_rao_bound_si": dict(zip(fit.parameters, fit.bound.tolist(), strict=True)),
-        "cramer_rao_bound_relative": dict(zip(fit.parameters, relative.tolist(), strict=True)),
+        "cramer_rao_bound_relative": {
+            name: value or None for name, value in zip(fit.parameters, relative.tolist(), strict=True)
+        },
         "bound_of": "the model fitted, with every prior and shared error",
         "entries_over_10_percent": [
             name for name, value in zip(fit.parameters, relative, strict=True) if value > 0.1

@@ -278,22 +278,27 @@ def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     n = len(fit.dof)
     half = n * (n + 1) // 2
     places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
-    sizes = np.abs(fit.values[places])
-    words, rows = shown_sources(fit.budget), []
-    for source, part in fit.budget.items():
-        share = np.sqrt(np.maximum(np.diag(part)[places], 0.0)) / sizes
-        rows.append((words[source], *(f"{100.0 * value:.2g} %" for value in share)))
-    whole = np.sqrt(np.diag(fit.covariance)[places]) / sizes
-    rows.append(("all sources", *(f"{100.0 * value:.2g} %" for value in whole)))
+    words = shown_sources(fit.budget)
+    parts = {words[source]: part for source, part in fit.budget.items()} | {"all sources": fit.covariance}
+    rows = []
+    for source, part in parts.items():
+        sd = np.sqrt(np.maximum(np.diag(part)[places], 0.0))
+        shares = zip(sd, np.abs(fit.values[places]), strict=True)
+        rows.append((source, *(share_of(own, size) for own, size in shares)))
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
     table = page.table(("source", *(fit.parameters[place] for place in places)), rows, caption, file="budget")
     return [*_drawn(figures, "budget", "Largest sources.", "budget"), table]
 
 
+def share_of(part: float, size: float) -> str:
+    """Return a share in percent; a diagonal entry at its bound zero has none."""
+    return f"{100.0 * part / size:.2g} %" if 0.0 < size < np.inf else "at its bound"
+
+
 def _identifiability(fit: KDFit) -> list[Markup]:
     relative = entries.sizes(fit.stiffness, fit.damping)
     rows = [
-        (name, determined(value, sd, f"{100.0 * sd / size:.2g} %"), f"{100.0 * bound / size:.2g} %")
+        (name, determined(value, sd, share_of(sd, size)), share_of(bound, size))
         for name, value, sd, bound, size in zip(
             fit.parameters, fit.values, np.sqrt(np.diag(fit.covariance)), fit.bound, relative, strict=True
         )

@@ -1,5 +1,7 @@
 """Estimators of textbooks: least squares, bias by noise, constraints; five and six degrees of freedom."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from tests.fit.fit_cases import (
     M,
     StatedMass,
     codes,
+    deviation,
     exact_motion,
     fit,
     paper_motion,
@@ -69,6 +72,27 @@ def test_constrained_is_least_squares_where_nothing_is_active():
     assert one.values == pytest.approx(other.values, rel=1e-12)
     assert one.solution.textbook.active == ()
     assert one.stiffness[0, 0] == pytest.approx(1722.0, rel=0.02)
+
+
+def test_a_diagonal_entry_at_its_bound_zero_ends_in_a_page(tmp_path):
+    motion, _ = paper_motion(0.6, 6, 20)
+    result = fit(motion, M, estimator="constrained")
+    assert result.damping[2, 2] == 0.0
+    assert result.solution.textbook.active == ("D33 at its bound",)
+    assert np.isfinite(result.combinations[0][0])
+    assert {"kd.json", "kd.html"} <= {path.name for path in result.write(tmp_path)}
+
+
+def test_loud_lines_widen_the_intervals_of_pinv():
+    off = []
+    for seed in range(20):
+        motion, _ = paper_motion(0.05, seed)
+        exact, _ = paper_motion(0.05, None)
+        loud = np.random.default_rng(seed).random(200) < 0.03
+        q = np.where(loud[:, None], exact.q + 10.0 * (motion.q - exact.q), motion.q)
+        off.append(deviation(fit(replace(motion, q=q), M, estimator="pinv")))
+    assert np.mean(np.abs(off) < 1.96) > 0.8
+    assert np.sqrt(np.mean(np.square(off))) < 1.5
 
 
 @pytest.mark.parametrize("constraint", ["eigenvalues", "psd"])

@@ -3,14 +3,16 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
 from fitting.cli import work
-from fitting.dof2kd import dof2kd
+from fitting.dof2kd import MassSource, check_chain, dof2kd
 from fitting.exports import (
     EXPORTS,
     abaqus,
@@ -176,3 +178,19 @@ def test_help_of_the_command_needs_no_data():
     )
     assert done.returncode == 0
     assert "--unknowns" in done.stdout
+
+
+@pytest.mark.parametrize(("stored", "code"), [("blake2b:00", "mass_not_checked"), ("sha256:00", "")])
+def test_only_hashes_that_can_be_compared_refuse_a_mass(stored, code):
+    raw = {"frames": {}}
+    source = MassSource(M, SimpleNamespace(raw=raw, notices=()), None)
+    motion, _ = paper_motion(0.02, 1, 20)
+    motion = replace(motion, provenance={"inputs": {"mass": {"file": "mass.json", "document_hash": stored}}})
+    if code:
+        assert [notice.code for notice in check_chain(motion, "dof.csv", source)] == [code]
+        return
+    with pytest.raises(StapeskitError, match="--mass"):
+        check_chain(motion, "dof.csv", source)
+    assert [notice.code for notice in check_chain(motion, "dof.csv", source, force=True)] == [
+        "other_mass_file"
+    ]

@@ -23,9 +23,12 @@ from tests.fit.fit_cases import (
     M,
     agrees,
     deviation,
+    exact_motion,
     fit,
     paper_motion,
+    record,
     ring_ear,
+    six_parameters,
 )
 
 
@@ -96,6 +99,30 @@ def test_shared_errors_are_the_same_as_maps_and_as_derivatives():
     other = fit(replace(ear.motion, shared=recorded), ear.mass)
     assert other.values == pytest.approx(one.values, rel=1e-6)
     assert np.diag(other.covariance) == pytest.approx(np.diag(one.covariance), rel=1e-3)
+
+
+def test_a_shared_error_whose_map_differs_between_runs_is_followed_in_each():
+    rng = np.random.default_rng(4)
+    freq, q = exact_motion(40, in_plane=0.3, directions="xyz")
+    maps = rng.standard_normal((3, 2, 6, 6))  # of the runs
+    same = rng.standard_normal((2, 6, 6))
+    slopes = np.stack([np.einsum("rbij,rblj->rbli", maps, q), np.einsum("bij,rblj->rbli", same, q)])
+    known = np.stack([np.full((2, 6, 6), np.nan), same]).astype(complex)
+    covariance = np.zeros((*q.shape, 6), dtype=complex)
+    covariance[..., range(6), range(6)] = 1e-3 * np.mean(np.abs(q) ** 2, axis=(0, 1, 2))
+    inertia = inertia_of(StatedMass(six_parameters(), {}), DOF)
+    for recorded in (known, None):
+        powers = None if recorded is None else np.zeros(2, int)
+        shared = SharedErrors(("position.1", "registration.x"), np.eye(2), slopes, recorded, powers)
+        data = data_of(record(freq, q, covariance, shared=shared), inertia, DOF)
+        errors = rng.standard_normal(2)
+        turned = data.turns(errors) - np.eye(6)
+        unit = np.tile(data.root_mass, 2) / data.amplitude
+        for body in (0, 1):
+            change = np.einsum("k,krbli->rbli", errors, slopes)[:, body].reshape(120, 6)
+            place = slice(6 * body, 6 * body + 6)
+            moved = (turned[:, body] @ data.y[:, place, None])[..., 0]
+            assert moved == pytest.approx(change * unit[place], rel=1e-6, abs=1e-6 * np.abs(moved).max())
 
 
 def test_units_of_motion_do_not_matter():
