@@ -44,7 +44,7 @@ class Before:
     def rows(self) -> list[tuple[list[str], list[str]]]:
         """Head and cells of every row of every table."""
         found, head = list[tuple[list[str], list[str]]](), list[str]()
-        for line, following in zip(self.lines, [*self.lines[1:], ""], strict=True):
+        for line, following in zip(self.lines, [*self.lines[1:], ""], strict=False):
             if not line.startswith("|"):
                 continue
             cells = [cell.strip() for cell in line.strip("|").split("|")]

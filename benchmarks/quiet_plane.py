@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._table import PISTON_ENTRIES, Before, arguments, covers, print_table
+from fitting.dof2kd import dof2kd
+from kinematics.api import points2dof
 from simulate import Ear, Experiment, Recording, base_motion, measure_motion, stapes_motion, write_recording
 from simulate.points import bone_points, visible_points
 from simulate.vibrometer import laser_directions, vibrometer_pose
@@ -47,11 +49,9 @@ def recording(lines: int, seed: int, scatter: float) -> Recording:
 
 def deviations(folder: Path, seed: int, scatter: float, lines: int) -> Array:
     """Return how many of their standard deviations the entries of K and D (12,) lie off."""
-    from stapeskit import dof2kd, points2dof
-
     ear = Ear()
     path = write_recording(folder, recording(lines, seed, scatter), "csv")
-    fit = dof2kd(points2dof(path, points="none"), mass=ear.moving_mass_si(), mass_sign="tensor")
+    fit = dof2kd(points2dof(path), mass=ear.moving_mass_si(), mass_sign="tensor")
     upper = np.triu_indices(3)
     truth = np.concatenate([ear.ligament.stiffness_si[upper], ear.ligament.damping_si[upper]])
     return np.asarray((fit.values - truth) / np.sqrt(np.diag(fit.covariance)))
