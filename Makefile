@@ -108,7 +108,7 @@ paper: $(READY)
 	$(BIN)/python -m legacy.fitting.examples.paper_page demo/paper.html --force
 
 bench: $(TOOLS)
-	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
+	@for script in benchmarks/[a-z]*.py; do name=$$(basename $$script .py); echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 evidence: $(TOOLS)
 	$(BIN)/python -m tools.evidence $(ARGS)
