@@ -6,7 +6,7 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -218,6 +218,7 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
             options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
         )
         _add_files(inputs, "scan", work.scan)
+        work.notices += work.scan.notices
     if options.labels is None:
         from ct_inertia.find.find import Search, find_stapes
 
@@ -225,18 +226,16 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
         if options.box_mm is not None:
             work.scan = work.scan.part(work.scan.box_of(options.box_mm))
         seed = None if options.seed_mm is None else np.array(options.seed_mm)
-        work.notices += work.scan.notices
         return find_stapes(work.scan, Search(options.threshold, seed), progress)
-    from ct_inertia.labels import label_volume, labels_alone, labels_on_scan
+    from ct_inertia.find.labels import label_stapes
 
     spacing = options.spacing_mm if work.scan is None else tuple(work.scan.spacing_mm)
     array, grid = open_labels(options.labels, spacing, options.mirror)
     _add_files(inputs, "labels", grid)
-    volume = label_volume(array, grid, options.stapes_label, options.plate_label)
-    if work.scan is not None:
-        return labels_on_scan(work.scan, volume)
-    work.scan = grid
-    return labels_alone(volume)
+    grid = replace(grid, dtype=array.dtype, fetch=lambda box: array[box])  # read once
+    labelled = label_stapes(grid, work.scan, options.stapes_label, options.plate_label, progress)
+    work.scan = work.scan or grid
+    return labelled
 
 
 def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:

@@ -266,44 +266,15 @@ def test_a_study_and_a_command_line_make_the_same_options(mesh: Path) -> None:
     assert by_words == study_options
 
 
-def test_a_label_in_two_bodies_is_refused_and_an_island_left_out(tmp_path: Path) -> None:
-    from ct_inertia.labels import label_volume
-    from ct_inertia.scan.scan import Scan as Grid
+def test_the_bodies_of_an_array_are_labels_alone(tmp_path: Path) -> None:
+    from ct_inertia.scan.label_file import write_segmentation
 
-    labels = np.zeros((40, 40, 40), dtype=np.uint8)
-    labels[5:20, 5:20, 5:20] = 1
-    labels[30:32, 30:32, 30:32] = 1
-    grid = Grid.from_array(labels, 0.05)
-    volume = label_volume(labels, grid)
-    assert [notice.code for notice in volume.notices] == ["label_islands_left_out"]
-    assert np.count_nonzero(volume.array == 1) == 15**3
-    labels[25:35, 25:35, 25:35] = 1
+    array = np.zeros((40, 40, 40), dtype=np.uint8)
+    array[5:20, 5:20, 5:20] = 1
+    array[25:35, 25:35, 25:35] = 1
+    write_segmentation(tmp_path / "two.seg.nrrd", [array], array.shape, np.diag([0.05, 0.05, 0.05, 1.0]))
     with pytest.raises(StapeskitError) as error:
-        label_volume(labels, grid)
-    assert error.value.faults[0].thing == "the stapes of the label volume"
-
-
-def test_labels_of_another_scan_are_refused() -> None:
-    from ct_inertia.labels import label_volume, labels_on_scan
-    from ct_inertia.scan.scan import Scan as Grid
-
-    labels = np.zeros((30, 30, 30), dtype=np.uint8)
-    labels[8:22, 8:22, 8:22] = 1
-    grey = np.where(labels, 30000, 8000).astype(np.uint16)
-    scan = Grid.from_array(grey, 0.05)
-    for grid in (
-        Grid.from_array(labels, 0.04),
-        Grid.from_array(labels, 0.05, origin_mm=np.array([9.0, 0, 0])),
-    ):
-        moved = label_volume(
-            labels[:, :, :28], Grid.from_array(labels[:, :, :28], grid.spacing_mm, origin_mm=grid.origin_mm)
-        )
-        with pytest.raises(StapeskitError) as error:
-            labels_on_scan(scan, moved)
-        assert error.value.faults[0].thing == "the label volume"
-    dark = Grid.from_array(np.where(labels, 8000, 30000).astype(np.uint16), 0.05)
-    with pytest.raises(StapeskitError) as error:
-        labels_on_scan(dark, label_volume(labels, scan))
+        ct2mass(labels=str(tmp_path / "two.seg.nrrd"))
     assert error.value.faults[0].thing == "the stapes of the label volume"
 
 
