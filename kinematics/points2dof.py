@@ -20,31 +20,26 @@ from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import parse_reference, per_reference
 from kinematics.fit.rigid_fit import LineFit
+from kinematics.inputs import Inputs, check_inputs, read_inputs
 from kinematics.joint.expected import Priors
-from kinematics.leave_out import without_channels
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
 from kinematics.place.calibration import Calibration, calibrate
-from kinematics.place.fiducials import Fiducials, read_fiducials
 from kinematics.place.handedness import check_axes
 from kinematics.place.lasers import LaserAgreement, laser_agreement
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
-from kinematics.place.on_surface import lay_on_surface, read_surface_points
-from kinematics.place.placement import Placement, check_frames, place
+from kinematics.place.placement import Placement
 from kinematics.place.shared_errors import Parameter, correction_parameters, shared_errors
 from kinematics.place.surfaces import Surface, surfaces_of
-from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts, SeriesFacts
 from kinematics.repeats import pool_repeats
 from kinematics.results import MotionResult
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
-from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.provenance import frames_hash, record
 from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.records.rigid_motion import RigidMotion
-from stapeskit.registration import fit_rigid
 from stapeskit.warnings import Notice, unique
 
 TYPE_CHECKING = False
@@ -54,8 +49,6 @@ if TYPE_CHECKING:
 USUAL_POSITION_SD_M = 10e-6
 """Error of a position that the search expects where none is stated: half the spot of a laser under a
 microscope."""
-
-_MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
 
 
 def measure_motion(
@@ -87,7 +80,7 @@ def measure_motion(
         different axes; a body without a usable value.
     """
     progress("reading the measurement")
-    read = _read(options, mass)
+    read = read_inputs(options, mass)
     progress("fitting the motion")
     measurement, repeats = pool_repeats(read.measurement)
     check_extent(measurement)
@@ -155,140 +148,6 @@ def measure_motion(
         files=tuple(read.files(mass).values()),
         taken=dict(taken or {}),
     )
-
-
-def check_inputs(options: MotionOptions) -> None:
-    """Look at everything that is cheap to look at, without a fit: files, columns, units, names, fiducials.
-
-    Raises
-    ------
-    StapeskitError
-        Every fault that shows.
-    """
-    from kinematics.readers.formats import TEXT_ENDINGS, format_of
-    from kinematics.readers.points import read_points
-
-    faults: list[Fault] = []
-    with collect_faults(faults):
-        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
-        if fiducials is not None and len(set(fiducials.frames)) == 1:
-            frame = fiducials.frames[0]
-            fit_rigid(
-                fiducials.vibrometer_mm,
-                fiducials.reference_mm,
-                fiducials.sd_mm,
-                to=frame,
-                source="vibrometer",
-                names=fiducials.names,
-            )
-    if options.plate_points is not None:
-        with collect_faults(faults):
-            read_surface_points(options.plate_points)
-    facts = file_facts(options)
-    small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
-    size = sum(path.stat().st_size for path in small)
-    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.series is None:
-        with collect_faults(faults):
-            measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
-            without_channels(measurement, options.leave_out)
-            if options.reference:
-                parse_reference(
-                    options.reference, tuple(body.body for body in measurement.bodies), options.dof
-                )
-    else:
-        for path in options.file:
-            with collect_faults(faults):
-                format_of(path, options.mapping is not None)
-        if options.points_file is not None:
-            with collect_faults(faults):
-                read_points(options.points_file)
-    raise_all(faults)
-
-
-def file_facts(options: MotionOptions) -> FileFacts:
-    """Return what the options say about the files."""
-    series = None
-    if options.channels is not None:
-        series = SeriesFacts(
-            options.channels,
-            options.reference_channel,
-            options.averages,
-            options.period_s,
-            options.steps,
-            options.settle,
-            options.frf_band_hz,
-        )
-    return FileFacts(
-        options.body,
-        options.run,
-        options.beam,
-        options.amplitude or "",
-        options.length_unit or "",
-        options.n_avg,
-        options.mapping,
-        series,
-    )
-
-
-@dataclass(frozen=True)
-class _Read:
-    """Everything that was read."""
-
-    options: MotionOptions
-    measurement: Measurement
-    fiducials: Fiducials | None = None
-    plate_points: Any = None
-
-    def placement(self, mass: MeasuredMass | None) -> Placement:
-        """Return the pose of the measurement in the footplate frame."""
-        known = None if mass is None else mass.record
-        placement = place(self.fiducials, self.options.frame or "footplate", known)
-        if self.plate_points is None:
-            return placement
-        plate = None if mass is None else surfaces_of(mass).get("plate")
-        if mass is None or plate is None:
-            expected = "given with a mass.json that has a plate.ply beside it"
-            step = "Scan stapes and plate together with ct2mass, or use fiducials in frame scan"
-            raise StapeskitError.of("--plate-points", expected, "no plate.ply", "", step)
-        return lay_on_surface(placement, self.plate_points, plate, mass.record)
-
-    def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
-        """Return every file that was read, by its role."""
-        from kinematics.readers.formats import companion_files
-
-        roles = dict(self.options.inputs())
-        for path in self.options.file:
-            roles = {**companion_files(path, file_facts(self.options)), **roles}
-        return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
-
-
-def _read(options: MotionOptions, mass: MeasuredMass | None) -> _Read:
-    """Read every file of a measurement; their faults come together."""
-    faults: list[Fault] = []
-    fiducials = points = None
-    known = None if mass is None else mass.record
-    with collect_faults(faults):
-        if options.fiducials_file is None:
-            check_frames((options.frame or "footplate",), known)
-        else:
-            fiducials = read_fiducials(options.fiducials_file)
-            check_frames(tuple(dict.fromkeys(fiducials.frames)), known, fiducials.file, True)
-    if options.plate_points is not None:
-        with collect_faults(faults):
-            points = read_surface_points(options.plate_points)
-    with collect_faults(faults):
-        measurement = read_measurement(
-            options.file, options.points_file, options.source_frame, file_facts(options)
-        )
-        measurement = without_channels(measurement, options.leave_out)
-        for body in measurement.bodies:
-            _ = body.arms_m
-    raise_all(faults)
-    if options.mirror is not None:
-        measurement = measurement.mirrored(options.mirror)
-        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
-        points = None if points is None else points.mirrored(options.mirror)
-    return _Read(options, measurement, fiducials, points)
 
 
 def _on_bone(
@@ -436,7 +295,7 @@ def _motion(
 
 def _provenance(
     options: MotionOptions,
-    read: _Read,
+    read: Inputs,
     mass: MeasuredMass | None,
     command: Sequence[str] | None,
     taken: Mapping[str, Path] | None,
@@ -451,4 +310,4 @@ def _provenance(
     return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
 
 
-__all__ = ["MotionResult", "check_inputs", "file_facts", "measure_motion"]
+__all__ = ["MotionResult", "check_inputs", "measure_motion"]

@@ -1,0 +1,156 @@
+"""Read everything that a measurement consists of, and look at all of it that is cheap to look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinematics.fit.reference import parse_reference
+from kinematics.leave_out import without_channels
+from kinematics.measurement import Measurement
+from kinematics.options import MotionOptions
+from kinematics.place.fiducials import Fiducials, read_fiducials
+from kinematics.place.on_surface import SurfacePoints, lay_on_surface, read_surface_points
+from kinematics.place.placement import Placement, check_frames, place
+from kinematics.place.surfaces import surfaces_of
+from kinematics.readers.assemble import read_measurement
+from kinematics.readers.facts import FileFacts, SeriesFacts
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.registration import fit_rigid
+
+_MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that was read."""
+
+    options: MotionOptions
+    measurement: Measurement
+    fiducials: Fiducials | None = None
+    plate_points: SurfacePoints | None = None
+
+    def placement(self, mass: MeasuredMass | None) -> Placement:
+        """Return the pose of the measurement in the footplate frame."""
+        known = None if mass is None else mass.record
+        placement = place(self.fiducials, self.options.frame or "footplate", known)
+        if self.plate_points is None:
+            return placement
+        plate = None if mass is None else surfaces_of(mass).get("plate")
+        if mass is None or plate is None:
+            expected = "given with a mass.json that has a plate.ply beside it"
+            step = "Scan stapes and plate together with ct2mass, or use fiducials in frame scan"
+            raise StapeskitError.of("--plate-points", expected, "no plate.ply", "", step)
+        return lay_on_surface(placement, self.plate_points, plate, mass.record)
+
+    def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
+        """Return every file that was read, by its role."""
+        from kinematics.readers.formats import companion_files
+
+        roles = dict(self.options.inputs())
+        for path in self.options.file:
+            roles = {**companion_files(path, file_facts(self.options)), **roles}
+        return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
+
+
+def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
+    """Read every file of a measurement; their faults come together."""
+    faults: list[Fault] = []
+    fiducials = points = None
+    known = None if mass is None else mass.record
+    with collect_faults(faults):
+        if options.fiducials_file is None:
+            check_frames((options.frame or "footplate",), known)
+        else:
+            fiducials = read_fiducials(options.fiducials_file)
+            check_frames(tuple(dict.fromkeys(fiducials.frames)), known, fiducials.file, True)
+    if options.plate_points is not None:
+        with collect_faults(faults):
+            points = read_surface_points(options.plate_points)
+    with collect_faults(faults):
+        measurement = read_measurement(
+            options.file, options.points_file, options.source_frame, file_facts(options)
+        )
+        measurement = without_channels(measurement, options.leave_out)
+        for body in measurement.bodies:
+            _ = body.arms_m
+    raise_all(faults)
+    if options.mirror is not None:
+        measurement = measurement.mirrored(options.mirror)
+        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
+        points = None if points is None else points.mirrored(options.mirror)
+    return Inputs(options, measurement, fiducials, points)
+
+
+def check_inputs(options: MotionOptions) -> None:
+    """Look at everything that is cheap to look at, without a fit: files, columns, units, names, fiducials.
+
+    Raises
+    ------
+    StapeskitError
+        Every fault that shows.
+    """
+    from kinematics.readers.formats import TEXT_ENDINGS, format_of
+    from kinematics.readers.points import read_points
+
+    faults: list[Fault] = []
+    with collect_faults(faults):
+        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
+        if fiducials is not None and len(set(fiducials.frames)) == 1:
+            frame = fiducials.frames[0]
+            fit_rigid(
+                fiducials.vibrometer_mm,
+                fiducials.reference_mm,
+                fiducials.sd_mm,
+                to=frame,
+                source="vibrometer",
+                names=fiducials.names,
+            )
+    if options.plate_points is not None:
+        with collect_faults(faults):
+            read_surface_points(options.plate_points)
+    facts = file_facts(options)
+    small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
+    size = sum(path.stat().st_size for path in small)
+    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.series is None:
+        with collect_faults(faults):
+            measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
+            without_channels(measurement, options.leave_out)
+            if options.reference:
+                parse_reference(
+                    options.reference, tuple(body.body for body in measurement.bodies), options.dof
+                )
+    else:
+        for path in options.file:
+            with collect_faults(faults):
+                format_of(path, options.mapping is not None)
+        if options.points_file is not None:
+            with collect_faults(faults):
+                read_points(options.points_file)
+    raise_all(faults)
+
+
+def file_facts(options: MotionOptions) -> FileFacts:
+    """Return what the options say about the files."""
+    series = None
+    if options.channels is not None:
+        series = SeriesFacts(
+            options.channels,
+            options.reference_channel,
+            options.averages,
+            options.period_s,
+            options.steps,
+            options.settle,
+            options.frf_band_hz,
+        )
+    return FileFacts(
+        options.body,
+        options.run,
+        options.beam,
+        options.amplitude or "",
+        options.length_unit or "",
+        options.n_avg,
+        options.mapping,
+        series,
+    )
