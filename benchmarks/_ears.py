@@ -27,6 +27,7 @@ from simulate import (
     motion_of,
     point_mass,
     ring_ligament,
+    stapes_motion,
 )
 from simulate.points import bone_points, visible_points
 from simulate.vibrometer import laser_directions, vibrometer_pose
@@ -122,6 +123,7 @@ def _ligament(ear: RingEar, rng: np.random.Generator, seed: int) -> Ligament:
         "drift": {"drift": 0.01 * ear.size},
         "step": {"step": 0.01 * ear.size},
         "second_run": {"run_change": 0.01 * ear.size},
+        "fluid": {"fluid_mass_kg": 1e-6 * ear.size},
     }
     return damped_alike(ring_ligament(ring, **changes.get(ear.cause, {})), ear.law)
 
@@ -171,18 +173,12 @@ def draw_ear(ear: RingEar, *seed: int) -> Measured:
     moving = matrix_from_parameters(parameters)
     if ear.cause == "head_mass":
         moving = moving + matrix_from_parameters(point_mass(1e-6 * ear.size, _HEAD_MM))
-    fluid = np.zeros((6, 6))
-    if ear.cause == "fluid":  # it moves with the deflection: the bone carries it along
-        fluid[1, 1] = 1e-6 * ear.size
     share = rng.uniform(0.5, 1.5, 6) * np.exp(2j * np.pi * rng.uniform(size=6))
     share[1] = 1.0
     base = base_motion(freq_hz, "y") * share
-    square = (2.0 * np.pi * freq_hz)[:, None, None] ** 2
-    pairs = []
-    for run in range(runs):
-        dynamic = ligament.dynamic_stiffness(freq_hz, run) - square * fluid
-        stapes = np.linalg.solve(dynamic - square * moving, dynamic @ base[:, :, None])[..., 0]
-        pairs.append(_seen(ear, freq_hz, stapes, base))
+    pairs = [
+        _seen(ear, freq_hz, stapes_motion(freq_hz, base, moving, ligament, run), base) for run in range(runs)
+    ]
     motions = {"stapes": np.array([pair[0] for pair in pairs]), "base": np.array([pair[1] for pair in pairs])}
     places, pose = _places()
     recording = measure_motion(motions, places, experiment, pose)  # type: ignore[arg-type]
