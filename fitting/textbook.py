@@ -107,7 +107,7 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
     Where chi2 contradicts the stated noise, each line's own residuals take its place: a few loud lines rule
-    an unweighted estimate (White 1980, doi:10.2307/1912934).
+    an unweighted estimate (jackknife, doi:10.1016/0304-4076(85)90158-7).
     """
     data, entries = likelihood.data, likelihood.at["entries"]
     inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
@@ -122,8 +122,7 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     n_dof = degrees(likelihood)
     if n_dof > 0 and chdtrc(n_dof, chi2) < MISFIT_P:
         residuals = (operator @ data.y[:, :, None])[..., 0]
-        by_line = np.einsum("pli,li->pl", whole, residuals).real
-        own = by_line @ by_line.T * (data.count * 2 * likelihood.n / n_dof)
+        own = _left_out_one_by_one(equations.matrix, inverse, np.stack([residuals.real, residuals.imag]))
     bias = _bias(likelihood, theta, equations, weights)
     shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
         ..., 0
@@ -138,6 +137,22 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     covariance[fixed, fixed] = 0.0
     found = Fit(likelihood, theta, chi2, n_dof, 1, True, covariance, own)
     return found, bias
+
+
+def _left_out_one_by_one(matrix: Array, inverse: Array, residuals: Array) -> Array:
+    """Return the covariance of A+ b by what each line's absence changes (MacKinnon and White 1985).
+
+    Parameters
+    ----------
+    residuals : ndarray, (2, lines, n)
+        Real and imaginary parts.
+    """
+    _, lines, n = residuals.shape
+    rows = matrix.reshape(2, lines, n, -1).transpose(1, 0, 2, 3).reshape(lines, 2 * n, -1)
+    back = inverse.reshape(-1, 2, lines, n).transpose(2, 0, 1, 3).reshape(lines, -1, 2 * n)
+    own = residuals.transpose(1, 0, 2).reshape(lines, 2 * n, 1)
+    changes = (back @ np.linalg.solve(np.eye(2 * n) - rows @ back, own))[..., 0]
+    return np.asarray(changes.T @ changes)
 
 
 def _bias(
