@@ -94,10 +94,10 @@ class Outputs:
             written = {path.relative_to(stage).as_posix(): sha256(path) for path in files}
             self.check(written)
             manifest = self._manifest()
-            stale = [
-                name for name in manifest.get(self.command, {}) if name not in written and name in self.names
-            ]
-            content = {**manifest, self.command: written}
+            earlier = manifest.get(self.command, {})
+            stale = [name for name in earlier if name in self.names and name not in written]
+            kept = {name: value for name, value in earlier.items() if name not in stale}
+            content = {**manifest, self.command: {**kept, **written}}
             (stage / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in written:
@@ -109,7 +109,8 @@ class Outputs:
 
     def unchanged(self) -> bool:
         """Return whether every file that the command is known to have written is there as it was."""
-        known = self._manifest().get(self.command, {})
+        listed = self._manifest().get(self.command, {})
+        known = {name: value for name, value in listed.items() if name in self.names}
         return bool(known) and all(
             _hash_or_none(self.folder / name) == value for name, value in known.items()
         )

@@ -219,8 +219,10 @@ def _is_better(part: Piece, whole: Piece, way: Split) -> bool:
     """
     if part.at_border > whole.at_border:
         return False
-    if not whole.possible or not whole.empty_arch:
+    if not whole.possible:
         return True
+    if not whole.empty_arch:
+        return part.score > whole.score + RIVAL
     bones = [p for p in way.parts if p.label != part.label and p.volume_mm3 > _LEAST_BONE_MM3]
     if len(bones) > 1 or any(p.possible and p.score > part.score - RIVAL for p in bones):
         return False

@@ -92,10 +92,12 @@ def look_at(scan: Scan) -> Overview:
     if is_mask:
         levels = np.unique(grey).astype(float)
         if levels.size < 2:
-            raise _one_material()
+            raise _one_material(scan)
         return Overview(grey, step, spacing, max(noise, 1e-12), levels, is_mask=True)
     padding, outside = _outside(grey)
     levels = material_levels(grey, noise, float(np.prod(spacing)), outside)
+    if len(levels) < 2:
+        raise _one_material(scan)
     if outside is not None and _lies_beside_bone(grey, outside, levels):
         padding, outside = None, None
         levels = material_levels(grey, noise, float(np.prod(spacing)), None)
@@ -182,12 +184,7 @@ def material_levels(grey: Grey, noise: float, voxel_mm3: float, outside: Mask | 
     neighbours agree with them are counted, so that blurred edges hardly count and each material stands out
     however little of it there is. A level between the lowest and the highest must fill cubes of three voxels:
     in a gap one or two voxels wide, and where the edges of thin bone run together, the blur has a level that
-    belongs to no material.
-
-    Raises
-    ------
-    StapeskitError
-        Only one material: nothing but noise.
+    belongs to no material. Less than two levels: there is nothing but noise.
     """
     apart = max(2.5 * noise, 0.04 * (float(grey.max()) - float(grey.min())))
     mean, flat = _crosses(grey, _FLAT_NOISE * noise)
@@ -206,8 +203,6 @@ def material_levels(grey: Grey, noise: float, voxel_mm3: float, outside: Mask | 
     ]
     if top is not None and (not kept or top > kept[-1] + 8.0 * noise):
         kept.append(top)
-    if len(kept) < 2:
-        raise _one_material()
     return np.array(kept)
 
 
@@ -289,10 +284,10 @@ def _bright_rest(
     return float(np.percentile(bright, 90)) if bright.size * voxel_mm3 >= 0.05 else None
 
 
-def _one_material() -> StapeskitError:
-    return StapeskitError.of(
-        "the scan",
-        "a picture of bone in air",
-        "one material only, and noise",
-        next_step="Check that this is the reconstructed volume, or give --threshold",
+def _one_material(scan: Scan) -> StapeskitError:
+    picture, voxel = (
+        " x ".join(f"{v:.4g}" for v in size) for size in (scan.size * scan.spacing_mm, scan.spacing_mm)
     )
+    got = f"one material only, and noise, in a picture of {picture} mm with voxels of {voxel} mm"
+    step = "Check the voxel size (--spacing), that this is the reconstructed volume, or give --threshold"
+    return StapeskitError.of("the scan", "a picture of bone in air", got, "", step)

@@ -118,7 +118,7 @@ def check_extent(measurement: Measurement) -> None:
     for body in measurement.bodies:
         if body.body == "stapes" and len(set(body.points)) > 1:
             extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
-            if extent < LEAST_APART_MM:
+            if 0.0 < extent < LEAST_APART_MM:  # all at one place is another fault: beams.py names it
                 got, step = f"{1e3 * extent:.3g} um", "Give coordinates in mm: those in metres times 1000"
                 raise StapeskitError.of("the extent of the points of body stapes", "some mm", got, "", step)
 

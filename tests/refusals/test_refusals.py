@@ -31,12 +31,12 @@ COMMANDS = {
 
 @pytest.fixture(scope="session")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of small inputs that every command takes: scan, ldv.csv, points.csv, dof.csv, M.csv, ..."""
+    """A folder of small inputs that every command takes: scan, ldv.csv, points.csv, motion.csv, M.csv, ..."""
     folder = tmp_path_factory.mktemp("good")
     experiment = Experiment(lines=12, in_footplate=True, stapes_points=5, bone_points=5, seed=1)
     truth = simulate_study(Ear(), Scan(voxel_um=60.0, samples=3, format="nrrd", seed=1), experiment, folder)
     assert truth.recording is not None
-    write_motion(folder, "dof", motion_of(truth.recording))
+    write_motion(folder, "motion", motion_of(truth.recording))
     np.savetxt(folder / "M.csv", truth.moving_mass_matrix_si, delimiter=",", fmt="%.17g")
     (folder / "plan.toml").write_text("", encoding="utf-8")
     return folder
