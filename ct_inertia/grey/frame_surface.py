@@ -72,7 +72,7 @@ def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, tra
         scan_from_index=placed,
         blur_mm=0.0,
         noise_mm4=noise**2 * begin.correlation * voxel * thick / _RIM_RISE**2,
-        correlation_mm=float(1.5 * np.sqrt(2.0)) * fit.sigma_mm,
+        correlation_mm=float(np.sqrt(2.0)) * fit.sigma_mm,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,
         level_sd_mm=0.5 * relative * slope,

@@ -21,7 +21,7 @@ from stapeskit.warnings import Notice
 _CELL_VOXELS = 8
 _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
-_MIN_Z, _MIN_CHI2 = 5.0, 25.0
+_MIN_Z, _MIN_CHI2 = 7.0, 35.0
 PLACES = {
     "void": "in the closed hollows of the stapes",
     "collar": "next to the stapes, outside of its edge",
@@ -45,6 +45,8 @@ class PlaceMisfit:
         Its mean over its standard error.
     chi2 : float
         Mean square of the means over cells, in units of what noise leaves them.
+    least : float
+        Share from which it is named: what the rough surface of a body in noise leaves, or a fixed one.
     covariance : ndarray, (10, 10)
         What it adds to (V, c, S): its own size, one standard deviation.
     """
@@ -53,12 +55,13 @@ class PlaceMisfit:
     share: float
     z: float
     chi2: float
+    least: float
     covariance: Array
 
     @property
     def stands_out(self) -> bool:
         """Whether it is more than noise, and large enough to be named."""
-        return abs(self.share) > _LEAST_SHARE and (self.z > _MIN_Z or self.chi2 > _MIN_CHI2)
+        return abs(self.share) > self.least and (self.z > _MIN_Z or self.chi2 > _MIN_CHI2)
 
     def __str__(self) -> str:
         return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
@@ -79,6 +82,8 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
     found = []
     noise = fit.start.noise / fit.contrasts["stapes"]
     voxel = abs(float(np.linalg.det(transform[:3, :3])))
+    # A body whose surface follows noise is larger than its own blurred image by the square of the noise.
+    least = max(_LEAST_SHARE, noise**2 * min(0.1 * fit.start.correlation, 1.0))
     for place, where in _places(fit).items():
         count = int(np.count_nonzero(where))
         if count < _LEAST_VOXELS:
@@ -93,7 +98,8 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
         chi2 = float(np.mean((means / np.maximum(expected, 1e-9)) ** 2)) if full.any() else 0.0
         amount = np.where(where, residual, np.float32(0.0))
         share = float(values.sum(dtype=float)) * voxel / moments.volume_mm3
-        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, common(amount, transform, moments)))
+        covariance = common(amount, transform, moments)
+        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, least, covariance))
     return found
 
 

@@ -23,7 +23,7 @@ CLOSE_SIGMAS = 5.0
 _LEAST_AIR = 400  # voxels of air from which a mean is taken: its noise is 5 % of a voxel's
 _LEAST_DEEP = 12  # voxels of pure bone whose median is a level
 _SAME_BONE = 0.05  # other bone whose contrast is nearer to the stapes' than this counts as the same bone
-_MOST_LAG = 8  # voxels: beyond the kernels of scanners
+_NEAR_LAGS, _FAR_LAGS = range(1, 9), range(12, 97, 8)  # voxels: kernels of scanners; rings and streaks
 _LEAST_CORRELATION = 0.2  # variance of sums over that of white noise: less is a sharpening filter's
 NEAR_REACHES = 1.7  # of the blur around the stapes are modelled: its rim and as much air
 
@@ -165,9 +165,11 @@ def noise_correlation(rest: Grey, inside: Mask) -> float:
     if variance <= 0.0:
         return total
     for axis in range(3):
-        along = 1.0
+        along, before = 1.0, 0
         values, good = np.moveaxis(rest, axis, 0), np.moveaxis(inside, axis, 0)
-        for lag in range(1, _MOST_LAG + 1):
+        for lag in (*_NEAR_LAGS, *_FAR_LAGS):
+            if lag >= len(values):
+                break
             both = good[lag:] & good[:-lag]
             count = int(np.count_nonzero(both))
             if count < _LEAST_AIR:
@@ -175,7 +177,8 @@ def noise_correlation(rest: Grey, inside: Mask) -> float:
             r = float(np.mean(values[lag:][both] * values[:-lag][both], dtype=float)) / variance
             if abs(r) < 3.5 / np.sqrt(count):
                 break
-            along += 2.0 * r
+            along += 2.0 * r * (lag - before)
+            before = lag
         total *= max(along, _LEAST_CORRELATION)
     return total
 
