@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import PlainValidator, ValidationInfo
 
+from stapeskit.dof import DOF_NAMES
 from stapeskit.faults import Fault
 from stapeskit.option_types import (
     Count,
@@ -26,7 +27,6 @@ from stapeskit.option_types import (
     require,
 )
 from stapeskit.options import Opt, Options, Rule
-from stapeskit.spatial import DOF_NAMES
 
 NONE = "none"
 """Word that turns a file off which would be looked for beside the measurement."""

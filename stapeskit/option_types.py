@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from pydantic import PlainValidator, ValidationInfo
 
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.dof import DOF_NAMES
 
 _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE][+-]?\d+)?)\s*")
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stapeskit.arrays import Array
+from stapeskit.dof import DOF_NAMES as DOF_NAMES
+from stapeskit.dof import DOF_UNITS as DOF_UNITS
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import cross_matrix
 
-DOF_NAMES: tuple[str, ...] = ("x", "y", "z", "alpha", "beta", "gamma")
-DOF_UNITS: dict[str, str] = dict.fromkeys(DOF_NAMES[:3], "m") | dict.fromkeys(DOF_NAMES[3:], "rad")
 PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
 # Order of the six entries of an inertia tensor.
 _TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
