@@ -1,4 +1,4 @@
-"""Names and units of the degrees of freedom, apart from all mathematics: options and help need nothing more."""
+"""Names and units of the degrees of freedom, without any mathematics: options and help need only these."""
 
 from __future__ import annotations
 
