@@ -33,6 +33,7 @@ _CURVED_1_MM = 0.15  # a face of 7 mm radius is no plane
 _RIM_MM = calibrated("plate_frame.rim_mm")
 _AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate_frame.agreeing_rad")
 _UNKNOWN_TURN_RAD = 1.0
+_HULL_SD_MM = calibrated("plate_frame.hull_sd_mm")
 _STEP = "Check the segmentation in the report, or give --plate-fiducials"
 
 
@@ -279,6 +280,8 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose, weight
 
         steps = jacobian(moved, plane)
         covariance += steps @ plane.covariance @ steps.T
+    if np.any(pose.owners < 0):  # no plane side ends the face there, but what was seen of it
+        covariance[[0, 2], [0, 2]] += (1e-3 * _HULL_SD_MM) ** 2
     if pose.along < 0:
         covariance[4, 4] += _UNKNOWN_TURN_RAD**2
     return covariance
