@@ -47,7 +47,7 @@ def diagnose(
     if not priors.position_m.size:
         priors = replace(priors, position_m=np.nan_to_num(body.position_sd_m))
     layout = Layout(body.points, laser_numbers(body.directions))
-    sd = np.stack([np.broadcast_to(fit.sd, fit.value.shape) for fit in fits])
+    sd = fits[0].sd[None] if len(fits) == 1 else np.stack([fit.sd for fit in fits])
     if line_spread > 1.0:
         sd = sd * np.sqrt(line_spread)
     if not stated:  # in the proportions of the channels; its course over lines is found anew, without faults

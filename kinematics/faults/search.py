@@ -313,7 +313,8 @@ def search(
     chances = _channel_log_p(first)
     at_fault = [channel for one in found for channel in one.channels]
     sound = np.setdiff1d(now.live, at_fault)
-    chances[sound] = _channel_log_p(now)[sound]
+    if found:
+        chances[sound] = _channel_log_p(now)[sound]
     return Diagnosis(tuple(found), chances, level, first, now)
 
 
@@ -528,9 +529,10 @@ def _channel_log_p(now: Round) -> Array:
     """Return the logarithm of the smallest p-value of each channel's own tests, all of them one test."""
     out = np.minimum(now.channel_noise, 0.0)
     count = np.ones(len(out))
-    for test in now.tests:
-        if test.place.owner == "channel":
-            channel = test.place.channels[0]
-            out[channel] = min(out[channel], float(now.noise.log_tail(test.statistic, test.freedom)))
-            count[channel] += 1.0
+    own = [test for test in now.tests if test.place.owner == "channel"]
+    channels = np.array([test.place.channels[0] for test in own], dtype=np.intp)
+    statistics = np.array([test.statistic for test in own])
+    tail = now.noise.log_tail(statistics, np.array([test.freedom for test in own]))
+    np.minimum.at(out, channels, tail)
+    np.add.at(count, channels, 1.0)
     return np.minimum(out + np.log(count), 0.0)

@@ -220,7 +220,8 @@ def _fit_lines(
         weight = _reweight(basis, y, noise, z, start, robust, tolerance=1e-3)
         inverse = _weighted(basis, y, weight)[1]
     z[:, ~good] = 0.0
-    residual = np.square((y - basis @ z).view(float)).reshape(*y.shape, 2).sum(axis=2)
+    left = y - basis @ z
+    residual = left.real**2 + left.imag**2
     normal = residual * noise
     pairs = basis[:, :, None] * basis[:, None, :]
     leverage = weight * np.einsum("cij,lij->cl", pairs, inverse, optimize=True)
