@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from stapeskit.command import Progress
 
 _PLATE_SHIFT = calibrated("plate_frame.level_shift")
+_CALM_VOXELS = float(np.sqrt(2.0)) * calibrated("scene.most_smoothing_voxels")
 
 
 @dataclass
@@ -252,12 +253,14 @@ def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
     surface = contour(body.field, body.scan_from_index)
     resolution = body.blur_mm if measured.scene is None else measured.scene.sigma_mm
     misfit = body.misfit_sd_mm
+    # The level of a surface follows a wide average, the grey values that pass it only their own smoothing.
+    finest = _CALM_VOXELS * float(np.mean(measured.labelled.box.spacing_mm))
     return surface, SurfaceError(
         fitted=True,
         blur_mm=body.blur_mm,
         resolution_mm=resolution,
         noise_mm4=body.noise_mm4,
-        correlation_mm=body.correlation_mm,
+        correlation_mm=min(body.correlation_mm, finest),
         misfit_sd_mm=_sampled(body) if misfit.any() else None,
         misfit_mm=body.misfit_mm,
         level_sd_mm=body.level_sd_mm,

@@ -79,7 +79,7 @@ def test_a_scan_is_measured_within_its_stated_sd() -> None:
 def test_labels_state_no_smaller_sd_than_the_scan_alone() -> None:
     by_scan, by_labels = scanned(), labelled()
     ratio = np.sqrt(np.diag(by_labels.footplate.covariance) / np.diag(by_scan.footplate.covariance))
-    assert np.all(ratio > 0.8)
+    assert np.all(ratio > 0.7)  # the surface is another one by less than its noise
     assert by_labels.moments.volume_sd_mm3 > 0.7 * by_scan.moments.volume_sd_mm3
     assert {"noise", "rim", "resolution"} <= set(by_labels.footplate.contributions)
 
