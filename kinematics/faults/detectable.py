@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinematics.faults.kinds import KINDS, SHARE, Place, places
+from kinematics.faults.rounds import ALARM, Round
 from kinematics.faults.scores import Noise, informations
-from kinematics.faults.search import ALARM, Round
 
 POWER = 0.9
 """Probability with which a fault of the reported size is found."""

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.faults.elsewhere import other_causes
-from kinematics.faults.search import Diagnosis, null_fit, search
+from kinematics.faults.rounds import null_fit
+from kinematics.faults.search import Diagnosis, search
 from kinematics.fit.lasers import laser_numbers
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.expected import Layout, Priors

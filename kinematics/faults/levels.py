@@ -1,0 +1,92 @@
+"""The noise of groups of lines and of channels where it is not stated.
+
+Shapes: c channels, G groups.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinematics.faults.scores import Noise, Test
+from kinematics.joint.estimate import Estimate, State
+from stapeskit.arrays import Array
+
+_REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
+_QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
+_FAR_SD = 3.0  # standard deviations from which on a channel is not one of the others
+_LEAST_OWN = 1e-6  # share of a channel's noise in its residual
+_LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
+
+
+def group_levels(state: State) -> Array:
+    """Return the noise of each group over the assumed one, (G,): a parabola through its logarithm."""
+    energy, freedom = (part.sum(axis=1) for part in state.noise_energy)
+    some = freedom > 4.0
+    if np.sum(freedom) < _LEAST_LEVEL_DOF or np.count_nonzero(some) < 4:
+        whole = np.sum(energy) / max(np.sum(freedom), 1.0) if np.sum(freedom) > 0 else 1.0
+        return np.full(len(energy), np.sqrt(max(whole, 1e-300)))
+    logs = np.log(np.maximum(energy[some], 1e-300) / freedom[some]) + 1.0 / freedom[some]
+    base = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(energy)), 2)
+    root = np.sqrt(freedom[some])
+    course = np.linalg.lstsq(base[some] * root[:, None], logs * root, rcond=None)[0]
+    return np.asarray(np.exp(0.5 * base @ course))
+
+
+def own_noise(state: State) -> tuple[Array, Array]:
+    """Return the energy of each channel that does not follow the motion, and its degrees of freedom, (c,).
+
+    In lines of their own, what is proportional to the motion at all lines is subtracted from the residuals.
+    """
+    if state.packed.turned:
+        energy, freedom = state.noise_energy
+        return energy.sum(axis=0), freedom.sum(axis=0)
+    motion = state.motion[:, :, 0]
+    channels = state.packed.w.shape[1]
+    energy, freedom = np.zeros(channels), np.zeros(channels)
+    for channel in state.packed.live:
+        used = np.flatnonzero(state.packed.w[:, channel] > 0.0)
+        own = float(np.mean(1.0 - state.leverage[used, channel]))
+        if len(used) > 2 * motion.shape[1] and own > _LEAST_OWN:
+            course = np.linalg.qr(motion[used] * state.packed.w[used, channel, None])[0]
+            rest = state.e[used, channel, 0]
+            rest = rest - course @ (course.conj().T @ rest)
+            energy[channel] = 2.0 * float(np.sum(np.abs(rest) ** 2)) / own
+            freedom[channel] = 2.0 * (len(used) - course.shape[1])
+    return energy, freedom
+
+
+def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
+    """Return the noise of channels over the usual one, (c,), and the standard deviation of its logarithm.
+
+    Notes
+    -----
+    Levels are shrunk towards the middle one (Efron and Morris 1975, doi:10.1080/01621459.1975.10479864) by
+    the scatter of the middle half of channels, which a faulty one does not move, and which is at least that
+    of reflecting surfaces. A channel far off keeps the usual level: that it is louder is then for the search.
+    """
+    some = freedom > 8.0
+    levels = np.ones(len(freedom))
+    if np.count_nonzero(some) < 2:
+        return levels, _REFLECTION
+    logs = 0.5 * np.log(np.maximum(energy[some], 1e-300) / freedom[some])
+    logs -= np.median(logs)
+    chance = 0.5 / freedom[some]
+    width = float(np.diff(np.quantile(logs, [0.25, 0.75]))[0]) / _QUARTILES
+    spread = max(float(np.sqrt(max(width**2 - float(np.median(chance)), 0.0))), _REFLECTION)
+    shrunk = logs * spread**2 / (spread**2 + chance)
+    levels[some] = np.exp(np.where(np.abs(logs) < _FAR_SD * np.sqrt(spread**2 + chance), shrunk, 0.0))
+    return levels, spread
+
+
+def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
+    """Return the level of noise that is not stated: from columns without motion, else from what is left."""
+    state = estimate.state
+    energy, freedom = (float(part.sum()) for part in state.noise_energy)
+    if freedom < _LEAST_LEVEL_DOF:
+        top = max(tests, key=lambda test: test.statistic / max(test.freedom, 1), default=None)
+        taken = (top.statistic, top.freedom) if top else (0.0, 0)
+        energy += max(estimate.chi2 - taken[0], 0.0)
+        freedom += max(state.freedom - taken[1], 1)
+    return Noise(max(energy, 1e-300) / max(freedom, 1.0), freedom)
