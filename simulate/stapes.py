@@ -19,7 +19,12 @@ from simulate.solids import Solid, outward, solid_of_field
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 
-OPENEAR_PLY = Path(__file__).resolve().parents[1] / "sample_volumes" / "openear_stapes.ply"
+_HERE = Path(__file__).resolve().parent
+# Beside this file in an installed package, with the samples in the source tree.
+OPENEAR_PLY = next(
+    (path for path in (_HERE / "openear_stapes.ply",) if path.is_file()),
+    _HERE.parent / "sample_volumes" / "openear_stapes.ply",
+)
 # Where its footplate frame lies in the file's coordinates, by the definition in `simulate.footplate`.
 _FILE_FROM_FOOTPLATE = (
     (0.13475956035202305, -0.49824303701220585, -0.8565008680454349, 0.6718597062233791),
