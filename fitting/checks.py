@@ -68,8 +68,7 @@ def _physics(fit: KDFit) -> list[Notice]:
     if not fit.modes.stable:
         text = (
             f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. No "
-            f"passive "
-            "ligament does this; use --estimator ml."
+            "passive ligament does this; use --estimator ml."
         )
         notices.append(Notice("unstable", text))
     wrong = [name for name, good in zip("KD", fit.passive, strict=True) if not good]
@@ -83,8 +82,7 @@ def _physics(fit: KDFit) -> list[Notice]:
     if active:
         text = (
             f"The estimate is held back by {', '.join(active)}; the data alone would lead elsewhere, and "
-            f"intervals "
-            "near the constraint are approximate."
+            "intervals near the constraint are approximate."
         )
         notices.append(Notice("constraint_active", text))
     book = fit.solution.textbook
@@ -96,9 +94,8 @@ def _physics(fit: KDFit) -> list[Notice]:
         if abs(bias[worst]) > _BIASED:
             text = (
                 f"{fit.options.estimator} is biased by the noise of its regressor however many lines there "
-                f"are: "
-                f"{fit.parameters[worst]} by about {100.0 * bias[worst]:+.2g} % of sqrt(Xii Xjj). "
-                f"--estimator ml is not."
+                f"are: {fit.parameters[worst]} by about {100.0 * bias[worst]:+.2g} % of sqrt(Xii Xjj). "
+                "--estimator ml is not."
             )
             notices.append(Notice("attenuation_bias", text))
         notices += [Notice("constraint_active", f"{note}.") for note in book.notes]
@@ -133,11 +130,9 @@ def _quality(fit: KDFit) -> list[Notice]:
         if chdtrc(found.n_dof, found.chi2) < MISFIT_P:
             widened = np.sqrt(max(found.level, 1.0))
             text = (
-                f"Residuals exceed noise and shared errors: chi2 per degree of freedom is "
-                f"{found.level:.3g}. Noise may "
-                "be understated, or the model (damping law, neglected motion, mass matrix) is wrong; "
-                "channel noise was "
-                f"widened by {widened:.3g}, which does not cover a wrong model."
+                f"Residuals exceed noise and shared errors: chi2 per degree of freedom is {found.level:.3g}. "
+                "Noise may be understated, or the model (damping law, neglected motion, mass matrix) is "
+                f"wrong; channel noise was widened by {widened:.3g}, which does not cover a wrong model."
             )
             notices.append(Notice("misfit", text))
         elif not found.data.floored and chdtr(found.n_dof, found.chi2) < MISFIT_P:
@@ -151,8 +146,7 @@ def _quality(fit: KDFit) -> list[Notice]:
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
         text = (
             f"{len(far)} of {found.data.count} lines lie farther off than noise brings them (at {listed} "
-            f"Hz); they "
-            "were given little weight."
+            "Hz); they were given little weight."
         )
         notices.append(Notice("outliers", text))
     bands = fit.solution.bands
@@ -160,8 +154,7 @@ def _quality(fit: KDFit) -> list[Notice]:
         text = (
             f"One K and one D do not hold over the whole band (p = {bands.p_value:.1g}): {bands.words()}. A "
             "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try --damping "
-            "compare, "
-            "or fit parts with --band."
+            "compare, or fit parts with --band."
         )
         notices.append(Notice("frequency_dependent", text))
     return notices
@@ -189,11 +182,9 @@ def _causes(fit: KDFit) -> list[Notice]:
             value = float(fit.found.theta[place])
             sd = float(np.sqrt(fit.found.covariance[place, place]))
             text = (
-                f"{unknown.title[0].upper()}{unknown.title[1:]} of {plus_minus(value, sd)} {unknown.unit} "
-                f"is part of the "
-                "model, since the data call for it. K and D exclude it; damping by fluid cannot be "
-                "separated and is "
-                f"included in D11. --unknowns none leaves it out."
+                f"{unknown.title[0].upper()}{unknown.title[1:]} of {plus_minus(value, sd)} {unknown.unit} is "
+                "part of the model, since the data call for it. K and D exclude it; damping by fluid cannot "
+                "be separated and is included in D11. --unknowns none leaves it out."
             )
             notices.append(Notice(f"{unknown.name}_found", text))
         place += 1 + len(unknown.companions)
@@ -231,8 +222,7 @@ def _laws(fit: KDFit) -> list[Notice]:
         text = (
             f"The damping law is undetermined: {fit.law.name} damping cannot be distinguished from "
             f"{' or '.join(fit.solution.laws_alike)} damping. K and D are those under {fit.law.name}; their "
-            f"intervals "
-            "include what the others would change."
+            "intervals include what the others would change."
         )
         notices.append(Notice("law_ambiguous", text))
     if fit.solution.undetermined:
@@ -257,10 +247,8 @@ def _inputs(fit: KDFit) -> list[Notice]:
     if data.columns and not data.loads_known and fit.options.inplane != IGNORE:
         text = (
             f"The measured motion {others} loads the structure too, but the mass matrix lacks these degrees "
-            f"of freedom: "
-            "K and D err by what the load comes to. Give mass.json, which has all six, or say by --inplane "
-            "ignore that "
-            "the load is small."
+            "of freedom: K and D err by what the load comes to. Give mass.json, which has all six, or say "
+            "by --inplane ignore that the load is small."
         )
         notices.append(Notice("inplane_mass_not_given", text))
     if fit.solution.neglected is not None:
@@ -275,9 +263,8 @@ def _inputs(fit: KDFit) -> list[Notice]:
         share = np.diag(fit.budget["inplane_stiffness"]) / np.maximum(np.diag(fit.covariance), 1e-300)
         text = (
             "The in-plane motion does not determine the stiffness in the plane of the ligament; 2.2 ± 1.5 "
-            "times the "
-            f"piston stiffness was assumed, which is up to {100.0 * share.max():.0f} % of a variance of K "
-            f"and D."
+            f"times the piston stiffness was assumed, which is up to {100.0 * share.max():.0f} % of a "
+            "variance of K and D."
         )
         notices.append(Notice("inplane_assumed", text))
     return notices
@@ -304,10 +291,9 @@ def _plausibility(fit: KDFit) -> list[Notice]:
         if not _MASS_RANGE_KG[0] <= mass_kg <= _MASS_RANGE_KG[1]:
             text = (
                 f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones "
-                f"weigh "
-                f"{MASS.of(_HUMAN_KG[0]):g} to {MASS.text(_HUMAN_KG[1])}. K and D grow in proportion to it: "
-                f"check that M "
-                "is in SI units (kg, kg m, kg m2), or name the body by --structure if it is no stapes."
+                f"weigh {MASS.of(_HUMAN_KG[0]):g} to {MASS.text(_HUMAN_KG[1])}. K and D grow in proportion "
+                "to it: check that M is in SI units (kg, kg m, kg m2), or name the body by --structure if "
+                "it is no stapes."
             )
             notices.append(Notice("implausible_mass", text))
     if "y" not in fit.dof:
@@ -327,8 +313,7 @@ def _plausibility(fit: KDFit) -> list[Notice]:
             if not _GYRATION_RANGE_MM[0] <= radius <= _GYRATION_RANGE_MM[1]:
                 text = (
                     f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human stapes; check "
-                    f"the units "
-                    "of M."
+                    "the units of M."
                 )
                 notices.append(Notice("implausible_inertia", text))
     return notices

@@ -165,8 +165,7 @@ def _plain(matrix: Array, options: KDOptions) -> MassSource:
         return MassSource(with_tensor_signs(matrix, options.dof, sign) if matrix.ndim == 2 else matrix)
     text = (
         "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z "
-        "dm; with "
-        "products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
+        "dm; with products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
     )
     return MassSource(matrix, notices=(Notice("mass_sign_assumed", text),))
 

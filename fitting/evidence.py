@@ -216,14 +216,14 @@ def other_laws(found: Fit) -> list[Alternative]:
         except np.linalg.LinAlgError:
             continue
         if other.law.physical:
-            alternatives.append(_as_alternative(found, other))
+            alternatives.append(law_alternative(found, other, _LAW_CHANCE))
     return alternatives
 
 
-def _as_alternative(found: Fit, other: Fit) -> Alternative:
-    """Return a fit under another law with its odds."""
+def law_alternative(found: Fit, other: Fit, chance: float = 1.0) -> Alternative:
+    """Return a fit under another law, with the odds of the criterion of Schwarz times its chance."""
     level = max(1.0, min(found.level, other.level))
-    odds = 0.5 * (bic(found, level) - bic(other, level)) + np.log(_LAW_CHANCE)
+    odds = 0.5 * (bic(found, level) - bic(other, level)) + np.log(chance)
     law, sd = other.law, 0.0
     if law.free:
         inverse = np.linalg.inv(other.likelihood.information(other.theta))
@@ -278,12 +278,3 @@ def search(found: Fit, laws: bool = True) -> Search:
 def _may_be_large(unknown: Unknown) -> bool:
     """Return whether an unknown may be as large as the body itself: a linear test says little then."""
     return bool(unknown.starts) or unknown.name in ("inertia", "mirrored")
-
-
-def with_covariance(found: Fit) -> Fit:
-    """Return a fit with its covariance where it was left out."""
-    if found.covariance.size:
-        return found
-    factor = max(1.0, found.level) / found.noise
-    covariance, inverse = found.likelihood.covariance(found.theta, found.level)
-    return replace(found, covariance=factor * covariance, inverse=factor * inverse)

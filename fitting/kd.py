@@ -13,13 +13,13 @@ from fitting.bands import BandFactors, band_factors
 from fitting.causes import UNKNOWNS, chosen
 from fitting.data import Data, data_of
 from fitting.entries import sizes, split
-from fitting.evidence import Alternative, Search, search, with_covariance
+from fitting.evidence import Search, law_alternative, search
 from fitting.laws import LAWS
 from fitting.likelihood import LOAD, PLAIN, Model
 from fitting.mass import Inertia, RigidMass, inertia_of
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import InPlane, applies, in_plane, plane_model
-from fitting.solve import Fit, bic, compare_laws, fit, weak_spread
+from fitting.solve import Fit, bic, compare_laws, fit, weak_spread, with_covariance
 from fitting.textbook import Textbook, estimate
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -148,7 +148,7 @@ def solve_data(data: Data, inertia: Inertia, options: KDOptions) -> Solution:
         if options.evidence:
             found, causes = _adopted(found, causes, compared)
     found = with_covariance(found)
-    others = [_law_alternative(found, laws[name]) for name in alike]
+    others = [law_alternative(found, laws[name]) for name in alike]
     causes = replace(causes, alternatives=(*causes.alternatives, *others))
     plane = in_plane(found) if found.likelihood.model.coupling is not None else None
     missing = tuple(name for name in LAWS if compared and name not in laws)
@@ -187,14 +187,6 @@ def _likeliest(laws: Mapping[str, Fit]) -> tuple[Fit, tuple[str, ...]]:
         if name != best and values[name] - values[best] < _LAW_ALIKE and best not in LAWS[name].includes
     ]
     return laws[best], tuple(alike)
-
-
-def _law_alternative(found: Fit, other: Fit) -> Alternative:
-    """Return a compared law as an alternative, with the odds of the criterion of Schwarz."""
-    level = max(1.0, min(found.level, other.level))
-    odds = 0.5 * (bic(found, level) - bic(other, level))
-    name = other.law.name
-    return Alternative(f"law_{name}", f"{name} damping", "", other.law.value, 0.0, odds, other)
 
 
 def _adopted(found: Fit, causes: Search, compared: bool) -> tuple[Fit, Search]:

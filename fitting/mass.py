@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.frames import cross_matrix
-from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters, parameters_from_matrix
+from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters
 
 FRAME_SOURCE = "frame"
 """Source of the error of the footplate frame in mass.json: motion may have the same one."""
@@ -240,19 +240,3 @@ def parameter_changes(contributions: Mapping[str, Array]) -> dict[str, Array]:
             roots = (vectors[:, kept] * np.sqrt(values[kept])).T * safe
             changes[source] = np.stack([matrix_from_parameters(root) for root in roots])
     return changes
-
-
-__all__ = [
-    "FRAME_SOURCE",
-    "MASS_SIGNS",
-    "Inertia",
-    "RigidMass",
-    "check_mass",
-    "frame_slopes",
-    "has_products",
-    "inertia_of",
-    "parameter_changes",
-    "parameters_from_matrix",
-    "read_mass_csv",
-    "with_tensor_signs",
-]

@@ -28,7 +28,7 @@ from stapeskit.option_types import (
 from stapeskit.options import Opt, Options, Rule
 
 COMPARE = "compare"
-AUTO, LOADED, IGNORE = "auto", "load", "ignore"
+LOADED, IGNORE = "load", "ignore"
 
 JsonFile = Annotated[Path, *output_file(".json")]
 
@@ -72,8 +72,7 @@ class KDOptions(Options):
         Literal["ml", "pinv", "constrained"],
         Opt(
             "ml: maximum likelihood, errors in all variables; pinv: least squares (paper, Eq. 5); "
-            "constrained: with "
-            "signs, ranges and stability",
+            "constrained: with signs, ranges and stability",
             recommended=True,
         ),
     ] = "ml"
@@ -96,8 +95,7 @@ class KDOptions(Options):
         Words,
         Opt(
             f"what is estimated with K and D whatever the data say, out of {_UNKNOWN_NAMES}; name=VALUE "
-            f"fixes one; "
-            "none: nothing is added by evidence",
+            "fixes one; none: nothing is added by evidence",
             example=["fluid"],
         ),
     ] = ()

@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting.calibrated import calibrated
 from fitting.data import Data
-from fitting.entries import split, symmetric, vector
+from fitting.entries import split, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
 from fitting.solve import Fit, entry_scale, minimise, start_of
 from stapeskit.arrays import Array
@@ -92,7 +92,7 @@ def in_plane(found: Fit) -> InPlane:
     law = found.theta[at["law"]]
     value = float(law[0]) if len(law) else None
     model = Model(found.likelihood.model.law, INPLANE, coupling, law_value=value)
-    scale = _inplane_scale(found)
+    scale = entry_scale(found, data.columns)
     usual = _usual(
         found, calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
     )
@@ -116,13 +116,6 @@ def in_plane(found: Fit) -> InPlane:
             return InPlane(theta[:12] * scale, covariance, True, p_value)
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
     return InPlane(usual.mean, usual.covariance, False, p_value)
-
-
-def _inplane_scale(found: Fit) -> Array:
-    """Return SI over scaled of K_cc and D_cc, (12,)."""
-    root = found.data.root_mass[found.data.columns]
-    product, reference = vector(np.outer(root, root)), found.data.reference
-    return np.concatenate([product * reference**2, product * reference ** (2.0 - found.law.time_power)])
 
 
 def _usual(found: Fit, ratio: float, ratio_sd: float) -> Prior:
@@ -226,15 +219,3 @@ def heights(coupling: Array, covariance: Array) -> tuple[float, float]:
     weights = np.linalg.solve(own, np.ones(2))
     values = np.array([coupling[1, 1], -coupling[2, 0]])
     return float(weights @ values / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
-
-
-__all__ = [
-    "INPLANE_DOF",
-    "InPlane",
-    "Posterior",
-    "applies",
-    "in_plane",
-    "plane_model",
-    "posterior",
-    "symmetric",
-]

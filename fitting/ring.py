@@ -50,8 +50,8 @@ class RingTest:
         Of the measured K and of the ring; SI.
     loss_factor : Value
         Im / Re of the piston's dynamic stiffness in the middle of the band.
-    gap_m, thickness_m : Value or None
-        Width g and thickness t of the ligament.
+    gap_m : Value or None
+        Width g of the ligament.
     """
 
     rim_length_m: float
@@ -60,7 +60,6 @@ class RingTest:
     expected: Array
     loss_factor: Value
     gap_m: Value | None = None
-    thickness_m: Value | None = None
 
     @property
     def shear_times_thickness(self) -> Value | None:
@@ -75,20 +74,6 @@ class RingTest:
         share = self.rim_length_m / middle
         width = Value(self.gap_m.value * share, self.gap_m.sd * share**2)
         return _product(self.shear_pa, width)
-
-    @property
-    def modulus_pa(self) -> Value | None:
-        """G, Pa; None without width or thickness."""
-        product, thickness = self.shear_times_thickness, self.thickness_m
-        if product is None or thickness is None:
-            return None
-        return _product(product, Value(1.0 / thickness.value, thickness.relative / thickness.value))
-
-    @property
-    def thickness_for_published_m(self) -> tuple[float, float] | None:
-        """t for the largest and the smallest published shear modulus, m; None without the width."""
-        product, (low, high) = self.shear_times_thickness, PUBLISHED_SHEAR_PA
-        return None if product is None else (product.value / high, product.value / low)
 
     @property
     def rocking_ratio(self) -> tuple[float, float]:
@@ -166,9 +151,3 @@ def ring_test(
         principal_axes(k[0, 0] / length * ring),
         Value(float(loss), float(np.sqrt(slopes @ spread @ slopes))),
     )
-
-
-def ellipse_mm(length_mm: float, width_mm: float, points: int = 720) -> Array:
-    """Return the outline of an ellipse, long axis along x, (points, 2), mm."""
-    angle = 2.0 * np.pi * np.arange(points) / points
-    return np.column_stack([0.5 * length_mm * np.cos(angle), 0.5 * width_mm * np.sin(angle)])

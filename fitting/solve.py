@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from fitting.data import Data
 from fitting.entries import basis, diagonal, split, symmetric, vector
-from fitting.laws import LAWS, Law
+from fitting.laws import Law
 from fitting.likelihood import Likelihood, Model
 from stapeskit.arrays import Array
 
@@ -228,7 +228,8 @@ def fit(
         noise = max(1.0, value / max(n_dof, 1))
         noise = noise if noise > 1.5 else 1.0
     if robust:
-        return _with_covariance(*_robust(data, model, theta, n_dof), covariance)
+        found, factor = _robust(data, model, theta, n_dof)
+        return with_covariance(found, factor) if covariance else found
     evaluations = 0
     for _ in range(6):
         likelihood = Likelihood(data, model, noise)
@@ -240,7 +241,7 @@ def fit(
             break
         noise = level if level > 1.05 else 1.0
     found = Fit(likelihood, theta, chi2, n_dof, evaluations, converged)
-    return _with_covariance(found, max(1.0, chi2 / max(n_dof, 1)) / noise, covariance)
+    return with_covariance(found) if covariance else found
 
 
 def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, float]:
@@ -266,12 +267,12 @@ def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, fl
     return Fit(likelihood, theta, chi2, n_dof, used, converged), factor * max(spread, 1.0)
 
 
-def _with_covariance(found: Fit, factor: float, wanted: bool) -> Fit:
-    """Add the covariance, with the noise as large as the misfit says."""
-    if not wanted:
+def with_covariance(found: Fit, factor: float | None = None) -> Fit:
+    """Add the covariance where it was left out, with the noise as large as the misfit says."""
+    if found.covariance.size:
         return found
-    level = found.chi2 / max(found.n_dof, 1)
-    covariance, inverse = found.likelihood.covariance(found.theta, level)
+    factor = max(1.0, found.level) / found.noise if factor is None else factor
+    covariance, inverse = found.likelihood.covariance(found.theta, found.level)
     return replace(found, covariance=factor * covariance, inverse=factor * inverse)
 
 
@@ -293,13 +294,14 @@ def best_start(likelihood: Likelihood) -> Array:
     return min(values, key=lambda found: found[1])[0] if values else linear
 
 
-def entry_scale(found: Fit) -> Array:
-    """Return SI over scaled of the entries of K and D of the rows of a fit."""
-    likelihood, law = found.likelihood, found.law
-    root = likelihood.row_units @ found.data.root_mass
+def entry_scale(found: Fit, places: Sequence[int] | None = None) -> Array:
+    """Return SI over scaled of the entries of K and D of the rows of a fit, or of other measured motion."""
+    root, reference = (
+        found.data.root_mass[found.data.rows if places is None else places],
+        found.data.reference,
+    )
     product = vector(np.outer(root, root))
-    reference = found.data.reference
-    return np.concatenate([product * reference**2, product * reference ** (2.0 - law.time_power)])
+    return np.concatenate([product * reference**2, product * reference ** (2.0 - found.law.time_power)])
 
 
 def weak_spread(found: Fit) -> Array:
@@ -361,6 +363,3 @@ def bic(found: Fit, level: float) -> float:
     equations = 2 * found.likelihood.n * found.data.count
     unknowns = found.likelihood.at["law"].stop + len(found.likelihood.model.unknowns)
     return float(found.chi2 / level + unknowns * np.log(equations))
-
-
-__all__ = ["LAWS", "MISFIT_P", "Fit", "bic", "compare_laws", "entry_scale", "fit", "weak_spread"]

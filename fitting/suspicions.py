@@ -77,7 +77,6 @@ def _degrees(data: Data) -> list[Notice]:
         return []
     text = (
         f"Rotations times 1 mm are {ratios[0]:.3g} (structure) and {ratios[1]:.3g} (base) times the "
-        f"displacements: they "
-        "look like degrees. Write them in radians."
+        "displacements: they look like degrees. Write them in radians."
     )
     return [Notice("rotations_in_degrees", text)]

@@ -21,7 +21,6 @@ from fitting.model import state_matrix
 from fitting.solve import MISFIT_P, Fit, _from_roots, _roots_of, degrees, entry_scale
 from stapeskit.arrays import Array
 
-CONSTRAINTS = ("eigenvalues", "psd")
 _MARGIN = 5e-7  # of the stability constraint, scaled
 
 
@@ -50,8 +49,8 @@ class Textbook:
         What noise of the regressor does to K and D, scaled.
     active : tuple of str
         Constraints that hold the estimate back.
-    certificate : str
-        What was said about a constrained minimum that is not sure.
+    notes : tuple of str
+        What is not sure of a constrained minimum.
     """
 
     found: Fit
@@ -122,7 +121,9 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     n_dof = degrees(likelihood)
     if n_dof > 0 and chdtrc(n_dof, chi2) < MISFIT_P:
         residuals = (operator @ data.y[:, :, None])[..., 0]
-        own = _left_out_one_by_one(equations.matrix, inverse, np.stack([residuals.real, residuals.imag]))
+        own = _left_out_one_by_one(
+            equations.matrix, np.asarray(inverse), np.stack([residuals.real, residuals.imag])
+        )
     bias = _bias(likelihood, theta, equations, weights)
     shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
         ..., 0

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.entries import names
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
 
@@ -135,8 +134,3 @@ def on_ligament(shape: Callable[[Data], Array]) -> Change:
         parts.factor = parts.factor * (1.0 + 0.01 * value * shape(data))
 
     return change
-
-
-def entry_label(place: int, n: int) -> str:
-    """Return the name of an entry of K or D by its place in the parameter vector."""
-    return names(n)[place]

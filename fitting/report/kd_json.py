@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,6 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
     """Return a result as JSON-able data, SI; what cannot be given is null."""
     stiffness_sd, damping_sd = fit.standard_deviation
     noise = fit.noise_standard_deviation
-    shares = {source: np.diag(part) for source, part in fit.budget.items()}
-    whole = np.maximum(np.diag(fit.covariance), 1e-300)
     content = {
         "schema": SCHEMA,
         "dof": list(fit.dof),
@@ -48,14 +47,9 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
         "covariance_si": fit.covariance,
         "intervals_95_si": dict(zip(fit.parameters, fit.intervals.tolist(), strict=True)),
         "budget": {
-            source: dict(zip(fit.parameters, np.sqrt(np.maximum(part, 0.0)).tolist(), strict=True))
-            for source, part in shares.items()
+            source: dict(zip(fit.parameters, np.sqrt(np.maximum(np.diag(part), 0.0)).tolist(), strict=True))
+            for source, part in fit.budget.items()
         },
-        "budget_share_of_variance": {
-            source: dict(zip(fit.parameters, (part / whole).tolist(), strict=True))
-            for source, part in shares.items()
-        },
-        "budget_means": "what goes away where a source is known exactly; shares need not add up to one",
         "stable": fit.modes.stable,
         "max_real_eigenvalue_1_s": fit.modes.max_real_1_s,
         "passive": dict(zip(("stiffness", "damping"), fit.passive, strict=True)),
@@ -174,8 +168,6 @@ def _ligament(fit: KDFit) -> dict[str, Any] | None:
     return {
         "height_mm": 1e3 * value,
         "height_sd_mm": 1e3 * sd,
-        "height_interval_95_mm": [1e3 * (value + sign * 1.96 * sd) for sign in (-1.0, 1.0)],
-        "height_of": "the plane of the ligament above the footplate centre, + lateral",
         "coupling_si": fit.coupling,
         "coupling_sd_si": np.sqrt(np.diag(fit.coupling_covariance)).reshape(3, 3),
         "coupling_rows": list(fit.dof),
@@ -196,8 +188,6 @@ def _ligament(fit: KDFit) -> dict[str, Any] | None:
             "damping_si": inside[1],
             "damping_sd_si": inside_sd[1],
         },
-        "p_value": fit.found.p_value,
-        "shared_errors": len(fit.found.data.sources),
     }
 
 
@@ -212,8 +202,6 @@ def ring_of(fit: KDFit) -> RingTest | None:
     test = ring_test(fit.stiffness, piston, factor, fit.footplate_outline_mm, covariance)
     if test is None or fit.gap_mm is None:
         return test
-    from dataclasses import replace
-
     return replace(test, gap_m=Value(1e-3 * fit.gap_mm[0], 1e-3 * fit.gap_mm[1]))
 
 
@@ -309,13 +297,11 @@ def _fit(fit: KDFit) -> dict[str, Any]:
     return {
         "chi2": found.chi2,
         "n_dof": found.n_dof,
-        "chi2_with_shared_errors": found.chi2 if book is None else None,
         "chi2_per_dof": found.chi2 / found.n_dof if found.n_dof > 0 else None,
         "p_value": found.p_value,
         "iterations": found.evaluations,
         "converged": found.converged,
         "active_constraints": list(active_constraints(fit)),
-        "optimality_certificate": None,
         "noise_covariance_scaled_by": max(1.0, found.level),
         "estimated_bias_si": dict(zip(fit.parameters, bias.tolist(), strict=True)),
     }
@@ -339,19 +325,11 @@ def _bands(fit: KDFit) -> dict[str, Any] | None:
 
 
 def _identifiability(fit: KDFit) -> dict[str, Any]:
-    relative = fit.bound / entries.sizes(fit.stiffness, fit.damping)
     return {
         "worst_combinations": [
             {"relative_sd": finite_or_none(sd), "entries": parts} for sd, parts in fit.combinations[:3]
         ],
         "cramer_rao_bound_si": dict(zip(fit.parameters, fit.bound.tolist(), strict=True)),
-        "cramer_rao_bound_relative": {
-            name: value or None for name, value in zip(fit.parameters, relative.tolist(), strict=True)
-        },
-        "bound_of": "the model fitted, with every prior and shared error",
-        "entries_over_10_percent": [
-            name for name, value in zip(fit.parameters, relative, strict=True) if value > 0.1
-        ],
         "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D",
     }
 

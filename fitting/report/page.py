@@ -105,11 +105,9 @@ def _drawn(figures: Mapping[str, Figure], name: str, caption: str, alt: str) -> 
 def _responses(figures: Mapping[str, Figure]) -> list[Markup]:
     text = (
         "The structure's motion at the footplate centre (dots) against the response of the fitted model "
-        "(line) to the "
-        "measured base motion at the same point and to the load of other measured motion: paper Eq. 8, "
-        "Figs. 4 and 5. "
-        "The band is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise of "
-        "the base."
+        "(line) to the measured base motion at the same point and to the load of other measured motion: "
+        "paper Eq. 8, Figs. 4 and 5. The band is what the uncertainty of K and D leaves open (95 %); "
+        "ripples of the line are noise of the base."
     )
     blocks = [page.text(text)]
     for name in figures:
@@ -170,13 +168,11 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     if ring is not None:
         about_x, about_z = ring.rocking_ratio
         text = (
-            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} "
-            f"(near x) and "
-            f"{about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. "
-            f"Its shear "
-            f"modulus times thickness over width is {plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, "
-            f"its loss "
-            f"factor {plus_minus(ring.loss_factor.value, ring.loss_factor.sd)} in the middle of the band."
+            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} (near "
+            f"x) and {about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even "
+            "ligament. Its shear modulus times thickness over width is "
+            f"{plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, its loss factor "
+            f"{plus_minus(ring.loss_factor.value, ring.loss_factor.sd)} in the middle of the band."
         )
         blocks.append(page.text(text))
         band = float(fit.found.data.freq_hz.min()), float(fit.found.data.freq_hz.max())
@@ -184,8 +180,7 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         if rise is not None:
             text = (
                 f"{fit.law.name} damping with a constant K is not causal: with this loss factor K of a real "
-                f"ligament "
-                f"rises by {100.0 * rise:.0f} % over the band (Kramers and Kronig)."
+                f"ligament rises by {100.0 * rise:.0f} % over the band (Kramers and Kronig)."
             )
             blocks.append(page.text(text))
     return blocks
@@ -203,10 +198,9 @@ def _plane(fit: KDFit) -> list[Markup]:
     inside_sd = entries.split(np.sqrt(np.diag(plane.covariance)), 3)[0]
     text = (
         f"The ligament's plane is {plus_minus(height, sd)} mm above the footplate centre. In this plane the "
-        f"stiffness "
-        f"along x is {plus_minus(inside[0, 0], inside_sd[0, 0])} N/m, along z "
+        f"stiffness along x is {plus_minus(inside[0, 0], inside_sd[0, 0])} N/m, along z "
         f"{plus_minus(inside[1, 1], inside_sd[1, 1])} N/m ({source}). K and D about that plane are in "
-        f"kd.json."
+        "kd.json."
     )
     return [page.text(text), page.text(f"Equations of motion: {equation(fit)}.")]
 
