@@ -221,6 +221,8 @@ def _is_better(part: Piece, whole: Piece, way: Split) -> bool:
         return False
     if not whole.possible:
         return True
+    if whole.usual and whole.volume_mm3 - part.volume_mm3 < _LEAST_BONE_MM3:
+        return False
     if not whole.empty_arch:
         return part.score > whole.score + RIVAL
     bones = [p for p in way.parts if p.label != part.label and p.volume_mm3 > _LEAST_BONE_MM3]

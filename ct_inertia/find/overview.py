@@ -166,10 +166,16 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
 
 
 def _lies_beside_bone(grey: Grey, outside: Mask, levels: Array) -> bool:
-    """Return whether a constant is air that the export has clipped: it lies next to bone then."""
+    """Return whether a constant is air that the export has clipped.
+
+    It lies next to bone then, or single voxels of air have its value too.
+    """
     from ct_inertia.grey.start import grown
 
     bone = grey > np.float32(0.5 * (levels[0] + levels[-1]))
+    others = grey[~outside & ~bone]
+    if np.count_nonzero(others == grey[outside][0]) > _LEAST_PADDING * others.size:
+        return True
     beside = bone
     for _ in range(_BESIDE):
         beside = grown(beside)

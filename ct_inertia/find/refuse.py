@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from ct_inertia.find.choose import Reading
 
+_PICTURE_MM = 10.0  # width of a picture in which bodies are described to find a wrong unit
 _SHOWN = 4  # bodies that a message lists
 _LENGTH_MM = 3.5  # of a stapes
 _UNITS = {1e-3: "micrometres", 10.0: "centimetres", 25.4: "inches", 1e3: "metres"}
@@ -58,24 +60,25 @@ def _wrong_scale(
     voxel: str,
 ) -> Fault | None:
     """Recognise a body of the right shape and the wrong size, or a picture of the wrong size for an ear."""
-    for _, pieces, found in tried:
+    from ct_inertia.find.choose import readings
+
+    width = float(np.min(overview.spacing_mm * np.array(overview.grey.shape[::-1])))
+    for reading in {one for one, _, _ in tried} or set(readings(overview.levels, None)):
+        mask = overview.calm(reading.bone - reading.air) > np.float32(reading.between)
+        # In a picture of the size of an ear every body that can be a stapes is described.
+        pieces, found = label_pieces(mask, overview.spacing_mm * (_PICTURE_MM / width))
         for piece in found[:6]:
-            scale = piece.length_mm / _LENGTH_MM
-            if 0.6 < scale < 1.7 or piece.at_border:
+            length = piece.length_mm * width / _PICTURE_MM
+            scale = length / _LENGTH_MM
+            if 0.6 < scale < 1.7 or np.any(piece.low == 0):
                 continue
-            spacing = overview.spacing_mm / scale
-            shrunk = Piece(
-                piece.label,
-                piece.low,
-                piece.high,
-                piece.volume_mm3 / scale**3,
-                piece.extents_mm / scale,
-                piece.centre,
-                piece.at_border,
+            change = _LENGTH_MM / piece.length_mm
+            shrunk = replace(
+                piece, volume_mm3=piece.volume_mm3 * change**3, extents_mm=piece.extents_mm * change
             )
             inside = pieces[piece.box] == piece.label
-            if shrunk.usual and with_holes(shrunk, inside, spacing).arched:
-                return _scale_fault(piece.length_mm, scale, picture, voxel)
+            if shrunk.usual and with_holes(shrunk, inside, overview.spacing_mm / scale).arched:
+                return _scale_fault(length, scale, picture, voxel)
     largest = float(np.max(np.array(overview.grey.shape[::-1]) * overview.spacing_mm))
     if largest < 1.0 or largest > 500.0:
         return Fault(
@@ -88,14 +91,15 @@ def _wrong_scale(
 
 
 def _scale_fault(length_mm: float, scale: float, picture: str, voxel: str) -> Fault:
-    unit = next((name for factor, name in _UNITS.items() if 0.6 < scale * factor < 1.7), None)
-    guess = "" if unit is None else f"; the spacing may be in {unit}"
+    unit = next((factor for factor in _UNITS if 0.6 < scale * factor < 1.7), None)
+    guess = "" if unit is None else f"; the spacing may be in {_UNITS[unit]}"
+    times = 1.0 / scale if unit is None else unit
     return Fault(
         "the voxel spacing",
         "right, in millimetres: a stapes is 3 to 4 mm high",
         f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm "
         f"high{guess}",
-        next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
+        next_step=f"Correct it with --spacing (about {times:g} times the present one)",
     )
 
 

@@ -32,6 +32,7 @@ _STRONG = 0.08  # of bone's contrast: more than what a wrong blur leaves next to
 _LEAST_PART = 0.01  # of the voxels there that must stand out
 _LEAST_MEDIUM = calibrated("media.least_share")
 _FILLED_SD = calibrated("media.filled_sd")
+_MIDDLE = 0.75  # of the largest share of a hollow: voxels that its filling is read from
 _VOID_SD = calibrated("media.void_sd")
 _STANDS_OUT = 3.0  # standard deviations from which a void counts as filled
 _REPORTED = 5e-4  # share of the volume from which a medium is named
@@ -166,7 +167,8 @@ class Media:
         start = fit.start
         inside = np.where(voids, np.float32(1.0) - fit.bodies["stapes"], np.float32(0.0))
         self.void_share = blur(inside, fit.sigma_mm, start.spacing)
-        there = self.void_share > 0.1
+        # In the middle of a hollow: at its rim the bone counts as larger until the filling is known.
+        there = self.void_share > np.float32(_MIDDLE * float(self.void_share.max()))
         share, left = self.void_share[there].astype(float), rest[there]
         square = float(share @ share) + 1e-30
         self.void_grey = float(share @ left) / square

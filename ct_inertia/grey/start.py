@@ -21,6 +21,8 @@ CLOSE_SIGMAS = 5.0
 """Planes so many widths apart share less than 0.005 of a width in the middle of their gap."""
 
 _LEAST_AIR = 400  # voxels of air from which a mean is taken: its noise is 5 % of a voxel's
+_CELL_VOXELS, _LEAST_CELL = 8, 30  # edge of the cells that are compared, and voxels of one that counts
+_NO_NOISE = 5.0  # standard deviations that 3 of ten million means exceed by chance
 _LEAST_DEEP = 12  # voxels of pure bone whose median is a level
 _SAME_BONE = 0.05  # other bone whose contrast is nearer to the stapes' than this counts as the same bone
 _NEAR_LAGS, _FAR_LAGS = range(1, 9), range(12, 97, 8)  # voxels: kernels of scanners; rings and streaks
@@ -91,6 +93,7 @@ def start(labelled: Labelled) -> Start:
         far &= box.measured[part]
     air, noise = labelled.air, labelled.noise
     air_sd = noise
+    far = _air_alone(grey, far, air, noise)
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
@@ -115,6 +118,34 @@ def start(labelled: Labelled) -> Start:
         _contrasts(labelled, grey, beside, air),
         sigma,
     )
+
+
+def _air_alone(grey: Grey, far: Mask, air: float, noise: float) -> Mask:
+    """Leave out cells that are brighter than air is anywhere by its own scatter: fluid, dust, plastic.
+
+    The scatter is that of the darker half of the cells near the first guess of air.
+    """
+    index = np.argwhere(far)
+    if len(index) < _LEAST_AIR:
+        return far
+    cells = index // _CELL_VOXELS
+    size = cells.max(axis=0) + 1
+    key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
+    count, total = np.bincount(key), np.bincount(key, grey[far])
+    mean = total / np.maximum(count, 1)
+    usual = (count >= _LEAST_CELL) & (np.abs(mean - air) < 3.0 * noise)
+    if np.count_nonzero(usual) < 8:
+        return far
+    middle = float(np.median(mean[usual]))
+    scaled = (mean - middle) * np.sqrt(count)
+    dark = scaled[usual & (scaled <= 0.0)]
+    scatter = 1.4826 * float(np.median(-dark))
+    bright = (count >= _LEAST_CELL) & (scaled > _NO_NOISE * scatter)
+    if np.count_nonzero(bright) < 3:
+        return far
+    kept = np.zeros_like(far)
+    kept[tuple(index[~bright[key]].T)] = True
+    return kept
 
 
 def robust_mean(values: Grey) -> tuple[float, float]:

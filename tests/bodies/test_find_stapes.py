@@ -1,0 +1,171 @@
+"""Finding the stapes in simulated ears: right within the stated deviation, or refused with the cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ct_inertia.find.choose import readings
+from ct_inertia.find.find import Search, find_stapes
+from ct_inertia.find.necks import find_necks
+from ct_inertia.find.overview import look_at, material_levels, noise_of
+from ct_inertia.find.pieces import count_holes, label_pieces
+from ct_inertia.grey.measure import measure
+from ct_inertia.scan.scan import Scan
+from stapeskit.faults import StapeskitError
+from tests.bodies.body_scenes import ear, true_moments
+
+ALONE = {"bone": False, "plate": False}
+SCENES = {
+    "alone": {**ALONE},
+    "in its window over a plate": {"gap_mm": 0.12, "plate_gap_mm": 0.05},
+    "gap of a voxel": {"gap_mm": 0.05},
+    "two bridges": {"gap_mm": 0.08, "bridges": 2},
+    "grown incus": {**ALONE, "incus_gap_mm": -0.05},
+    "incus beside the head": {"gap_mm": 0.1, "incus_gap_mm": 0.08},
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_ears_are_measured_within_the_stated_deviation(name):
+    scan, placed = ear(**SCENES[name])
+    found = measure(find_stapes(scan)).moments
+    exact = true_moments(placed)
+    off = abs(found.volume_mm3 - exact.volume_mm3)
+    assert off < max(4.0 * found.volume_sd_mm3, 5e-4 * exact.volume_mm3)
+    assert found.volume_sd_mm3 < 0.01 * exact.volume_mm3
+    assert np.linalg.norm(found.centroid_mm - exact.centroid_mm) < 5e-3
+
+
+def first_fault(scan, search=None):
+    with pytest.raises(StapeskitError) as error:
+        find_stapes(scan, search)
+    return error.value.faults[0]
+
+
+def test_a_wrong_unit_of_the_spacing_is_named():
+    scan, _ = ear(**ALONE, spacing_factor=1e-3)
+    fault = first_fault(scan)
+    assert fault.thing == "the voxel spacing"
+    assert "1000 times" in fault.next_step
+
+
+def test_inverted_grey_values_are_named():
+    scan, _ = ear(**ALONE)
+    assert first_fault(Scan.from_array(65535 - scan.read(), scan.spacing_mm)).thing == "the grey values"
+
+
+def test_two_bodies_that_can_be_the_stapes_are_refused_and_a_seed_chooses():
+    scan, placed = ear(**ALONE)
+    grey = scan.read()
+    both = Scan.from_array(np.concatenate([grey, grey], axis=2), scan.spacing_mm)
+    assert first_fault(both).thing == "the scan"
+    inside = np.argwhere(grey > 28000)
+    seed = both.scan_points(inside[len(inside) // 2][::-1])
+    chosen = find_stapes(both, Search(seed_mm=seed))
+    assert chosen.named
+    found = measure(chosen).moments
+    assert abs(found.volume_mm3 / true_moments(placed).volume_mm3 - 1.0) < 5e-3
+    half = 0.5 * both.shape[2] * both.spacing_mm[0]
+    boxed = find_stapes(both, Search(box_mm=np.array([0, 0, 0, half, 100.0, 100.0])))
+    assert measure(boxed).moments.centroid_mm == pytest.approx(true_moments(placed).centroid_mm, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("search", "thing"),
+    [
+        (Search(threshold=1e6), "--threshold"),
+        (Search(seed_mm=np.array([99.0, 0.0, 0.0])), "--seed"),
+        (Search(seed_mm=np.array([0.1, 0.1, 0.1])), "--seed"),
+    ],
+)
+def test_options_that_do_not_fit_the_scan(search, thing):
+    scan, _ = ear(**ALONE)
+    assert first_fault(scan, search).thing == thing
+
+
+def test_one_material_and_bone_everywhere_are_refused():
+    rng = np.random.default_rng(0)
+    noise = Scan.from_array((1000 + 50 * rng.standard_normal((40, 40, 40))).astype(np.int16), 0.05)
+    assert first_fault(noise).thing == "the scan"
+    solid = np.full((160, 160, 160), 3000, dtype=np.int16)
+    solid[::20, ::20] = 0
+    solid[:20] = 0
+    fault = first_fault(Scan.from_array(solid + rng.integers(0, 60, solid.shape).astype(np.int16), 0.05))
+    assert fault.thing in ("the scan", "the field of view", "the voxel spacing")
+
+
+def test_a_round_field_of_view_is_not_air():
+    scan, _placed = ear(gap_mm=0.15)
+    grey = scan.read()
+    y, x = np.indices(grey.shape[1:])
+    middle = 0.5 * np.array(grey.shape[1:])
+    outside = np.hypot(y - middle[0], x - middle[1]) > 0.55 * min(grey.shape[1:])
+    grey[:, outside] = 0
+    overview = look_at(Scan.from_array(grey, scan.spacing_mm))
+    assert overview.padding == 0.0
+    assert overview.levels[0] == pytest.approx(8000.0, rel=0.02)
+    assert np.mean(overview.unmeasured) == pytest.approx(np.mean(outside), abs=0.05)
+
+
+def test_a_mask_is_measured_as_a_mask():
+    scan, placed = ear(**ALONE)
+    exact = true_moments(placed).volume_mm3
+    for low, high in ((0, 1), (0, 255)):
+        mask = np.where(scan.read() > 19000, high, low).astype(np.uint8)
+        found = measure(find_stapes(Scan.from_array(mask, scan.spacing_mm)))
+        assert "scan_thresholded" in {notice.code for notice in found.notices}
+        assert found.scene is None
+        assert set(found.moments.contributions) == {"voxels"}
+        assert abs(found.moments.volume_mm3 - exact) < 2.0 * found.moments.volume_sd_mm3
+
+
+def test_blocks_of_fine_voxels_measure_the_same():
+    scan, _placed = ear(voxel_um=24.0, noise=0.02, **ALONE)
+    fine = np.repeat(np.repeat(np.repeat(scan.read(), 2, 0), 2, 1), 2, 2)
+    coarse = measure(find_stapes(scan)).moments
+    halved = measure(find_stapes(Scan.from_array(fine, scan.spacing_mm / 2, origin_mm=-scan.spacing_mm / 4)))
+    assert halved.labelled.box.block.tolist() == [2, 2, 2]
+    assert halved.moments.volume_mm3 == pytest.approx(coarse.volume_mm3, rel=1e-5)
+    assert halved.moments.centroid_mm == pytest.approx(coarse.centroid_mm, abs=1e-4)
+
+
+def test_levels_are_those_of_the_materials_however_little_of_them_there_is():
+    rng = np.random.default_rng(2)
+    grey = np.full((50, 50, 50), 1000.0)
+    grey[5:25, 5:45, 5:45] = 2000.0
+    grey[35:41, 35:41, 35:41] = 5000.0
+    grey = (grey + 60.0 * rng.standard_normal(grey.shape)).astype(np.float32)
+    levels = material_levels(grey, noise_of(grey), 1.0, None)
+    assert levels == pytest.approx([1000.0, 2000.0, 5000.0], abs=40.0)
+    assert next((r.plastic, r.bone) for r in readings(levels, None)) == pytest.approx((levels[1], levels[2]))
+
+
+def test_holes_of_a_ring_a_ball_and_a_pair_of_spectacles():
+    z, y, x = np.indices((12, 40, 70)) - np.array([6, 20, 20])[:, None, None, None]
+    ring = (np.hypot(y, x) < 14) & (np.hypot(y, x) > 6) & (abs(z) < 4)
+    other = (np.hypot(y, x - 24) < 14) & (np.hypot(y, x - 24) > 6) & (abs(z) < 4)
+    assert [count_holes(ring), count_holes(ring | other), count_holes(np.hypot(y, x) < 8)] == [1, 2, 0]
+    labels, pieces = label_pieces(ring, np.full(3, 0.1))
+    assert [piece.label for piece in pieces] == [int(labels.max())]
+
+
+def test_the_neck_of_an_hourglass():
+    z, y, x = (np.indices((120, 50, 50)) * 0.04).astype(float)
+    along = z - 2.4
+    radius = 0.3 + 0.35 * np.clip(np.abs(along - 1.0), 0.0, 1.0)
+    body = (np.hypot(y - 1.0, x - 1.0) < radius) & (np.abs(along) < 1.9)
+    points = np.argwhere(body)[:, ::-1] * 0.04
+    neck = find_necks(points, np.full(3, 0.04))[0]
+    assert abs(neck.normal[2]) > 0.98
+    assert neck.height_mm * np.sign(neck.normal[2]) == pytest.approx(3.4, abs=0.1)
+    assert neck.area_mm2 == pytest.approx(np.pi * 0.3**2, rel=0.15)
+
+
+def test_the_box_keeps_its_place_in_a_turned_scan():
+    scan, _placed = ear(**ALONE)
+    turned = replace(scan, origin_mm=np.array([5.0, -3.0, 2.0]), direction=np.diag([-1.0, -1.0, 1.0]))
+    here, there = measure(find_stapes(scan)).moments, measure(find_stapes(turned)).moments
+    assert there.volume_mm3 == pytest.approx(here.volume_mm3, rel=1e-6)
+    expected = turned.scan_points(scan.index_points(here.centroid_mm))
+    assert there.centroid_mm == pytest.approx(expected, abs=1e-5)

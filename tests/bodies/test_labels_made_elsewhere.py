@@ -1,0 +1,138 @@
+"""Label volumes: names and numbers, islands and parts, the same measurement behind them."""
+
+import numpy as np
+import pytest
+
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
+from ct_inertia.find.find import find_stapes
+from ct_inertia.find.label_numbers import body_numbers
+from ct_inertia.find.labels import label_stapes
+from ct_inertia.grey.bone_shape import shape_moments
+from ct_inertia.grey.measure import measure
+from ct_inertia.grey.scale_ball import ball_diameter
+from ct_inertia.scan.scan import Scan
+from stapeskit.faults import StapeskitError
+from tests.bodies.body_scenes import Ball, ear, true_moments
+
+PARTS = {"gap_mm": 0.12, "plate_gap_mm": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("names", "given", "expected"),
+    [
+        ({}, (None, None), (1, 2)),
+        ({}, (3, None), (3, 2)),
+        ({}, (2, None), (2, None)),
+        ({4: "Stapes left", 7: "plate"}, (None, None), (4, 7)),
+        ({1: "Segment_1", 2: "Segment_2"}, (None, None), (1, 2)),
+        ({5: "stapes", 6: "stapes tendon"}, (None, None), (5, 2)),
+        ({1: "stapes", 2: "footplate ligament"}, (None, None), (1, None)),
+        ({1: "incus", 3: "bone"}, (3, None), (3, 2)),
+    ],
+)
+def test_numbers_by_option_by_name_or_by_custom(names, given, expected):
+    assert body_numbers(names, *given) == expected
+
+
+@pytest.mark.parametrize(
+    ("names", "given", "thing"),
+    [
+        ({1: "incus", 2: "malleus"}, (None, None), "the label volume"),
+        ({1: "stapes a", 2: "stapes b"}, (None, None), "the label volume"),
+        ({1: "stapes", 2: "footplate"}, (None, None), "the label volume"),
+        ({}, (4, 4), "--plate-label"),
+    ],
+)
+def test_names_that_leave_it_open_are_refused(names, given, thing):
+    with pytest.raises(StapeskitError) as error:
+        body_numbers(names, *given)
+    assert error.value.faults[0].thing == thing
+
+
+def drawn():
+    """The scan, its labels as found, and the stapes as find and grey measure it."""
+    scan, placed = ear(**PARTS)
+    found = find_stapes(scan)
+    labels = np.zeros(scan.shape, dtype=np.uint8)
+    box = found.box
+    place = tuple(slice(int(a), int(a) + n) for a, n in zip(box.first[::-1], box.shape, strict=True))
+    part = labels[place]
+    for number, mask in ((OTHER_BONE, found.other), (PLATE, found.plate), (STAPES, found.stapes)):
+        part[mask] = number
+    return scan, placed, labels, measure(found)
+
+
+def test_labels_with_their_scan_measure_as_the_scan_alone_and_no_surer():
+    scan, placed, labels, alone = drawn()
+    exact = true_moments(placed).volume_mm3
+    for given in (labels, (labels == STAPES).astype(np.uint8)):
+        found = measure(label_stapes(Scan.from_array(given, scan.spacing_mm), scan))
+        assert abs(found.moments.volume_mm3 - exact) < 4.0 * found.moments.volume_sd_mm3
+        assert found.moments.volume_sd_mm3 > 0.8 * alone.moments.volume_sd_mm3
+        assert found.surface.noise_mm4 == pytest.approx(alone.surface.noise_mm4, rel=0.1)
+
+
+def test_a_crop_of_the_labels_lies_where_it_was_cut():
+    scan, _, labels, alone = drawn()
+    corner = np.array([4, 3, 5])
+    crop = Scan.from_array(
+        labels[5:, 3:, 4:], scan.spacing_mm, origin_mm=scan.scan_points(corner), handedness_confirmed=True
+    )
+    found = measure(label_stapes(crop, scan))
+    assert found.moments.centroid_mm == pytest.approx(alone.moments.centroid_mm, abs=2e-3)
+    moved = Scan.from_array(labels[5:, 3:, 4:], scan.spacing_mm, origin_mm=scan.scan_points(corner + 0.4))
+    with pytest.raises(StapeskitError) as error:
+        label_stapes(moved, scan)
+    assert error.value.faults[0].thing == "the label volume"
+
+
+def test_labels_alone_are_known_to_a_part_of_a_voxel():
+    scan, placed, labels, _ = drawn()
+    found = measure(label_stapes(Scan.from_array(labels, scan.spacing_mm)))
+    exact = true_moments(placed).volume_mm3
+    assert abs(found.moments.volume_mm3 - exact) < 2.0 * found.moments.volume_sd_mm3
+    assert {notice.code for notice in found.notices} == {"labels_alone"}
+
+
+def test_islands_are_left_out_or_refused_and_never_counted():
+    scan, _, labels, _ = drawn()
+    clean = measure(label_stapes(Scan.from_array(labels, scan.spacing_mm))).moments.volume_mm3
+    labels[1:3, 1:3, 1:3] = STAPES
+    found = label_stapes(Scan.from_array(labels, scan.spacing_mm))
+    assert "label_islands_left_out" in {notice.code for notice in found.notices}
+    assert measure(found).moments.volume_mm3 == pytest.approx(clean)
+    labels[:20, :12, :14] = STAPES
+    with pytest.raises(StapeskitError) as error:
+        label_stapes(Scan.from_array(labels, scan.spacing_mm))
+    assert error.value.faults[0].thing == "the stapes of the label volume"
+
+
+@pytest.mark.parametrize("wrong", ["grey values", "no stapes", "another scan"])
+def test_what_is_no_label_volume_is_refused(wrong):
+    scan, _, labels, _ = drawn()
+    if wrong == "grey values":
+        labels = labels + 0.3 * (labels > 0).astype(np.float32)
+    if wrong == "no stapes":
+        labels = np.where(labels == STAPES, 9, 0).astype(np.uint8)
+    if wrong == "another scan":
+        labels = np.roll(labels, 40, axis=2)
+    with pytest.raises(StapeskitError):
+        label_stapes(Scan.from_array(labels, scan.spacing_mm), scan)
+
+
+def test_the_shape_of_even_bone_is_its_grey_weighted_one():
+    _, _, _, alone = drawn()
+    shape = shape_moments(alone)
+    assert shape.volume_mm3 == pytest.approx(alone.moments.volume_mm3, rel=5e-3)
+    assert shape.centroid_mm == pytest.approx(alone.moments.centroid_mm, abs=8e-3)
+
+
+def test_a_ball_of_known_size_checks_the_voxel():
+    ball = Ball(radius=0.5, voxel=0.05, noise=0.02, margin=0.5)
+    scan = Scan.from_array(ball.grey(ball.share()), ball.spacing)
+    size, sd = ball_diameter(scan, ball.centre + 0.03, 1.0)
+    assert abs(size - 1.0) < 3.0 * sd
+    with pytest.raises(StapeskitError):
+        ball_diameter(scan, np.zeros(3), 1.0)
+    with pytest.raises(StapeskitError):
+        ball_diameter(scan, ball.centre, 0.2)
