@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.checks import result_notices
-from fitting.kd import solve
+from fitting.kd import finite_solution, solve
 from fitting.mass import RigidMass, has_products, read_mass_csv, with_tensor_signs
 from fitting.options import KDOptions
 from fitting.result import KDFit
@@ -247,7 +247,8 @@ def fit_of(
         files,
         confirmed=tuple(confirmed),
     )
-    fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
+    with finite_solution():
+        fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
     if options.monte_carlo:
         from fitting.montecarlo import scatter
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -90,15 +91,22 @@ def solve(motion: RigidMotion, mass: RigidMass | ArrayLike, options: KDOptions) 
     inertia = inertia_of(mass, options.dof)
     bodies = options.structure, options.base
     data = data_of(motion, inertia, options.dof, *bodies, options.band_hz, options.exclude_hz)
-    try:
+    with finite_solution():
         return solve_data(data, inertia, options)
+
+
+@contextmanager
+def finite_solution() -> Iterator[None]:
+    """Refuse data whose equations, or the covariance of their solution, cannot be solved in numbers."""
+    try:
+        yield
     except np.linalg.LinAlgError:
         raise StapeskitError.of(
             "motion and mass",
             "of sizes from which stiffness and damping follow",
             "equations without a finite solution",
             "",
-            "Look for columns in wrong units or in each other's place, and for lines far beyond the others",
+            "Look for columns or bodies in each other's place, wrong units, and lines far beyond the others",
         ) from None
 
 

@@ -21,7 +21,7 @@ from fitting.options import KDOptions
 from fitting.plane import INPLANE_DOF, PISTON_DOF
 from fitting.result import KDFit
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Fault, raise_all
 from stapeskit.option_types import Count, DofList, Positive, Range, Says, Words, number_where
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.json_files import as_json
@@ -146,20 +146,49 @@ def read_plan(path: Path) -> tuple[Plan, MassSource]:
     values = read_toml(path)
     keys = {entry.key: entry.key for entry in Plan.entries()}
     plan = Plan.read(values, path.name, keys, path.parent)
-    wrong = [name for name in plan.directions if name not in DOF_NAMES]
-    if wrong:
-        raise StapeskitError.of(
-            "directions", f"names out of {', '.join(DOF_NAMES)}", ", ".join(wrong), path.name
-        )
-    for key, layout in zip(("structure_points_mm", "base_points_mm"), plan.layouts, strict=True):
-        if not layout.determines:
-            step = "Give at least three points that are not on one line"
-            raise StapeskitError.of(
-                key, "points that determine six degrees of freedom", "others", path.name, step
-            )
+    raise_all(_faults(plan, path.name))
     if isinstance(plan.mass, Path):
         return plan, mass_source(path.parent / plan.mass, KDOptions())
     return plan, stated_mass(plan)
+
+
+def _faults(plan: Plan, where: str) -> list[Fault]:
+    """Return what cannot be planned: directions, points and matrices that are none."""
+    faults = []
+    wrong = [name for name in plan.directions if name not in DOF_NAMES]
+    if wrong or not plan.directions:
+        got = ", ".join(wrong) or "none"
+        faults.append(Fault("directions", f"names out of {', '.join(DOF_NAMES)}", got, where))
+    for key, points in (
+        ("structure_points_mm", plan.structure_points_mm),
+        ("base_points_mm", plan.base_points_mm),
+    ):
+        if np.shape(points)[1] != 3 or not Layout(np.array(points)).determines:
+            step = "Give at least three points that are not on one line"
+            faults.append(Fault(key, "points that determine six degrees of freedom", "others", where, step))
+    for key, size, matrix in (
+        ("mass", 6, plan.mass),
+        ("stiffness", 3, plan.stiffness),
+        ("damping", 3, plan.damping),
+    ):
+        if matrix is None or isinstance(matrix, Path):
+            continue
+        table = np.array(matrix)
+        good = table.shape == (size, size) and np.allclose(table, table.T, rtol=1e-6, atol=0.0)
+        if not good or not _is_positive(table):
+            wanted = f"a symmetric, positive definite {size} x {size} matrix in SI"
+            faults.append(
+                Fault(key, wanted, " x ".join(map(str, table.shape)), where, "Correct it, or leave it out")
+            )
+    return faults
+
+
+def _is_positive(matrix: Array) -> bool:
+    """Return whether a matrix whose entries have different units is positive definite."""
+    diagonal = np.diag(matrix)
+    if np.any(diagonal <= 0.0):
+        return False
+    return bool(np.linalg.eigvalsh(matrix / np.sqrt(np.outer(diagonal, diagonal)))[0] > 1e-9)
 
 
 def stated_mass(plan: Plan) -> MassSource:

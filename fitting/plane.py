@@ -199,9 +199,20 @@ def _lifted(couplings: Array, inside: Array, n: int) -> Array:
 
 
 def root_of(covariance: Array) -> Array:
-    """Return R with R R^T the covariance, which may be singular."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    """Return R with R R^T the covariance, which may be singular.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The covariance is not finite, or smaller than numbers can be.
+    """
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        correlation = covariance / np.outer(size, size)
+    if not np.all(np.isfinite(correlation)):
+        raise np.linalg.LinAlgError("an entry has collapsed")
+    values, vectors = np.linalg.eigh(correlation)
     return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from fitting.mass import read_mass_csv
 from fitting.options import KDOptions
+from fitting.plan import read_plan
 from simulate.ligament import ring_ligament
 from stapeskit.faults import StapeskitError
 from tests.fit.fit_cases import (
@@ -222,3 +223,28 @@ def test_plain_mass_of_six_degrees_of_freedom_must_be_that_of_a_body():
     wrong[3, 3] *= 100.0
     motion, _ = paper_motion(0.02, 1, 40)
     assert refused(lambda: fit(motion, wrong))
+
+
+@pytest.mark.parametrize(
+    ("text", "thing"),
+    [
+        ("mass = [[1, 2], [3, 4]]", "mass"),
+        ("stiffness = [[1, 2], [3, 4]]", "stiffness"),
+        ("damping = [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]", "damping"),
+        ("directions = []", "directions"),
+        ("base_points_mm = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]", "base_points_mm"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_by_its_key(tmp_path, text, thing):
+    path = tmp_path / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(StapeskitError) as raised:
+        read_plan(path)
+    assert [fault.thing for fault in raised.value.faults] == [thing]
+
+
+def test_bodies_in_each_other_s_place_are_named():
+    ear = ring_ear(3, lines=24)
+    result = fit(ear.motion, ear.mass, structure="base", base="stapes")
+    assert "bodies_exchanged" in codes(result)
+    assert result.verdict.level == "do not use"
