@@ -23,6 +23,7 @@ _FAR = 14.0  # squares over their typical size: 1e-3 of values by chance (exp(-1
 _MOST_FAR = 0.1  # share of values up to which they are single ones
 _LOUD_LINE = 5.0  # median square of a line over that of most
 _MOST_LOUD = 0.2  # share of lines up to which they are some
+_ONE_CHANNEL = 0.4  # share of a line's squares in one channel: a value far off, not a loud line
 _LONGEST = 3  # lines of a stretch, in the mean: a body that bends does so over a band
 _MAINS_HZ, _NEAR_MAINS_HZ = (50.0, 60.0), 0.5
 _LEAST_GAIN = 10.0  # log likelihood that a scatter must gain: odds of 20 000
@@ -88,7 +89,10 @@ def _single_values(readings: Readings, state: State) -> list[Cause]:
     lines[every] = np.nanmedian(squares[:, every], axis=0) / np.log(2.0)
     loud = lines > _LOUD_LINE * float(np.median(lines[every]))
     stretches = np.count_nonzero(np.diff(np.concatenate([[0], loud.astype(int)])) == 1)
-    isolated = np.count_nonzero(loud) <= _LONGEST * stretches
+    isolated = bool(np.count_nonzero(loud) <= _LONGEST * stretches)
+    largest = np.nanmax(squares[:, loud], axis=0, initial=0.0) if loud.any() else np.zeros(1)
+    spread = np.nansum(squares[:, loud], axis=0) if loud.any() else np.ones(1)
+    isolated = bool(isolated and np.median(largest / spread) < _ONE_CHANNEL)
     if 1 < np.count_nonzero(loud) < _MOST_LOUD * len(loud) and isolated:
         return [_loud_lines(readings, loud)]
     count = int(np.count_nonzero(far))

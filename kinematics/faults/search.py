@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kinematics.faults.amplitude_noise import amplitude_noise
 from kinematics.faults.candidates import Candidate, fit_candidates, whole_fit
 from kinematics.faults.elsewhere import Cause
 from kinematics.faults.kinds import KINDS, Finding, free
@@ -72,6 +73,10 @@ def search(
         if level != 1.0:
             stated = False
             first = now = null_fit(readings, layout, priors, stated)
+    grows = None if now.clean() else amplitude_noise(readings, now.state)
+    if grows is not None:
+        readings, stated = grows[0], False
+        first = now = null_fit(readings, layout, priors, stated)
     while not now.clean() and len(found) < most + 1:
         candidates = fit_candidates(now)
         if not candidates:

@@ -103,6 +103,39 @@ def test_gains_that_differ_everywhere_are_one_cause():
     assert [cause.code for cause in found.causes] == ["gains_scattered"]
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_noise_in_proportion_to_amplitude_accuses_no_channel(stated):
+    accused, named = 0, 0
+    for seed in range(6):
+        exact = recorded(300 + seed, exact=True)
+        value = exact.velocity_m_s.copy()
+        noise = np.random.default_rng(seed).normal(size=(*value.shape, 2)).view(complex)[..., 0]
+        sd = np.broadcast_to(0.01 * np.sqrt(np.mean(np.abs(value) ** 2)), value.shape).copy()
+        clean = replace(exact, velocity_m_s=value + 0.01 * np.abs(value) * noise, sd_m_s=sd, stated="sd")
+        accused += bool(verdicts(diagnosed(clean, stated)[2]))
+        changed = clean.velocity_m_s.copy()
+        changed[:, 4] *= 1.05
+        named += verdicts(diagnosed(replace(clean, velocity_m_s=changed), stated)[2]) == {4: "gain"}
+    assert (accused, named) == (0, 6)
+
+
+@pytest.mark.parametrize("code", ["sparse_outliers", "loud_lines", "mains_lines"])
+def test_values_and_lines_far_off_are_one_cause(code):
+    recording = recorded(4)
+    rng = np.random.default_rng(0)
+    value = recording.velocity_m_s.copy()
+    if code == "sparse_outliers":
+        far = rng.random(value.shape) < 0.01
+        value[far] += 30.0 * recording.sd_m_s[far] * (1.0 + 1.0j)
+    else:
+        lines = [10, 30, 50, 70]
+        value[:, :, lines] += 20.0 * recording.sd_m_s[:, :, lines] * rng.normal(size=(1, 27, 4))
+    freq = np.linspace(403.0, 5163.0, 120) if code != "mains_lines" else 50.0 * np.arange(8, 128)
+    found = diagnosed(replace(recording, velocity_m_s=value, freq_hz=freq))[2]
+    assert found.findings == ()
+    assert [cause.code for cause in found.causes] == [code]
+
+
 def test_exact_data_have_no_fault():
     _body, _fits, found = diagnosed(recorded(9, exact=True), stated=False)
     assert found.findings == ()
