@@ -1,10 +1,10 @@
 """The vibrometer's registration is as good as it states, and a wrong fiducial is named.
 
-target: error at the footplate centre by Monte Carlo against the predicted one and the formula of Fitzpatrick,
-West and Maurer (1998, doi:10.1109/42.736021), and the squared distance of the pose over its six degrees of
-freedom. faults: marks of 20 um with one fault, with their sd stated and not: how often there is a warning or a
-refusal, and how often it names the culprit. Registration by the surface of the plate and `--calibrate` are
-not part of this table any more.
+target: error at the footplate centre by Monte Carlo against the predicted one and the formula of
+Fitzpatrick, West and Maurer (1998, doi:10.1109/42.736021), and the squared distance of the pose over its
+six degrees of freedom. faults: marks of 20 um with one fault, with their sd stated and not: how often there
+is a warning or a refusal, and how often it names the culprit. Registration by the surface of the plate and
+`--calibrate` are not part of this table any more.
 
     python -m benchmarks.points_registration --draws 2000
 """

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from ct_inertia.options import MassOptions
-from kinematics.options import MotionOptions
-
 from fitting.options import KDOptions
+from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.option_types import Number, ReadFile, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # typing itself would cost more than this package
 if TYPE_CHECKING:
+    from ct_inertia.api import ct2mass
     from fitting.dof2kd import dof2kd
+    from kinematics.api import points2dof
     from kinematics.read_vibrometer import read_vibrometer
-    from legacy.ct_inertia.api import ct2mass
-    from legacy.kinematics.api import points2dof
-    from legacy.pipeline.api import scan2kd
     from pipeline.cohort.cohort import cohort
+    from pipeline.run import scan2kd
     from stapeskit.faults import StapeskitError
     from stapeskit.frames import RigidTransform
     from stapeskit.warnings import Notice
@@ -32,10 +32,10 @@ __version__ = "0.3.0"
 
 # Where each name is: the rooms are above this package and are imported when a name is asked for.
 _PLACES = {
-    "ct2mass": "legacy.ct_inertia.api",
-    "points2dof": "legacy.kinematics.api",
+    "ct2mass": "ct_inertia.api",
+    "points2dof": "kinematics.api",
     "dof2kd": "fitting.dof2kd",
-    "scan2kd": "legacy.pipeline.api",
+    "scan2kd": "pipeline.run",
     "read_vibrometer": "kinematics.read_vibrometer",
     "cohort": "pipeline.cohort.cohort",
     "StapeskitError": "stapeskit.faults",

@@ -21,7 +21,7 @@ from stapeskit.spatial import dof_indices, parameters_from_matrix
 from tests.scenes.scenes import Scene
 
 COMMANDS = {
-    "ct2mass": "legacy.ct_inertia.cli",
+    "ct2mass": "ct_inertia.cli",
     "points2dof": "kinematics.cli",
     "dof2kd": "fitting.cli",
 }
@@ -90,10 +90,6 @@ def run(scene: Scene, folder: Path) -> Outcome:
             _command("dof2kd", [*words, *scene.dof2kd.split(), "--out", str(folder / "kd.json")])
             kd = json.loads((folder / "kd.json").read_text())
     except StapeskitError as error:
-        return Outcome(truth, mass, motion, channels, kd, f"{step}: {error}")
-    except ValueError as error:  # errors of the old rooms
-        if type(error).__module__.split(".")[0] != "legacy":
-            raise
         return Outcome(truth, mass, motion, channels, kd, f"{step}: {error}")
     finally:
         for path in folder.glob("scan*"):
@@ -193,7 +189,7 @@ def _distance(difference: Array, covariance: Array) -> tuple[float, float]:
 
 
 def worst_motion(outcome: Outcome) -> float:
-    """Return the largest difference of any motion from the truth, in its standard deviation of all sources."""
+    """Return the largest difference of a motion from the truth, in standard deviations of all sources."""
     motion, truth = outcome.motion, outcome.truth
     assert motion is not None
     assert truth.recording is not None

@@ -1,4 +1,4 @@
-"""Forty and more scenes: what the ear, the scan, the shaker and the lasers are, and what the commands are asked for.
+"""Scenes: what the ear, the scan, the shaker and the lasers are, and what the commands are asked for.
 
 A scene lists the warnings that must appear, and no others may. `bars.json` holds, for each, the standard
 deviations that version 0.2 stated: they may not grow by more than a quarter.

@@ -1,4 +1,4 @@
-"""Every scene: the result lies within its stated sd of the truth, the sd has not grown, the warnings are right."""
+"""Every scene: the result lies within its sd of the truth, the sd has not grown, the warnings are right."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.scenes.scenes import SCENES, USUAL
 GROWTH = 1.25
 """Stated standard deviations over those that version 0.2 stated, at most."""
 WORST_SD = 4.5
-"""Largest of ten parameters from the truth, in standard deviations: once in fifteen thousand scenes by chance."""
+"""Largest of ten parameters from the truth, in standard deviations: by chance once in 15 000 scenes."""
 WORST_MOTION_SD = 6.0
 """Largest of some thousand real and imaginary parts, in standard deviations."""
 

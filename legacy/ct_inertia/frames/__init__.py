@@ -1,1 +1,0 @@
-"""The footplate frame and the plate frame, with their covariance."""

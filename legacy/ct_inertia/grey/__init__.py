@@ -1,1 +1,0 @@
-"""Measure on grey values: levels, blur, partial volume, plate face, soft surroundings."""

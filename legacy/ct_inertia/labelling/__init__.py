@@ -1,1 +1,0 @@
-"""The labelled bodies of a scan, found in its grey values or given as labels."""

@@ -1,1 +1,0 @@
-"""Density, calibration and point masses: from moments to the mass matrix and its budget."""

@@ -1,1 +1,0 @@
-"""Find the stapes and the plate in a coarse view, and cut them out."""

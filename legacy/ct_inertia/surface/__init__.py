@@ -1,1 +1,0 @@
-"""Triangle surfaces: extraction, exact moments, fields on them, display meshes."""

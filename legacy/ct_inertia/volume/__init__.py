@@ -1,1 +1,0 @@
-"""Grey values on a grid: blocks, coarse views, masks, distances, a working copy."""

@@ -1,1 +1,0 @@
-"""From mass matrix and rigid-body motion to stiffness and damping of the annular ligament."""

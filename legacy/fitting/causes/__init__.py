@@ -1,1 +1,0 @@
-"""Errors of a measurement or its model: their catalogue, their scores, and the identification of one."""

@@ -1,1 +1,0 @@
-"""The paper and its beam experiment, recomputed with the library."""

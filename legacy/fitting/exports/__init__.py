@@ -1,1 +1,0 @@
-"""Exports of K, D and M, one a file; fitting.export_formats is their table."""

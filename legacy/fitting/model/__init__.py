@@ -1,1 +1,0 @@
-"""The model: mass matrix, damping law, dynamic stiffness, lines and their equations."""

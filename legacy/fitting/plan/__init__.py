@@ -1,1 +1,0 @@
-"""Before a measurement: the standard deviations to expect."""

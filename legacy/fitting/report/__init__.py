@@ -1,1 +1,0 @@
-"""The page and the JSON file of a fit."""

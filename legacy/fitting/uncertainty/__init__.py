@@ -1,1 +1,0 @@
-"""Where the uncertainty of K and D comes from: covariance, profiles, identifiability."""

@@ -1,1 +1,0 @@
-"""Vibrometer measurements and the rigid-body coordinates of what they show."""

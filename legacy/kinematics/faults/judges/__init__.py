@@ -1,1 +1,0 @@
-"""What decides between alternatives: the motion that others show, one ligament, what is left to be found."""

@@ -1,1 +1,0 @@
-"""Weighted least squares of rigid motion: beams, noise, covariance, ratios, errors that lines share."""

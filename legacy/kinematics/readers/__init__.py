@@ -1,1 +1,0 @@
-"""Files of measuring systems: each reader returns Recordings, of which one measurement is made."""

@@ -1,1 +1,0 @@
-"""MATLAB files with spectra: layouts, mappings and variables."""

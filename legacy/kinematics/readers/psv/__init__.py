@@ -1,1 +1,0 @@
-"""Text exports of scanning vibrometers."""

@@ -1,1 +1,0 @@
-"""Time series: files, channel tables and the estimation of frequency responses."""

@@ -1,1 +1,0 @@
-"""Universal files (UFF, UNV): datasets, functions, geometry, spectra and time responses."""

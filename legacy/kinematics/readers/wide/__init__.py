@@ -1,1 +1,0 @@
-"""Wide tables: one row a frequency, one or two columns a beam."""

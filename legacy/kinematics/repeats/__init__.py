@@ -1,1 +1,0 @@
-"""Repeats and levels of one excitation: compared, tested, pooled."""

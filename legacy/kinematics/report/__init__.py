@@ -1,1 +1,0 @@
-"""The report on points and degrees of freedom: sections and figures."""

@@ -1,1 +1,0 @@
-"""Frequency responses from time series, and stepped sines by lock-in."""

@@ -1,1 +1,0 @@
-"""The tidy vibrometer table and the table of points."""

@@ -1,1 +1,0 @@
-"""The scripted chain from a study file to one report."""

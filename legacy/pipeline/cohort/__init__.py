@@ -1,1 +1,0 @@
-"""Many ears: how stiffness and damping follow the inertia and the size of the stapes."""

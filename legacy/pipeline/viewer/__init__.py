@@ -1,1 +1,0 @@
-"""The stapes in three dimensions, as a block of a page: surfaces, frames, beams, modes, measured motion."""

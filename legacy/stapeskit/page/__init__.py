@@ -1,1 +1,0 @@
-"""Self-contained HTML pages, numbers with their units, drawings."""

@@ -1,1 +1,0 @@
-"""What passes from room to room: mass and motion, each with reader, writer and checks."""

@@ -1,1 +1,0 @@
-"""Reading CSV tables as laboratories write them, with every fault by row."""
