@@ -66,9 +66,14 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     work : callable
         Takes the words of the command line; returns the outcome, or None when it has printed already.
     """
+    import os
     import signal
     import warnings
 
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(
+            name, "1"
+        )  # small matrices: threads that wait for each other cost more than they bring
     if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
         warnings.simplefilter("ignore")
     for name in ("SIGTERM", "SIGHUP"):

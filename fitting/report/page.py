@@ -58,7 +58,7 @@ def verdict_block(fit: KDFit) -> Markup:
     """Return the verdict with its reasons."""
     verdict = fit.verdict
     reasons = [Notice(reason.code, reason.text) for reason in verdict.reasons]
-    return page.verdict(verdict.level, verdict.sentence, reasons)
+    return page.verdict(verdict.level, verdict.sentence.partition(": ")[2], reasons)
 
 
 def matrices(fit: KDFit) -> list[Markup]:
