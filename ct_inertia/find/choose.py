@@ -22,7 +22,8 @@ from stapeskit.warnings import Notice
 
 _ABOVE_PLASTIC = calibrated("choose.above_plastic")
 _LEAST_LARGE_MM3 = 0.8  # of a piece that may hold a stapes and more
-_MOST_LARGE = 4  # largest pieces that are split, for time only
+_MOST_LARGE = 4  # pieces that are split, for time only
+_MOST_MM3 = 40.0  # of a piece that is split: a stapes, an incus and millimetres of bone around the window
 _LEAST_SCORE = -8.0  # log-likelihood from which a body may be a stapes: no arch, or cropped, and a little odd
 _LONGEST_MM = 4.4  # of a body of one hole that is left whole where no gap shows another bone
 _LEAST_BONE_MM3 = 0.2  # of a part that is a bone of its own
@@ -193,7 +194,7 @@ def _propose(
             yield whole
     if good and any(p.usual and p.empty_arch for p in possible):
         return
-    large = [p for p in wholes if p.volume_mm3 > _LEAST_LARGE_MM3 or seed is not None]
+    large = [p for p in wholes if _LEAST_LARGE_MM3 < p.volume_mm3 < _MOST_MM3 or seed is not None]
     large.sort(key=lambda p: p.surrounds > 0.0)
     for piece in large[:_MOST_LARGE]:
         others = tuple(p for p in read[2] if p.label != piece.label)

@@ -22,6 +22,7 @@ MOST_SURROUNDED = calibrated("stapes.most_surrounded")
 HALF_GAP_MM = calibrated("split.half_gap_mm")
 _PERFORATION_MM = calibrated("stapes.perforation_mm")
 _LEAST_MM3 = 0.02  # of a piece that is described: a fortieth of a small stapes, for time only
+_MOST_HOLES = 8  # of a perforated footplate; bone full of pores has more
 _HULL_POINTS = 4000  # voxels of a piece for its convex hull, whose time grows with them
 _SPREAD = 0.1  # relative standard deviation of a length of stapedes, of a volume thrice as much
 _NO_ARCH, _BORDER, _SURROUNDING = 6.0, 4.0, 6.0  # of the log-likelihood: one stapes in 400, in 50, in 400
@@ -198,7 +199,7 @@ def with_holes(piece: Piece, inside: Mask, spacing_mm: Array) -> Piece:
     alone. What bridges the gap to another bone makes a hole too, but one that is no wider than such gaps.
     """
     holes = count_holes(inside)
-    if holes < 2 or not piece.possible:
+    if not 2 <= holes <= _MOST_HOLES or not piece.usual:
         return replace(piece, holes=holes)
     padded = np.pad(inside, int(np.ceil(_PERFORATION_MM / float(np.min(spacing_mm)))) + 1)
     perforated = count_holes(closed(padded, spacing_mm, _PERFORATION_MM)) == 1

@@ -186,6 +186,8 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
     import cc3d
     from skimage.segmentation import watershed
 
+    from ct_inertia.grey.start import grown
+
     spacing = grid.spacing_mm
     gaps = _narrow_gaps(share, bone, spacing)
     used = used_box(bone)
@@ -204,8 +206,12 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
         markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[pieces]
         if count < 2 or (before is not None and _already_apart(before, markers, count)):
             continue
-        labels = np.zeros(bone.shape, dtype=np.int32)
-        labels[used] = watershed(-depth[used], markers[used], mask=bone[used])
+        labels = markers.copy()
+        free = bone[used] & (markers[used] == 0)
+        # Only markers that touch what is still free can flood it.
+        active = bone[used] & grown(free)
+        flooded = watershed(-depth[used], np.where(active, markers[used], 0), mask=active)
+        labels[used][free] = flooded[free]
         before = labels
         yield _counted(Split(grid, labels, depth > np.float32(least), (), wanted))
 
