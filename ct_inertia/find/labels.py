@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from ct_inertia.bodies import (
 from ct_inertia.find.box import read_box
 from ct_inertia.find.choose import Reading, readings
 from ct_inertia.find.distance import capped_distance, used_box
-from ct_inertia.find.label_numbers import body_numbers
+from ct_inertia.find.label_volume import LEAST_VOXELS, DrawnLabels, read_labels
 from ct_inertia.find.overview import look_at, noise_of
 from ct_inertia.find.pieces import describe
 from ct_inertia.find.plate import find_plate, mask_region, plate_mask
@@ -35,24 +34,7 @@ from stapeskit.warnings import Notice
 _SAME_GRID = (
     0.05  # voxels between grids that are one: rounding of origins, but not half a voxel of conventions
 )
-_LEAST_VOXELS = 50  # of a label that is a body: stray strokes of a brush have fewer
-_MOST_ISLANDS = 0.05  # of the stapes that are slips of the brush; beyond, a body may have been drawn in parts
 _DRAWN_VOXELS = 3.0  # how far off the surface a label may be drawn
-_MOST_BYTES = 1 << 32  # of labels that are held in memory, one byte a voxel
-
-
-@dataclass(frozen=True)
-class _Drawn:
-    """Labels as drawn: numbers of the results, [z, y, x], on the grid of ``scan``."""
-
-    scan: Scan
-    labels: NDArray[np.uint8]
-    has_plate: bool
-    notices: tuple[Notice, ...]
-
-    @property
-    def name(self) -> str:
-        return self.scan.name
 
 
 def label_stapes(
@@ -83,99 +65,14 @@ def label_stapes(
     """
     tell = progress or (lambda _: None)
     tell("reading the labels")
-    drawn = _read(labels, stapes_label, plate_label)
+    drawn = read_labels(labels, stapes_label, plate_label)
     if scan is None:
         return _alone(drawn)
     tell("laying the labels on the scan")
     return _on_scan(drawn, scan)
 
 
-def _read(labels: Scan, stapes_label: int | None, plate_label: int | None) -> _Drawn:
-    """Read labels with the numbers of the results; islands of the stapes are background."""
-    number, plate = body_numbers(labels.segment_names, stapes_label, plate_label, labels.name)
-    if int(np.prod(labels.shape, dtype=np.int64)) > _MOST_BYTES:
-        raise StapeskitError.of(
-            "the label volume",
-            "at most 4 GiB of voxels",
-            f"{' x '.join(map(str, labels.size))} voxels",
-            labels.name,
-            "Crop it to what it labels",
-        )
-    result = np.zeros(labels.shape, dtype=np.uint8)
-    present: set[int] = set()
-    planes = max(1, (1 << 22) // (labels.shape[1] * labels.shape[2]))
-    for first, slab in labels.slabs(planes):
-        if slab.dtype.kind == "f" and np.any(slab != np.rint(slab)):
-            raise StapeskitError.of(
-                "the label volume",
-                "whole numbers, one for each body",
-                "grey values",
-                labels.name,
-                "Give the scan as the first argument and its segmentation with --labels",
-            )
-        part = result[first : first + len(slab)]
-        part[slab != 0] = OTHER_BONE
-        part[slab == number] = STAPES
-        if plate is not None:
-            part[slab == plate] = PLATE
-        if len(present) < 12:
-            present |= set(np.unique(slab[::4, ::4, ::4]).astype(int).tolist())
-    count = int(np.count_nonzero(result == STAPES))
-    if count < _LEAST_VOXELS:
-        raise StapeskitError.of(
-            "the label volume",
-            f"one with voxels of the stapes (number {number})",
-            f"{count} of them; numbers present: {', '.join(map(str, sorted(present)[:12]))}",
-            labels.name,
-            "Name the stapes' number with --stapes-label",
-        )
-    notices = _drop_islands(result, labels)
-    return _Drawn(labels, result, bool(np.any(result == PLATE)), (*labels.notices, *notices))
-
-
-def _drop_islands(result: NDArray[np.uint8], labels: Scan) -> list[Notice]:
-    """Leave out what lies apart from the stapes, in place; return a warning that names it.
-
-    Raises
-    ------
-    StapeskitError
-        What lies apart is no slip of the brush: more than 5 % of the label.
-    """
-    import cc3d
-    from scipy.ndimage import find_objects
-
-    used = used_box(result == STAPES)
-    if used is None:
-        return []
-    mask = result[used] == STAPES
-    parts, count = cc3d.connected_components(mask, connectivity=26, return_N=True)
-    if count < 2:
-        return []
-    sizes = np.bincount(parts.ravel())
-    sizes[0] = 0
-    main, second = np.argsort(-sizes)[:2]
-    rest = int(sizes.sum() - sizes[main])
-    place = find_objects(parts)[second - 1]
-    corner = np.array([0.5 * (s.start + s.stop - 1) + k.start for s, k in zip(place, used, strict=True)])
-    where = ", ".join(f"{v:.2f}" for v in labels.scan_points(corner[::-1]))
-    if rest > _MOST_ISLANDS * sizes[main]:
-        raise StapeskitError.of(
-            "the stapes of the label volume",
-            "one connected body",
-            f"{count} parts; the second largest, {sizes[second]} voxels, around {where} mm",
-            labels.name,
-            "Remove the islands, or connect the parts",
-        )
-    result[used][mask & (parts != main)] = 0
-    text = (
-        f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "
-        f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove "
-        "them from the label volume."
-    )
-    return [Notice("label_islands_left_out", text)]
-
-
-def _alone(drawn: _Drawn) -> Labelled:
+def _alone(drawn: DrawnLabels) -> Labelled:
     """Return the solid that the labelled voxels fill."""
     used = used_box(drawn.labels == STAPES) or (slice(0, 1),) * 3
     part = tuple(
@@ -226,12 +123,12 @@ def _flat_ends(stapes: Mask) -> dict[str, Mask]:
         for flags, outer, inner in ((begins, 0, 1), (ends, -1, -2)):
             count = np.count_nonzero(np.take(stapes, outer, axis=axis))
             flags[2 - axis] = count > max(
-                _LEAST_VOXELS, 0.8 * np.count_nonzero(np.take(stapes, inner, axis=axis))
+                LEAST_VOXELS, 0.8 * np.count_nonzero(np.take(stapes, inner, axis=axis))
             )
     return {"begins": begins, "ends": ends}
 
 
-def _on_scan(drawn: _Drawn, scan: Scan) -> Labelled:
+def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
     """Lay labels on a scan: bodies by the labels, surfaces by the grey values."""
     offset = _offset(drawn, scan)
     used = used_box(drawn.labels == STAPES) or (slice(0, 1),) * 3
@@ -284,7 +181,7 @@ def _on_scan(drawn: _Drawn, scan: Scan) -> Labelled:
     )
 
 
-def _offset(drawn: _Drawn, scan: Scan) -> Index:
+def _offset(drawn: DrawnLabels, scan: Scan) -> Index:
     """Return the index x, y, z of the labels' first voxel in the scan.
 
     Raises
@@ -361,7 +258,7 @@ def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: f
     return parts == 1, parts == 2
 
 
-def _plate_in_scan(scan: Scan, drawn: _Drawn, offset: Index) -> PlateRegion | None:
+def _plate_in_scan(scan: Scan, drawn: DrawnLabels, offset: Index) -> PlateRegion | None:
     """Seek the plate in the grey values where the labels hold none."""
     overview = look_at(scan)
     if overview.is_mask:
@@ -395,7 +292,7 @@ def _sampled(mask: Mask, shape: tuple[int, ...], step: Index, offset: Index) -> 
 
 
 def _drawn_plate(plate: Mask, offset: Index, scan: Scan) -> PlateRegion | None:
-    return mask_region(scan, plate, offset) if np.count_nonzero(plate) >= _LEAST_VOXELS else None
+    return mask_region(scan, plate, offset) if np.count_nonzero(plate) >= LEAST_VOXELS else None
 
 
 def _cells(labels: NDArray[np.uint8], first: Index) -> Cells:
@@ -404,7 +301,7 @@ def _cells(labels: NDArray[np.uint8], first: Index) -> Cells:
     return Cells(labels[used], start, np.ones(3, dtype=np.int64))
 
 
-def _cut_by_labels(drawn: _Drawn, scan: Scan, offset: Index, middle: float) -> list[Notice]:
+def _cut_by_labels(drawn: DrawnLabels, scan: Scan, offset: Index, middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
     beyond = 2  # layers: the first is its blur
     for axis in range(3):

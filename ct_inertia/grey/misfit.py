@@ -82,8 +82,8 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
     found = []
     noise = fit.start.noise / fit.contrasts["stapes"]
     voxel = abs(float(np.linalg.det(transform[:3, :3])))
-    # A body whose surface follows noise is larger than its own blurred image by the square of the noise.
-    least = max(_LEAST_SHARE, noise**2 * min(0.1 * fit.start.correlation, 1.0))
+    # A body whose surface follows noise is larger than it is seen by about the square of the noise.
+    least = max(_LEAST_SHARE, 2.0 * noise**2 * min(0.1 * fit.start.correlation, 1.0))
     for place, where in _places(fit).items():
         count = int(np.count_nonzero(where))
         if count < _LEAST_VOXELS:
