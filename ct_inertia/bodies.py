@@ -287,22 +287,14 @@ class Scene:
         Standard deviation of the blur (voxel included) and its standard uncertainty.
     noise, correlation : float
         Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
-    shares : mapping of str to ndarray of float32, [z, y, x]
-        Blurred share of each body in each voxel of the box.
+    share : ndarray of float32, [z, y, x]
+        Blurred share of the stapes in each voxel of the box.
     body : ndarray of float32, [z, y, x]
         Share of each voxel that the sharp stapes fills.
     excess : ndarray of float32, [z, y, x]
         Grey values less air and less everything that is not the stapes, in units of its contrast.
-    residual : ndarray of float32, [z, y, x]
-        Grey values less the model, in units of the stapes' contrast.
     own : ndarray of bool, [z, y, x]
         The stapes' side: voxels whose grey values count as its own.
-    near : ndarray of bool, [z, y, x]
-        Where the model is compared with the grey values.
-    subtracted : ndarray of float32, [z, y, x]
-        What was subtracted there as media and coat, in units of the stapes' contrast.
-    subtracted_sd : ndarray of float32, [z, y, x], or None
-        One standard deviation of that, all of it together.
     bone_from : str
         How the stapes' level was found: ``interior`` (voxels deep inside) or ``fit``.
     media : mapping of str to float
@@ -317,14 +309,10 @@ class Scene:
     sigma_sd_mm: float
     noise: float
     correlation: float
-    shares: Mapping[str, Grey]
+    share: Grey
     body: Grey
     excess: Grey
-    residual: Grey
     own: Mask
-    near: Mask
-    subtracted: Grey
-    subtracted_sd: Grey | None
     bone_from: str
     media: Mapping[str, float] = field(default_factory=dict)
 

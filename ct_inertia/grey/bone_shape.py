@@ -44,11 +44,11 @@ def _brightness(measured: MeasuredBody) -> tuple[float, Array]:
     scene = measured.scene
     if scene is None:
         return 1.0, np.zeros(3)
-    deep = np.argwhere(scene.own & (scene.shares["stapes"] > np.float32(_DEEP)))
+    deep = np.argwhere(scene.own & (scene.share > np.float32(_DEEP)))
     if len(deep) < _LEAST_VOXELS:
         return 1.0, np.zeros(3)
     deep = deep[:: max(1, len(deep) // 200_000)]
-    values = scene.excess[tuple(deep.T)] / scene.shares["stapes"][tuple(deep.T)]
+    values = scene.excess[tuple(deep.T)] / scene.share[tuple(deep.T)]
     arms = measured.labelled.box.scan_points(deep[:, ::-1]) - measured.moments.centroid_mm
     line = np.linalg.lstsq(np.column_stack([np.ones(len(arms)), arms]), values.astype(float), rcond=None)[0]
     return float(line[0]), np.asarray(line[1:])

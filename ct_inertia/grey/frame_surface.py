@@ -57,7 +57,7 @@ def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, tra
     thick = _RIM_WIDTHS * fit.sigma_mm
     window = fit.windows[name]
     where = fit.side(name)[window]
-    shown = np.where(where, fit.fields[name][window], np.float32(-1.0))
+    shown = np.where(where, fit.fields[name], np.float32(-1.0))
     share = fit.shares[name][window]
     rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]).astype(np.float32)
     square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim

@@ -229,7 +229,6 @@ def _with_sources(moments: Moments, parts: _Parts, found: list[PlaceMisfit]) -> 
 
 
 def _scene(fit: SceneFit, parts: _Parts, whole: Placed) -> Scene:
-    doubt = parts.doubt
     begin = fit.start
     return Scene(
         air=begin.air,
@@ -240,14 +239,10 @@ def _scene(fit: SceneFit, parts: _Parts, whole: Placed) -> Scene:
         sigma_sd_mm=_BLUR_SD * fit.sigma_mm,
         noise=begin.noise,
         correlation=begin.correlation,
-        shares={name: whole.grey(share) for name, share in fit.shares.items()},
+        share=whole.grey(fit.shares["stapes"]),
         body=whole.grey(fit.bodies["stapes"]),
         excess=whole.grey(parts.excess),
-        residual=whole.grey(parts.residual),
         own=whole.mask(parts.own),
-        near=whole.mask(begin.near),
-        subtracted=whole.grey(parts.soft_share),
-        subtracted_sd=None if doubt is None else whole.grey(doubt),
         bone_from=parts.level.source,
         media=fit.media.as_shares(parts.level.contrast),
     )

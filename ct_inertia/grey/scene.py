@@ -52,8 +52,10 @@ class SceneFit:
         Grey values above air, what storing did to their mean undone.
     sigma_mm : float
     contrasts : dict of str to float
-    shares, bodies, levels : dict of str to ndarray of float32
-        Blurred share, sharp share and local level of each body.
+    shares, bodies : dict of str to ndarray of float32
+        Blurred share and sharp share of each body.
+    levels, fields : dict of str to ndarray of float32
+        Local level of each body, and by how much its grey values pass it, in its window.
     media : Media
     storing : Storing or None
     model, residual : ndarray of float32
@@ -102,9 +104,9 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
     fit = SceneFit(start, data, start.sigma_mm, dict(start.contrasts), media, storing)
     for name, mask in start.masks.items():
         fit.windows[name] = _window(start, name)
-        for of, value in ((fit.shares, 0.0), (fit.bodies, 0.0), (fit.fields, -1.0), (fit.levels, 0.5)):
-            of[name] = np.full(mask.shape, np.float32(value))
+        fit.shares[name], fit.bodies[name] = (np.zeros(mask.shape, dtype=np.float32) for _ in range(2))
         body = mask[fit.windows[name]].astype(np.float32)
+        fit.levels[name] = np.full(body.shape, np.float32(0.5))
         fit.shares[name][fit.windows[name]] = blur(body, fit.sigma_mm, start.spacing)
     for turn in range(_ROUNDS):
         calm = _calm(fit)
@@ -143,12 +145,12 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
     above = calm[window] - fit.bones(name, window)
     above -= fit.media.image(window)
     above *= np.float32(1.0 / fit.contrasts[name])
-    above -= fit.levels[name][window]
+    above -= fit.levels[name]
     if name == "plate":
         body = fit.media.plastic(fit, above, window)
     else:
         body = share_above(above, fit.side(name)[window])
-    fit.bodies[name][window], fit.fields[name][window] = body, above
+    fit.bodies[name][window], fit.fields[name] = body, above
     fit.shares[name][window] = blur(body, fit.sigma_mm, fit.start.spacing)
 
 
@@ -207,5 +209,5 @@ def _adjust_level(fit: SceneFit, name: str) -> None:
     weight = rim.astype(np.float32)
     left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
     width = _LEVEL_SIGMAS * fit.sigma_mm / fit.start.spacing
-    moved = fit.levels[name][window] - np.float32(_DAMPING) * local_ratio(left, weight, width, 1e-3)
-    fit.levels[name][window] = np.clip(moved, *_LEVELS)
+    moved = fit.levels[name] - np.float32(_DAMPING) * local_ratio(left, weight, width, 1e-3)
+    fit.levels[name] = np.clip(moved, *_LEVELS)

@@ -7,7 +7,6 @@ from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.find.find import find_stapes
 from ct_inertia.find.label_numbers import body_numbers
 from ct_inertia.find.labels import label_stapes
-from ct_inertia.grey.bone_shape import shape_moments
 from ct_inertia.grey.measure import measure
 from ct_inertia.grey.scale_ball import ball_diameter
 from ct_inertia.scan.scan import Scan
@@ -118,13 +117,6 @@ def test_what_is_no_label_volume_is_refused(wrong):
         labels = np.roll(labels, 40, axis=2)
     with pytest.raises(StapeskitError):
         label_stapes(Scan.from_array(labels, scan.spacing_mm), scan)
-
-
-def test_the_shape_of_even_bone_is_its_grey_weighted_one():
-    _, _, _, alone = drawn()
-    shape = shape_moments(alone)
-    assert shape.volume_mm3 == pytest.approx(alone.moments.volume_mm3, rel=5e-3)
-    assert shape.centroid_mm == pytest.approx(alone.moments.centroid_mm, abs=8e-3)
 
 
 def test_a_ball_of_known_size_checks_the_voxel():
