@@ -261,10 +261,15 @@ def _provenance(path: Path) -> Mapping[str, Any]:
 
 def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:
     """Return whether a result of these inputs, parameters and versions would be the same again."""
-    if provenance.get("versions") != versions() or provenance.get("parameters") != options.given():
-        return False
     stated = provenance.get("inputs") or {}
     inputs: dict[str, Path] = dict(options.inputs)
+    given, before = options.given(), provenance.get("parameters") or {}
+    places = {str(path) for path in inputs.values()}
+    moved = {name for name, value in given.items() if str(value) in places}  # their content is compared below
+    if provenance.get("versions") != versions() or before.keys() != given.keys():
+        return False
+    if any(before[name] != given[name] for name in given.keys() - moved):
+        return False
     if not set(inputs) <= set(stated):
         return False
     beside = next(iter(inputs.values())).parent  # where files that a header names are

@@ -147,7 +147,8 @@ def _statistics(b: Array, n: Array, tangents: tuple[int, ...]) -> tuple[Array, N
     """Return b^T N^-1 b of some tangents and its degrees of freedom, (s,) each."""
     k = np.array(tangents)
     part, score = n[:, k[:, None], k], b[:, k]
-    scale = np.sqrt(np.maximum(np.diagonal(part, axis1=1, axis2=2), 1e-300))
+    size = np.diagonal(part, axis1=1, axis2=2)
+    scale = np.sqrt(np.where(size > 0, size, np.inf))  # none where rounding has left no information
     value, vector = np.linalg.eigh(part / scale[:, :, None] / scale[:, None, :])
     good = value > 1e-8 * np.maximum(value[:, -1:], 1e-300)
     along = (vector.swapaxes(1, 2) @ (score / scale)[:, :, None])[:, :, 0]

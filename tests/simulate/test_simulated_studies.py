@@ -25,10 +25,17 @@ def sample(tmp_path_factory):
     return folder, truth
 
 
-@pytest.mark.parametrize("name", ["ldv.csv", "points.csv", "fiducials.csv", "study.toml"])
+@pytest.mark.parametrize("name", ["ldv.csv", "points.csv", "fiducials.csv"])
 def test_the_sample_study_is_written_as_it_stands(sample, name):
     folder, _ = sample
     assert (folder / name).read_bytes() == (SAMPLE / name).read_bytes()
+
+
+def test_the_sample_study_adds_only_what_was_confirmed(sample):
+    folder, _ = sample
+    made, stands = (tomllib.loads((place / "study.toml").read_text()) for place in (folder, SAMPLE))
+    assert set(stands["study"].pop("confirmed")) == {"handedness_unconfirmed", "outside_published_sizes"}
+    assert made == stands
 
 
 def test_the_sample_scan_and_truth_are_those_that_stand(sample):

@@ -32,7 +32,7 @@ def test_a_failed_ear_stands_in_the_table_with_its_reason(small: tuple[Path, Tru
     result = run_studies(names, tmp_path / "out", run_here(2), report=lines.append)
     assert {name: end.code for name, end in result.ends.items()} == {"one": 0, "two": 2}
     assert len(lines) == 2
-    table = pd.read_csv(tmp_path / "out" / "cohort.csv").fillna("")
+    table = pd.read_csv(tmp_path / "out" / "cohort.csv", dtype=str).fillna("")
     assert list(table["study"]) == [result.cohort.ears[0].name, "two"]
     assert table["error"].iloc[1]
     assert table["verdict"].iloc[0] in ("believe", "check", "do not use")
@@ -50,7 +50,7 @@ def test_a_runner_reports_every_end(small: tuple[Path, Truth], tmp_path: Path) -
 
 def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth]) -> None:
     with pytest.raises(StapeskitError):
-        run_studies([small[0] / "study.toml"], small[0].parent.parent, run_here(1))
+        run_studies([small[0] / "study.toml"], small[0].parent, run_here(1))
 
 
 def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
