@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -48,9 +49,10 @@ def test_a_runner_reports_every_end(small: tuple[Path, Truth], tmp_path: Path) -
     assert not result.cohort.laws
 
 
-def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth]) -> None:
+def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    shutil.copytree(small[0], tmp_path / "study")
     with pytest.raises(StapeskitError):
-        run_studies([small[0] / "study.toml"], small[0].parent, run_here(1))
+        run_studies([tmp_path / "study" / "study.toml"], tmp_path, run_here(1))
 
 
 def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
