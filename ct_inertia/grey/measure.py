@@ -59,7 +59,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     parts = _Parts.of(fit, labelled)
     share = parts.integrand
     moments = partial_volume_moments(share, parts.transform, fit.sigma_mm)
-    found = misfits(fit, parts.residual, parts.transform, moments)
+    found = misfits(fit, parts.residual, labelled.box.voxel_mm3, moments)
     moments = _with_sources(moments, parts, found)
     box = labelled.box
     whole = Placed(begin.part, box.shape)
@@ -222,9 +222,9 @@ def _with_sources(moments: Moments, parts: _Parts, found: list[PlaceMisfit]) -> 
     if fit.media.void_share is not None:
         filled = fit.media.void_share * np.float32(fit.media.void_sd / contrast)
         moments = moments.with_source("voids", common(filled, transform, moments))
-    for one in found:
-        if one.stands_out:
-            moments = moments.with_source("misfit", one.covariance)
+    if any(one.stands_out for one in found):
+        left = np.where(parts.own, parts.residual, zero)
+        moments = moments.with_source("misfit", common(left, transform, moments))
     return moments
 
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from ct_inertia.bodies import Grey, Mask, Moments
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.moments import common
 from ct_inertia.grey.scene import SceneFit
 from ct_inertia.grey.start import by_cells, mean_by_cells
-from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 _CELL_VOXELS = 8
@@ -47,8 +45,6 @@ class PlaceMisfit:
         Mean square of the means over cells, in units of what noise leaves them.
     least : float
         Share from which it is named: what the rough surface of a body in noise leaves, or a fixed one.
-    covariance : ndarray, (10, 10)
-        What it adds to (V, c, S): its own size, one standard deviation.
     """
 
     place: str
@@ -56,7 +52,6 @@ class PlaceMisfit:
     z: float
     chi2: float
     least: float
-    covariance: Array
 
     @property
     def stands_out(self) -> bool:
@@ -67,7 +62,7 @@ class PlaceMisfit:
         return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
 
 
-def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -> list[PlaceMisfit]:
+def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -> list[PlaceMisfit]:
     """Return the residual of a scene by place.
 
     Parameters
@@ -75,13 +70,11 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
     fit : SceneFit
     residual : ndarray of float32, [z, y, x]
         In units of the stapes' contrast.
-    transform : ndarray, (4, 4)
-        Index x, y, z of the scene's part to scan coordinates.
+    voxel_mm3 : float
     moments : Moments
     """
     found = []
     noise = fit.start.noise / fit.contrasts["stapes"]
-    voxel = abs(float(np.linalg.det(transform[:3, :3])))
     # A body whose surface follows noise is larger than it is seen by about the square of the noise.
     least = max(_LEAST_SHARE, 2.0 * noise**2 * min(0.1 * fit.start.correlation, 1.0))
     for place, where in _places(fit).items():
@@ -96,10 +89,8 @@ def misfits(fit: SceneFit, residual: Grey, transform: Array, moments: Moments) -
         means = total[full] / size[full]
         expected = noise * np.sqrt(fit.start.correlation / size[full])
         chi2 = float(np.mean((means / np.maximum(expected, 1e-9)) ** 2)) if full.any() else 0.0
-        amount = np.where(where, residual, np.float32(0.0))
-        share = float(values.sum(dtype=float)) * voxel / moments.volume_mm3
-        covariance = common(amount, transform, moments)
-        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, least, covariance))
+        share = float(values.sum(dtype=float)) * voxel_mm3 / moments.volume_mm3
+        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, least))
     return found
 
 

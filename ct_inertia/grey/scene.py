@@ -25,7 +25,7 @@ _ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
 _BLUR_ROUNDS = (1, 3, 5)  # rounds after which the blur is fitted
 _MEDIA_ROUNDS = (2, 5, 8)
 _SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
-_DAMPING = 0.7  # of the local level: the residual answers to it by about its own size
+_DAMPING = (0.7, 0.5)  # of the local level, at first and later: where the blur is uneven it swings by itself
 _GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
 _RIM = (0.05, 0.95)  # shares of the blurred body between which its edge is
 _LEVEL_SIGMAS = 0.7  # widths of the blur over which the residual at the rim is averaged: 1.5 err at ridges
@@ -120,8 +120,9 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
         elif settled and turn > _BLUR_ROUNDS[-1]:
             break
         if turn < _ROUNDS - 1:
+            damping = _DAMPING[0] if turn < _BLUR_ROUNDS[-1] else _DAMPING[1]
             for name in fit.names:
-                _adjust_level(fit, name)
+                _adjust_level(fit, name, damping)
     return fit
 
 
@@ -199,7 +200,7 @@ def _adjust_blur(fit: SceneFit) -> None:
     fit.sigma_mm *= 1.0 + float(np.clip(step, -0.15, 0.15))
 
 
-def _adjust_level(fit: SceneFit, name: str) -> None:
+def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
     """Move the local level by what the model leaves at the rim, averaged over a width of the blur."""
     window = fit.windows[name]
     share = fit.shares[name][window]
@@ -209,5 +210,5 @@ def _adjust_level(fit: SceneFit, name: str) -> None:
     weight = rim.astype(np.float32)
     left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
     width = _LEVEL_SIGMAS * fit.sigma_mm / fit.start.spacing
-    moved = fit.levels[name] - np.float32(_DAMPING) * local_ratio(left, weight, width, 1e-3)
+    moved = fit.levels[name] - np.float32(damping) * local_ratio(left, weight, width, 1e-3)
     fit.levels[name] = np.clip(moved, *_LEVELS)
