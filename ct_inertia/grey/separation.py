@@ -9,7 +9,6 @@ import numpy as np
 from ct_inertia.bodies import Box, Grey, Labelled, Mask, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.moments import by_octants, sensitivity
-from ct_inertia.grey.start import grown
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -101,7 +100,7 @@ def bone_border(labelled: Labelled, own: Mask, levels: tuple[float, float], mome
     middle = 0.5 * (air + full)
     neck = labelled.separation.neck_normal is not None
     bodies = (labelled.stapes | labelled.other) & (box.grey > np.float32(middle))
-    edge = own & bodies & grown(bodies & ~own)
+    edge = own & bodies & _across_faces(bodies & ~own)
     covariance = np.zeros((10, 10))
     if not labelled.other.any() or not edge.any():
         return BoneBorder(0.0, 0.0, covariance, None, neck)
@@ -124,3 +123,13 @@ def bone_border(labelled: Labelled, own: Mask, levels: tuple[float, float], mome
         points[owner == largest].mean(axis=0),
         neck,
     )
+
+
+def _across_faces(mask: Mask) -> Mask:
+    """Return the voxels that touch a mask [z, y, x] in a face, so that an area is counted once."""
+    result = np.zeros_like(mask)
+    for axis in range(3):
+        into, source = np.moveaxis(result, axis, 0), np.moveaxis(mask, axis, 0)
+        into[1:] |= source[:-1]
+        into[:-1] |= source[1:]
+    return result
