@@ -96,7 +96,7 @@ def read_apart(
 
 
 def _no_requests(_: Any) -> NDArray[Any]:
-    raise NotImplementedError("this source is read once")
+    raise ValueError("this source was read whole and answers no requests")
 
 
 class Session(Generic[Opened]):
