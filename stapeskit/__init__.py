@@ -16,6 +16,10 @@ Everything here is loaded on first use.
 
 from __future__ import annotations
 
+import sys
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+
 TYPE_CHECKING = False  # typing itself would cost more than this package
 if TYPE_CHECKING:
     from ct_inertia.api import ct2mass
@@ -56,11 +60,39 @@ __all__ = [
 ]
 
 
+_FOLDER = str(Path(__file__).resolve().parents[1])
+_ROOMS = frozenset({"ct_inertia", "kinematics", "fitting", "pipeline", "simulate"})
+
+
+class _RoomFinder:
+    """Find the packages beside this one before files of the same names in a user's folder."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:  # noqa: ARG004
+        return PathFinder.find_spec(name, [_FOLDER]) if name in _ROOMS else None
+
+
+if _RoomFinder not in sys.meta_path:
+    sys.meta_path.insert(0, _RoomFinder)
+
+
+def _check_rooms() -> None:
+    """Raise ImportError where a module of a user was imported under the name of a room before."""
+    for room in _ROOMS & sys.modules.keys():
+        source = getattr(sys.modules[room], "__file__", None) or ""
+        if not source.startswith(_FOLDER):
+            raise ImportError(
+                f"Module {room} must be the one of stapeskit; got {source}. "
+                "Rename that file, or import stapeskit before it."
+            )
+
+
 def __getattr__(name: str) -> object:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    _check_rooms()
     value = getattr(import_module(_PLACES[name]), name)
     globals()[name] = value
     return value
