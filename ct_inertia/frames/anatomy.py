@@ -28,7 +28,7 @@ _SQUARE_DEG, _WEAK_DEG = 87.0, 70.0  # angle to the long axis: refused, reported
 _LEAST_OFFSET_MM = 0.1  # of a landmark from the centre, below which it says nothing
 _HEAD_MM = 1.0  # most distance of the landmark head from the bone: about the width of the head
 _LEAST_HEAD_MM = 0.3  # least height of the head above the footplate
-_CENTRE_MM = 1.0
+_CENTRE_MM = 1.0  # most distance of the landmark footplate_centre: a third of the footplate, beyond any slip
 _LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
 
 
@@ -105,8 +105,7 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
             raise StapeskitError(*unused)
         text = (
             "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with "
-            "the positive "
-            "component along scan x (ties: y, z). Give --anterior or an anterior landmark."
+            "the positive component along scan x (ties: y, z). Give --anterior or an anterior landmark."
         )
         return Orientation(_scan_sign(x_axis), NO_HINT, (*notices, Notice("anterior_not_given", text)))
     if len({sign for sign, _ in votes}) > 1:

@@ -18,7 +18,7 @@ from stapeskit.warnings import Notice
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
-_LEAST_SD_MM = 1e-3
+_LEAST_SD_MM = 1e-3  # of corners typed to a micrometre that happen to lie in one plane
 
 
 @dataclass(frozen=True)
@@ -135,15 +135,13 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     listed = ", ".join(f"{value:+.3f}" for value in frame[:, 0])
     text = (
         "x of the plate frame is the longest side between the --plate-fiducials in the sense with the "
-        "positive "
-        f"component along scan x, [{listed}] in scan axes."
+        f"positive component along scan x, [{listed}] in scan axes."
     )
     notices = [Notice("plate_axis_sign", text)]
     if np.max(lengths[square], initial=0.0) > AMBIGUOUS * lengths.max():
         text = (
             "Two sides between the --plate-fiducials are nearly equally long: which of them is x is "
-            "ambiguous. Give "
-            "their x_ref_mm, y_ref_mm, z_ref_mm."
+            "ambiguous. Give their x_ref_mm, y_ref_mm, z_ref_mm."
         )
         notices.append(Notice("plate_axis_ambiguous", text))
     transform = RigidTransform.from_parts(frame, centre, "scan", "plate")

@@ -18,15 +18,10 @@ from stapeskit.frames import RigidTransform
 from stapeskit.registration import displacement
 from stapeskit.warnings import Notice
 
-_DIRECTIONS, _FINE_DIRECTIONS, _NEAR_DEG = (
-    300,
-    1200,
-    10.0,
-)  # over the sphere: 12, then 6 degrees apart near the best
+_DIRECTIONS = 300  # over the sphere: 12 degrees apart
+_FINE_DIRECTIONS, _NEAR_DEG = 1200, 10.0  # 6 degrees apart, within 10 degrees of the best of the first
 _REFINED = 3  # faces whose direction is refined: the footplate and two rivals
-_CELL = (
-    0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the slab of a face
-)
+_CELL = 0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the face's slab
 _CONE_DEG = calibrated("footplate.search_cone_deg")
 _SLAB = calibrated("footplate.search_slab")
 _OTHER_DEG = 40.0  # faces whose normals are nearer belong to one
@@ -136,8 +131,7 @@ def _solve(surface: Surface, hints: AnatomyHints, blur_mm: float) -> tuple[Solve
     if solved.elongation < _ROUND:
         text = (
             f"The footplate is nearly round (length to width {solved.elongation:.2f}): its long axis, and "
-            "with it x "
-            "and z, are weakly determined."
+            "with it x and z, are weakly determined."
         )
         notices.append(Notice("long_axis_weak", text))
     return solved.turned(oriented.sign), oriented.evidence, notices
@@ -162,10 +156,9 @@ def _choose_face(
         if len(faces) < 2 or faces[1][1] < _RIVAL * faces[0][1] or known:
             return solved, []
         text = (
-            f"Another face of the body is nearly as large as the one taken for the footplate "
-            f"({faces[1][1]:.2f} "
-            f"against {faces[0][1]:.2f} mm2). Check the report; a landmark named head or footplate_centre "
-            "settles it."
+            "Another face of the body is nearly as large as the one taken for the footplate "
+            f"({faces[1][1]:.2f} against {faces[0][1]:.2f} mm2). Check the report; a landmark named head or "
+            "footplate_centre settles it."
         )
         return solved, [Notice("footplate_ambiguous", text)]
     for outward, area in faces[1:]:

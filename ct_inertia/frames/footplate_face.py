@@ -33,14 +33,9 @@ PLANE_SCALE_MM = 0.03
 EDGE_MM = 0.04
 """Longest edges of triangles after refinement: below the scale of the normals."""
 
-_DEPTH_MM, _DEEPER = (
-    0.6,
-    1.5,
-)  # of the region around a footplate; deeper where the face reaches the region's end
-_CONE_MARGIN, _CONE_TURN = (
-    0.15,
-    0.05,
-)  # cosines around the face that are kept; turn (rad) after which they are cut anew
+_DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
+_CONE_MARGIN = 0.15  # cosines beyond the face's angle that the working part of the region keeps
+_CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of the margin
 _ROUNDS = 60  # most iterations of the fixed point and of its plane: a guard against cycles
 _NEXT_STEP = "Check the segmentation or the mesh, or correct it with --seed or --labels"
 

@@ -293,15 +293,13 @@ def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
     if pose.along < 0:
         text = (
             "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and "
-            "its turn "
-            "about y says nothing about the plate. Give --plate-fiducials."
+            "its turn about y says nothing about the plate. Give --plate-fiducials."
         )
         notices.append(Notice("plate_edges_not_visible", text))
     else:
         text = (
             "x of the plate frame is the longest edge of the plate in the sense with the positive component "
-            "along scan "
-            f"x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
+            f"along scan x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
         )
         notices.append(Notice("plate_axis_sign", text))
         across = sides[pose.along].normal
@@ -311,15 +309,13 @@ def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
         if ratio > AMBIGUOUS:
             text = (
                 f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
-                "ambiguous. "
-                "Give --plate-fiducials."
+                "ambiguous. Give --plate-fiducials."
             )
             notices.append(Notice("plate_axis_ambiguous", text))
     if any(side.at_border for side in sides):
         text = (
             "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, "
-            "no point of "
-            "the plate itself. Give --plate-fiducials to tie it to the plate."
+            "no point of the plate itself. Give --plate-fiducials to tie it to the plate."
         )
         notices.append(Notice("plate_cropped", text))
     return tuple(notices)

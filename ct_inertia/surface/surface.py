@@ -120,10 +120,9 @@ def enclosed_moments(vertices: Array, faces: Faces) -> tuple[float, Array, Array
 def _ply(surface: Surface) -> bytes:
     """Return the surface as PLY in double precision, which trimesh does not write."""
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment scan coordinates, mm, normals outward\n"
-        f"element vertex {len(surface.vertices_mm)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
-        f"element face {len(surface.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        "ply\nformat binary_little_endian 1.0\ncomment scan coordinates, mm, normals outward\nelement "
+        f"vertex {len(surface.vertices_mm)}\nproperty double x\nproperty double y\nproperty double "
+        f"z\nelement face {len(surface.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.empty(len(surface.faces), dtype=[("n", "u1"), ("corner", "<i4", (3,))])
     rows["n"] = 3
