@@ -47,7 +47,7 @@ def work(words: list[str]) -> Outcome:
     from pathlib import Path
 
     from ct_inertia.options import MassOptions, MassOutputs
-    from stapeskit.options import parse
+    from stapeskit.command_line import parse
 
     options, given = parse("ct2mass", _TEXT, (MassOptions, MassOutputs), words, _EPILOG)
     from ct_inertia.ct2mass import measure_mass

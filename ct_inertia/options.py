@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import PlainValidator
-
 from stapeskit.faults import Fault
 from stapeskit.option_types import (
     Box,
@@ -15,19 +13,19 @@ from stapeskit.option_types import (
     Direction,
     Flag,
     Folder,
+    Kind,
     Masses,
     Number,
     Percent,
     Point,
     PositiveWithSd,
     ReadFile,
-    Says,
     Spacing,
     Words,
     ZeroOrWithSd,
-    entries,
     numbers,
     require,
+    rows,
 )
 from stapeskit.options import Opt, Options, Rule
 
@@ -62,25 +60,22 @@ def _voxels(value: Any) -> tuple[int, ...]:
 def _lengths(value: Any) -> tuple[tuple[float, ...], ...]:
     def row(entry: Any) -> tuple[float, ...]:
         if isinstance(entry, str):
-            place, _, last = entry.rpartition(",")
-            length, _, sd = last.replace("±", "+-").partition("+-")
-            entry = [*numbers(place, 6), length, sd]
+            entry = entry.replace("±", "+-").replace("+-", ",")
         found = numbers(entry, 8)
         require(found[6] > 0.0 and found[7] > 0.0)
         return found
 
-    if isinstance(value, list | tuple) and value and not isinstance(value[0], str | list | tuple):
-        value = [value]
-    return tuple(row(entry) for entry in entries(value))
+    return tuple(row(entry) for entry in rows(value))
 
 
-Voxels = Annotated[
-    tuple[int, ...], PlainValidator(_voxels), Says("three whole numbers of voxels x, y, z", "NX,NY,NZ")
-]
+Voxels = Annotated[tuple[int, ...], Kind(_voxels, "three whole numbers of voxels x, y, z", "NX,NY,NZ")]
 Lengths = Annotated[
     tuple[tuple[float, ...], ...],
-    PlainValidator(_lengths),
-    Says("lengths x0, y0, z0, x1, y1, z1, length+-sd in mm, both positive", "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD"),
+    Kind(
+        _lengths,
+        "lengths x0, y0, z0, x1, y1, z1, length+-sd in mm, both positive",
+        "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD",
+    ),
 ]
 
 

@@ -41,8 +41,8 @@ def main() -> None:
 def work(words: Sequence[str]) -> Outcome:
     """Fit or plan, write the files, and return what is printed."""
     from fitting.options import KDFiles, KDOptions
+    from stapeskit.command_line import parse
     from stapeskit.faults import StapeskitError
-    from stapeskit.options import parse
 
     options, files = parse("dof2kd", _TEXT, (KDOptions, KDFiles), words, _EXAMPLES)
     if files.plan is not None:

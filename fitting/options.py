@@ -30,7 +30,7 @@ from stapeskit.options import Opt, Options, Rule
 COMPARE = "compare"
 LOADED, IGNORE = "load", "ignore"
 
-JsonFile = Annotated[Path, *output_file(".json")]
+JsonFile = Annotated[Path, output_file(".json")]
 
 _BOUNDED = "estimator constrained"
 _UNKNOWN_NAMES = ", ".join(name for name, unknown in UNKNOWNS.items() if unknown.options)

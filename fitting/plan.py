@@ -7,13 +7,12 @@ fit the real one; what that fit states is what the plan promises.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import PlainValidator
 
 from fitting.dof2kd import MassSource, fit_of, mass_source
 from fitting.layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
@@ -22,7 +21,7 @@ from fitting.plane import INPLANE_DOF, PISTON_DOF
 from fitting.result import KDFit
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
-from stapeskit.option_types import Count, DofList, Positive, Range, Says, Words, number_where
+from stapeskit.option_types import Count, DofList, Kind, Positive, Range, Words, number_where
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.json_files import as_json
 from stapeskit.records.motion import RigidMotion, SharedErrors
@@ -57,12 +56,10 @@ def _mass(value: Any) -> Any:
 
 
 _IN_ROWS = "Write rows in brackets, [[1, 2], [3, 4]]"
-Matrix = Annotated[Any, PlainValidator(_rows), Says("a matrix in SI: y, alpha, gamma", "MATRIX", _IN_ROWS)]
-Points = Annotated[
-    Any, PlainValidator(_rows), Says("points [x, y, z] in mm, footplate axes", "POINTS", _IN_ROWS)
-]
-Mass = Annotated[Any, PlainValidator(_mass), Says("a mass.json, or a 6 x 6 matrix in SI", "MASS", _IN_ROWS)]
-Sd = Annotated[float, number_where(lambda value: value >= 0.0), Says("a number, 0 or positive", "NUMBER")]
+Matrix = Annotated[Any, Kind(_rows, "a matrix in SI: y, alpha, gamma", "MATRIX", _IN_ROWS)]
+Points = Annotated[Any, Kind(_rows, "points [x, y, z] in mm, footplate axes", "POINTS", _IN_ROWS)]
+Mass = Annotated[Any, Kind(_mass, "a mass.json, or a 6 x 6 matrix in SI", "MASS", _IN_ROWS)]
+Sd = Annotated[float, Kind(number_where(lambda value: value >= 0.0), "a number, 0 or positive", "NUMBER")]
 
 
 class Plan(Options):
@@ -346,7 +343,7 @@ def _ways(plan: Plan, mass: MassSource | None) -> list[tuple[str, Plan]]:
         halves = {key: getattr(plan, key) / 2.0 for key in keys if getattr(plan, key)}
         if halves:
             changes[words] = halves
-    return [(name, plan.model_copy(update=change)) for name, change in changes.items()]
+    return [(name, replace(plan, **change)) for name, change in changes.items()]
 
 
 def plan_json(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> dict[str, Any]:

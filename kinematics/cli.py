@@ -51,7 +51,7 @@ def main() -> None:
 def work(words: Sequence[str]) -> Outcome:
     """Run the command on its arguments, write the files, and return what is printed."""
     from kinematics.options import MotionFiles, MotionOptions
-    from stapeskit.options import parse
+    from stapeskit.command_line import parse
 
     options, files = parse("points2dof", _TEXT, (MotionOptions, MotionFiles), words, _epilog())
     from kinematics.companions import with_companions

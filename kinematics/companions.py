@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinematics.options import NONE, MotionOptions
@@ -59,7 +59,7 @@ def with_companions(options: MotionOptions, mass: Path | str | None = None) -> F
         found = _mass_beside(folder)
         taken |= {} if found is None else {"mass": found}
     update = {role: path for role, path in taken.items() if role != "mass"}
-    return Found(options.model_copy(update=update), found, taken)
+    return Found(replace(options, **update), found, taken)
 
 
 def _mass_beside(folder: Path) -> Path | None:

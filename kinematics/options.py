@@ -6,24 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import PlainValidator, ValidationInfo
-
 from stapeskit.dof import DOF_NAMES
 from stapeskit.faults import Fault
 from stapeskit.option_types import (
     Count,
     DofList,
     Flag,
+    Kind,
     Percent,
     Positive,
     Range,
     ReadFile,
     ReadFiles,
-    Says,
     Text,
     entries,
+    existing,
     number_where,
     output_file,
+    path,
     require,
 )
 from stapeskit.options import Opt, Options, Rule
@@ -37,13 +37,9 @@ _FILES = "what files do not say themselves"
 _SERIES = "time series"
 
 
-def _file_or_none(value: Any, info: ValidationInfo) -> Path | str:
-    require(isinstance(value, Path) or (isinstance(value, str) and value.strip() and "\0" not in value))
-    path = Path((info.context or {}).get("folder", "")) / Path(value).expanduser()
-    if path.is_file() or path.is_dir():
-        return path
-    require(path.name == NONE)
-    return NONE
+def _file_or_none(value: Any) -> Path | str:
+    found = path(value)
+    return NONE if found.name == NONE and not found.exists() else existing(found)
 
 
 def _rules(value: Any) -> tuple[str, ...]:
@@ -63,18 +59,17 @@ def _texts(value: Any) -> tuple[str, ...]:
 
 FileOrNone = Annotated[
     Path | str,
-    PlainValidator(_file_or_none),
-    Says("an existing file, or none", "FILE|none", "Check its name and folder", is_path=True),
+    Kind(_file_or_none, "an existing file, or none", "FILE|none", "Check its name and folder", is_path=True),
 ]
-Rules = Annotated[tuple[str, ...], PlainValidator(_rules), Says("NAME=ITEMS", "NAME=ITEMS")]
-Texts = Annotated[tuple[str, ...], PlainValidator(_texts), Says("BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
+Rules = Annotated[tuple[str, ...], Kind(_rules, "NAME=ITEMS", "NAME=ITEMS")]
+Texts = Annotated[tuple[str, ...], Kind(_texts, "BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
 Share = Annotated[
-    float, number_where(lambda value: 0.0 <= value <= 0.9), Says("a number from 0 to 0.9", "SHARE")
+    float, Kind(number_where(lambda value: 0.0 <= value <= 0.9), "a number from 0 to 0.9", "SHARE")
 ]
 Small = Annotated[
-    float, number_where(lambda value: 0.0 <= value <= 1000.0), Says("a number from 0 to 1000", "NUMBER")
+    float, Kind(number_where(lambda value: 0.0 <= value <= 1000.0), "a number from 0 to 1000", "NUMBER")
 ]
-CsvFile = Annotated[Path, *output_file(".csv")]
+CsvFile = Annotated[Path, output_file(".csv")]
 
 
 class MotionOptions(Options):
@@ -188,6 +183,7 @@ class MotionOptions(Options):
 
     calibrate: Annotated[
         Flag,
+        Kind,
         Opt("estimate axes, laser directions, gains and positions with the motion, within their sd", _LASERS),
     ] = False
     gain_sd_percent: Annotated[

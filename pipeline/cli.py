@@ -23,7 +23,7 @@ def work(words: list[str]) -> Outcome | None:
     from pathlib import Path
 
     from pipeline.command_options import CohortOptions, RunOptions
-    from stapeskit.options import parse
+    from stapeskit.command_line import parse
 
     chosen, cohort = parse(
         "scan2kd",

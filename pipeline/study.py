@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -136,7 +136,7 @@ def read_study(path: Path) -> Study:
     if len(sides) > 1:
         got = f"{about.side} in [study] and {scan.side} in [scan]"
         raise StapeskitError.of("the side of the ear", "stated once or alike", got, name)
-    scan = scan.model_copy(update={"side": about.side or scan.side})
+    scan = replace(scan, side=about.side or scan.side)
     return Study(path.absolute(), about, scan, read["ldv"], read["fit"])
 
 
@@ -144,10 +144,10 @@ def _without_other_tables(
     values: Mapping[str, Any], table: str, name: str, faults: list[Fault]
 ) -> dict[str, Any]:
     """Return the values of a table without keys of other tables, which become faults that name their home."""
-    own = set(TABLES[table].model_fields)
+    own = set(TABLES[table].key_names())
     kept = dict(values)
     for key in [key for key in values if key not in own]:
-        homes = [f"[{home}]" for home, kind in TABLES.items() if key in kind.model_fields]
+        homes = [f"[{home}]" for home, kind in TABLES.items() if key in kind.key_names()]
         if homes:
             step = f"Move it to {' or '.join(homes)}"
             faults.append(Fault(f"{table}.{key}", "a key of this table", "one of another table", name, step))
@@ -157,7 +157,7 @@ def _without_other_tables(
 
 def _unknown_table(key: str, name: str) -> Fault:
     known = [f"[{table}]" for table in TABLES]
-    homes = [f"{key} in [{table}]" for table, kind in TABLES.items() if key in kind.model_fields]
+    homes = [f"{key} in [{table}]" for table, kind in TABLES.items() if key in kind.key_names()]
     near = homes or difflib.get_close_matches(f"[{key}]", known, 1)
     step = f"Did you mean {near[0]}?" if near else ""
     return Fault("a table", f"one of {', '.join(known)}", f"[{key}]", name, step)

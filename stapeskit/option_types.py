@@ -1,9 +1,8 @@
 """The kinds of value that options have: how each is read from text or TOML, and what it must be.
 
-A type is ``Annotated[VALUE, PlainValidator(reader), Says(...)]``. A reader takes what a command line gives
-(text, or a list of texts where an option may be repeated), what a TOML file gives, and its own values:
-command line, study files and Python share one check.
-It raises ValueError without a message: `Says` has the words.
+A type is ``Annotated[VALUE, Kind(reader, ...)]``. A reader takes what a command line gives (text, or a list of
+texts where an option may be repeated), what a TOML file gives, and its own values: command line, study files
+and Python share one check. It raises ValueError without a message: the `Kind` has the words.
 """
 
 from __future__ import annotations
@@ -15,19 +14,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import PlainValidator, ValidationInfo
-
 from stapeskit.dof import DOF_NAMES
 
 _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE][+-]?\d+)?)\s*")
 
 
 @dataclass(frozen=True)
-class Says:
-    """What a type must be, in words.
+class Kind:
+    """How a value is read, and what it must be, in words.
 
     Attributes
     ----------
+    read : callable
+        Returns the value, or raises ValueError.
     expected : str
         As in "--box must be ...".
     metavar : str
@@ -35,9 +34,10 @@ class Says:
     step : str
         What to do about an unfit value; empty: an example is shown.
     is_path : bool
-        Whether the value names files that are read.
+        Whether the value names files that are read: relative ones start at the folder of a TOML file.
     """
 
+    read: Callable[[Any], Any]
     expected: str
     metavar: str = "VALUE"
     step: str = ""
@@ -55,39 +55,40 @@ class WithSd:
         return f"{self.value:g}" if self.sd is None else f"{self.value:g}+-{self.sd:g}"
 
 
-def number(value: Any) -> float:
-    """Read a finite number out of text or a number."""
-    value = value.item() if hasattr(value, "item") else value
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise ValueError
-    result = float(value)
-    if not math.isfinite(result):
-        raise ValueError
-    return result
-
-
-def numbers(value: Any, *counts: int) -> tuple[float, ...]:
-    """Read as many numbers as one of the counts says, from a comma list or a sequence."""
-    parts = value.split(",") if isinstance(value, str) else value
-    if isinstance(parts, Mapping) or not hasattr(parts, "__len__") or len(parts) not in counts:
-        raise ValueError
-    return tuple(number(part) for part in parts)
-
-
 def require(condition: object) -> None:
     """Raise ValueError unless the condition holds."""
     if not condition:
         raise ValueError
 
 
+def number(value: Any) -> float:
+    """Read a finite number out of text or a number."""
+    value = value.item() if hasattr(value, "item") else value
+    require(isinstance(value, int | float | str) and not isinstance(value, bool))
+    result = float(value)
+    require(math.isfinite(result))
+    return result
+
+
+def numbers(value: Any, *counts: int) -> tuple[float, ...]:
+    """Read as many numbers as one of the counts says, from a comma list or a sequence."""
+    parts = value.split(",") if isinstance(value, str) else value
+    require(not isinstance(parts, Mapping) and hasattr(parts, "__len__") and len(parts) in counts)
+    return tuple(number(part) for part in parts)
+
+
 def entries(value: Any) -> list[Any]:
     """Return what was given as a list: one value alone, or several of an option that may be repeated."""
-    if isinstance(value, str) or not isinstance(value, list | tuple):
-        return [value]
-    return list(value)
+    return list(value) if isinstance(value, list | tuple) else [value]
 
 
-def number_where(fits: Callable[[float], bool]) -> PlainValidator:
+def rows(value: Any) -> list[Any]:
+    """Return rows of numbers as a list: one row alone, or several."""
+    one = isinstance(value, list | tuple) and value and not isinstance(value[0], str | list | tuple)
+    return [value] if one else entries(value)
+
+
+def number_where(fits: Callable[[float], bool]) -> Callable[[Any], float]:
     """Return the reader of a number within limits."""
 
     def read(value: Any) -> float:
@@ -95,33 +96,42 @@ def number_where(fits: Callable[[float], bool]) -> PlainValidator:
         require(fits(result))
         return result
 
-    return PlainValidator(read)
+    return read
 
 
-def whole_where(fits: Callable[[int], bool]) -> PlainValidator:
-    """Return the reader of a whole number within limits."""
+def whole_from(least: int) -> Callable[[Any], int]:
+    """Return the reader of a whole number of at least so much."""
 
     def read(value: Any) -> int:
         result = number(value)
-        require(result == int(result) and fits(int(result)))
+        require(result == int(result) and result >= least)
         return int(result)
 
-    return PlainValidator(read)
+    return read
 
 
-def _with_sd(value: Any) -> WithSd:
-    if isinstance(value, WithSd):
+def one_of(choices: tuple[Any, ...]) -> Kind:
+    """Return the kind of a word out of some."""
+
+    def read(value: Any) -> Any:
+        require(value in choices)
         return value
-    parts = value.replace("±", "+-").split("+-") if isinstance(value, str) else value
-    parts = [parts] if isinstance(parts, int | float) or hasattr(parts, "item") else parts
-    require(isinstance(parts, list | tuple) and len(parts) in (1, 2))
-    found = WithSd(*(number(part) for part in parts if part is not None))
-    require(found.value >= 0.0 and (found.sd is None or found.sd >= 0.0))
-    return found
+
+    return Kind(read, f"one of {', '.join(choices)}", "|".join(choices))
+
+
+def with_sd(value: Any) -> WithSd:
+    """Read a value that is not negative, with or without its standard deviation."""
+    if not isinstance(value, WithSd):
+        parts = value.replace("±", "+-").split("+-") if isinstance(value, str) else entries(value)
+        require(len(parts) in (1, 2))
+        value = WithSd(*(number(part) for part in parts if part is not None))
+    require(value.value >= 0.0 and (value.sd is None or value.sd >= 0.0))
+    return WithSd(value.value, value.sd)
 
 
 def _positive_with_sd(value: Any) -> WithSd:
-    found = _with_sd(value)
+    found = with_sd(value)
     require(found.value > 0.0)
     return found
 
@@ -130,6 +140,10 @@ def _spacing(value: Any) -> tuple[float, ...]:
     found = numbers(value, 1, 3) if isinstance(value, str | list | tuple) else (number(value),)
     require(min(found) > 0.0)
     return found * 3 if len(found) == 1 else found
+
+
+def _point(value: Any) -> tuple[float, ...]:
+    return numbers(value, 3)
 
 
 def _direction(value: Any) -> tuple[float, ...]:
@@ -152,27 +166,22 @@ def _range(value: Any) -> tuple[float, float]:
 
 
 def _ranges(value: Any) -> tuple[tuple[float, float], ...]:
-    if isinstance(value, list | tuple) and value and isinstance(value[0], int | float):
-        value = [value]
-    return tuple(_range(entry) for entry in entries(value))
+    return tuple(_range(entry) for entry in rows(value))
 
 
 def _masses(value: Any) -> tuple[tuple[float, ...], ...]:
     def row(entry: Any) -> tuple[float, ...]:
-        if isinstance(entry, str) and entry.count(",") == 3:
-            place, _, last = entry.rpartition(",")
-            mass = _positive_with_sd(last)
-            return (*numbers(place, 3), mass.value, mass.sd or 0.0)
+        if isinstance(entry, str):
+            entry = entry.replace("±", "+-").replace("+-", ",")
         found = (*numbers(entry, 4, 5), 0.0)[:5]
         require(found[3] > 0.0 and found[4] >= 0.0)
         return found
 
-    if isinstance(value, list | tuple) and value and not isinstance(value[0], str | list | tuple):
-        value = [value]
-    return tuple(row(entry) for entry in entries(value))
+    return tuple(row(entry) for entry in rows(value))
 
 
-def _path(value: Any) -> Path:
+def path(value: Any) -> Path:
+    """Read a path; ``~`` is the home folder."""
     require(isinstance(value, Path) or (isinstance(value, str) and value.strip() and "\0" not in value))
     try:
         return Path(value).expanduser()
@@ -180,26 +189,30 @@ def _path(value: Any) -> Path:
         return Path(value)
 
 
-def _read_path(value: Any, info: ValidationInfo) -> Path:
-    """Return the path of a file or folder that exists; paths in a study are relative to its folder."""
-    path = Path((info.context or {}).get("folder", "")) / _path(value)
+def existing(value: Any) -> Path:
+    """Read the path of a file or folder that exists."""
+    found = path(value)
     try:
-        require(path.is_file() or path.is_dir())  # a pipe or a device would be waited for without end
+        require(found.is_file() or found.is_dir())  # a pipe or a device would be waited for without end
     except OSError as error:
         raise ValueError from error
-    return path
+    return found
 
 
-def _read_paths(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
-    found = tuple(_read_path(entry, info) for entry in entries(value))
+def _existing_files(value: Any) -> tuple[Path, ...]:
+    found = tuple(existing(entry) for entry in entries(value))
     require(found)
     return found
 
 
+def text(value: Any) -> str:
+    """Read a text, blanks around it dropped."""
+    require(isinstance(value, str))
+    return str(value).strip()
+
+
 def _words(value: Any) -> tuple[str, ...]:
-    given = entries(value)
-    require(all(isinstance(entry, str) for entry in given))
-    parts = [part.strip() for entry in given for part in entry.split(",")]
+    parts = [part.strip() for entry in entries(value) for part in text(entry).split(",")]
     require(all(parts))
     return tuple(parts)
 
@@ -210,11 +223,6 @@ def _dof(value: Any) -> tuple[str, ...]:
         return DOF_NAMES
     require(names and len(set(names)) == len(names) and set(names) <= set(DOF_NAMES))
     return tuple(name for name in DOF_NAMES if name in names)
-
-
-def _text(value: Any) -> str:
-    require(isinstance(value, str))
-    return str(value).strip()
 
 
 def _flag(value: Any) -> bool:
@@ -228,87 +236,53 @@ def _table(value: Any) -> dict[str, Any]:
     return {str(name): entry for name, entry in value.items()}
 
 
-def output_file(suffix: str) -> tuple[PlainValidator, Says]:
-    """Return reader and words of a file that is written; ``ear1`` means ``ear1.csv``."""
+def output_file(suffix: str) -> Kind:
+    """Return the kind of a file that is written; ``ear1`` means ``ear1.csv``."""
 
     def read(value: Any) -> Path:
-        path = _path(value)
-        path = path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
-        require(not path.is_dir())
-        return path
+        found = path(value)
+        found = found if found.suffix.lower() == suffix else found.with_name(found.name + suffix)
+        require(not found.is_dir())
+        return found
 
-    return PlainValidator(read), Says(f"a file name that ends with {suffix}", f"FILE{suffix}")
+    return Kind(read, f"a file name that ends with {suffix}", f"FILE{suffix}")
 
 
-Number = Annotated[float, PlainValidator(number), Says("a number", "NUMBER")]
-Positive = Annotated[float, number_where(lambda value: value > 0.0), Says("a positive number", "NUMBER")]
+_WITH_SD = "a positive number without its unit, or VALUE+-SD"
+_CHECK = "Check its name and folder"
+_CORNERS = "six numbers x0, y0, z0, x1, y1, z1 in mm, the lower corner first"
+_POINT_MASSES = "point masses x, y, z, mg or x, y, z, mg+-sd in mm and mg, the mass positive"
+_SOME_DOF = f"all, or a list of different names out of {', '.join(DOF_NAMES)}"
+_SPAN_WORDS = "two frequencies in Hz, the lower first"
+
+Number = Annotated[float, Kind(number, "a number", "NUMBER")]
+Positive = Annotated[float, Kind(number_where(lambda value: value > 0.0), "a positive number", "NUMBER")]
 Percent = Annotated[
-    float, number_where(lambda value: 0.0 <= value < 50.0), Says("a percentage from 0 to 50", "PERCENT")
+    float, Kind(number_where(lambda value: 0.0 <= value < 50.0), "a percentage from 0 to 50", "PERCENT")
 ]
-Count = Annotated[int, whole_where(lambda value: value >= 1), Says("a whole number, 1 or more", "N")]
-CountOrZero = Annotated[int, whole_where(lambda value: value >= 0), Says("a whole number, 0 or more", "N")]
-Flag = Annotated[bool, PlainValidator(_flag), Says("true or false", "")]
-Text = Annotated[str, PlainValidator(_text), Says("text", "TEXT")]
-Table = Annotated[dict[str, Any], PlainValidator(_table), Says("a table of numbers and texts", "TABLE")]
-PositiveWithSd = Annotated[
-    WithSd,
-    PlainValidator(_positive_with_sd),
-    Says("a positive number without its unit, or VALUE+-SD", "VALUE[+-SD]"),
-]
-ZeroOrWithSd = Annotated[
-    WithSd,
-    PlainValidator(_with_sd),
-    Says("0, a positive number without its unit, or VALUE+-SD", "VALUE[+-SD]"),
-]
+Count = Annotated[int, Kind(whole_from(1), "a whole number, 1 or more", "N")]
+CountOrZero = Annotated[int, Kind(whole_from(0), "a whole number, 0 or more", "N")]
+Flag = Annotated[bool, Kind(_flag, "true or false", "")]
+Text = Annotated[str, Kind(text, "text", "TEXT")]
+Words = Annotated[tuple[str, ...], Kind(_words, "names separated by commas", "LIST")]
+Table = Annotated[dict[str, Any], Kind(_table, "a table of numbers and texts", "TABLE")]
+PositiveWithSd = Annotated[WithSd, Kind(_positive_with_sd, _WITH_SD, "VALUE[+-SD]")]
+ZeroOrWithSd = Annotated[WithSd, Kind(with_sd, f"0, {_WITH_SD}", "VALUE[+-SD]")]
 Spacing = Annotated[
-    tuple[float, ...],
-    PlainValidator(_spacing),
-    Says("a positive number, or three of them (x, y, z), mm", "H|DX,DY,DZ"),
+    tuple[float, ...], Kind(_spacing, "a positive number, or three of them (x, y, z), mm", "H|DX,DY,DZ")
 ]
-Point = Annotated[
-    tuple[float, ...], PlainValidator(lambda value: numbers(value, 3)), Says("three numbers x, y, z", "X,Y,Z")
-]
+Point = Annotated[tuple[float, ...], Kind(_point, "three numbers x, y, z", "X,Y,Z")]
 Direction = Annotated[
-    tuple[float, ...],
-    PlainValidator(_direction),
-    Says("three numbers x, y, z that are not all zero", "X,Y,Z"),
+    tuple[float, ...], Kind(_direction, "three numbers x, y, z that are not all zero", "X,Y,Z")
 ]
-Box = Annotated[
-    tuple[float, ...],
-    PlainValidator(_box),
-    Says("six numbers x0, y0, z0, x1, y1, z1 in mm, the lower corner first", "X0,Y0,Z0,X1,Y1,Z1"),
-]
-Range = Annotated[
-    tuple[float, float], PlainValidator(_range), Says("two frequencies in Hz, the lower first", "F1,F2")
-]
-Ranges = Annotated[
-    tuple[tuple[float, float], ...],
-    PlainValidator(_ranges),
-    Says("a range of two frequencies in Hz, the lower first", "F1-F2"),
-]
-Masses = Annotated[
-    tuple[tuple[float, ...], ...],
-    PlainValidator(_masses),
-    Says("point masses x, y, z, mg or x, y, z, mg+-sd in mm and mg, the mass positive", "X,Y,Z,MG[+-SD]"),
-]
-ReadFile = Annotated[
-    Path,
-    PlainValidator(_read_path),
-    Says("an existing file or folder", "FILE", "Check its name and folder", is_path=True),
-]
+Box = Annotated[tuple[float, ...], Kind(_box, _CORNERS, "X0,Y0,Z0,X1,Y1,Z1")]
+Range = Annotated[tuple[float, float], Kind(_range, _SPAN_WORDS, "F1,F2")]
+Ranges = Annotated[tuple[tuple[float, float], ...], Kind(_ranges, f"a range of {_SPAN_WORDS}", "F1-F2")]
+Masses = Annotated[tuple[tuple[float, ...], ...], Kind(_masses, _POINT_MASSES, "X,Y,Z,MG[+-SD]")]
+ReadFile = Annotated[Path, Kind(existing, "an existing file or folder", "FILE", _CHECK, is_path=True)]
 ReadFiles = Annotated[
     tuple[Path, ...],
-    PlainValidator(_read_paths),
-    Says("existing files", "FILE", "Check their names and folders", is_path=True),
+    Kind(_existing_files, "existing files", "FILE", "Check their names and folders", is_path=True),
 ]
-Folder = Annotated[Path, PlainValidator(_path), Says("a folder", "DIR")]
-Words = Annotated[tuple[str, ...], PlainValidator(_words), Says("names separated by commas", "LIST")]
-DofList = Annotated[
-    tuple[str, ...],
-    PlainValidator(_dof),
-    Says(
-        f"all, or a list of different names out of {', '.join(DOF_NAMES)}",
-        "LIST",
-        "Write for example y,alpha,gamma",
-    ),
-]
+Folder = Annotated[Path, Kind(path, "a folder", "DIR")]
+DofList = Annotated[tuple[str, ...], Kind(_dof, _SOME_DOF, "LIST", "Write for example y,alpha,gamma")]

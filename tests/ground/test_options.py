@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import pytest
 
+from stapeskit.command_line import parse
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.option_types import (
     Box,
@@ -23,7 +24,7 @@ from stapeskit.option_types import (
     WithSd,
     ZeroOrWithSd,
 )
-from stapeskit.options import Opt, Options, Rule, markdown_table, parse, template, with_options
+from stapeskit.options import Opt, Options, Rule, markdown_table, template, with_options
 
 
 class Scan(Options):
@@ -93,7 +94,7 @@ VALUES = {
 @pytest.mark.parametrize("words", VALUES)
 def test_command_line_study_and_python_read_the_same_value(words: str, scan_file: Path) -> None:
     key, expected = VALUES[words]
-    tables = {key: table for table in parsed(f"scan.tif {words}") for key in type(table).model_fields}
+    tables = {key: table for table in parsed(f"scan.tif {words}") for key in type(table).key_names()}
     assert getattr(tables[key], key) == expected
     table = type(tables[key])
     name = next(entry.name for entry in table.entries() if entry.key == key)
@@ -202,4 +203,4 @@ def test_given_is_what_differs_from_the_defaults(scan_file: Path) -> None:
 
 def test_the_page_of_options_lists_each_once() -> None:
     lines = markdown_table([Scan, Fit]).splitlines()
-    assert len(lines) == 2 + len(Scan.model_fields) + len(Fit.model_fields)
+    assert len(lines) == 2 + len(Scan.key_names()) + len(Fit.key_names())

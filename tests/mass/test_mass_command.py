@@ -258,7 +258,7 @@ def test_options_that_contradict_each_other_are_refused(
 def test_a_study_and_a_command_line_make_the_same_options(mesh: Path) -> None:
     values = {"file": str(mesh), "density_kg_m3": "1900+-60", "anterior": [-0.9, 0.1, 0.0], "coat_um": 0}
     values.pop("coat_um")
-    from stapeskit.options import parse
+    from stapeskit.command_line import parse
 
     study_options = MassOptions.from_study(values, "study.toml", mesh.parent)
     words = [str(mesh), "--density", "1900+-60", "--anterior", "-0.9,0.1,0"]

@@ -16,8 +16,9 @@ from kinematics.options import MotionFiles, MotionOptions
 from kinematics.points2dof import check_inputs
 from kinematics.report.page import motion_level, motion_page, motion_sections
 from kinematics.results import ENDINGS
+from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
-from stapeskit.options import parse, template
+from stapeskit.options import template
 from stapeskit.provenance import frames_hash, input_record
 from stapeskit.records.motion import read_motion
 from stapeskit.report.page import Page
