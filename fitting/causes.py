@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -109,8 +108,7 @@ def _gain(value: float, omega: Array) -> ComplexArray:
 
 def _head_unknown() -> Unknown:
     places = tuple(
-        Unknown(f"head_mass_{axis}", "", "", 1.0, _head_moved(place), options=False)
-        for place, axis in enumerate("xyz")
+        Unknown(f"head_mass_{axis}", "", "", 1.0, _head_moved(place)) for place, axis in enumerate("xyz")
     )
     change, title = on_mass(_head), "a mass at the head of the stapes"
     return Unknown("head_mass", title, "mg", 5.0, change, positive=True, starts=(4.0,), companions=places)
@@ -163,12 +161,12 @@ def candidates(data: Data) -> list[Unknown]:
         where = f"after {100.0 * line / data.count:.0f} % of the lines"
         title = f"a step of the stiffness {'between two runs' if line in starts else where}"
         step = Unknown(f"step_{line}", title, "%", 10.0, on_ligament(shape), family="step", weights=shape)
-        table.append(replace(step, options=False))
+        table.append(step)
     ends = 1.1 * data.freq_hz.min(), data.freq_hz.max()
     for hz in np.geomspace(*ends, _HOLDERS):
         title = f"a resonance of the holder near {hz:.0f} Hz"
         change = partial(_holder, float(hz))
-        table.append(Unknown(f"holder_{hz:.0f}_hz", title, "%", 5.0, change, family="holder", options=False))
+        table.append(Unknown(f"holder_{hz:.0f}_hz", title, "%", 5.0, change, family="holder"))
     return table
 
 

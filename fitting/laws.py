@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fitting.choices import DAMPING
 from stapeskit.arrays import ComplexArray
 
 
@@ -52,14 +53,13 @@ class LawKind:
 
 
 LAWS: dict[str, LawKind] = {
-    "viscous": LawKind(lambda w: 1j * w, "K + i w D", "force proportional to velocity"),
+    "viscous": LawKind(lambda w: 1j * w, *DAMPING["viscous"]),
     "hysteretic": LawKind(
-        lambda w: np.full(np.shape(w), 1j), "K + i D", "constant loss factor", time_power=0.0, causal=False
+        lambda w: np.full(np.shape(w), 1j), *DAMPING["hysteretic"], time_power=0.0, causal=False
     ),
     "fractional": LawKind(
         lambda w, a: (1j * w) ** a,
-        "K + (i w)^{a:.4g} D",
-        "spring-pot, its exponent estimated",
+        *DAMPING["fractional"],
         usual=0.8,
         usual_sd=0.5,
         time_power=None,
@@ -67,8 +67,7 @@ LAWS: dict[str, LawKind] = {
     ),
     "relaxation": LawKind(
         lambda w, a: 1j * w / (1.0 + 1j * w * a),
-        "K + i w D / (1 + i w {a:.3g} s)",
-        "standard linear solid, its time estimated",
+        *DAMPING["relaxation"],
         usual=0.3,
         usual_sd=1.0,
         is_time=True,

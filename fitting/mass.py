@@ -18,12 +18,6 @@ from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters
 FRAME_SOURCE = "frame"
 """Source of the error of the footplate frame in mass.json: motion may have the same one."""
 
-MASS_SIGNS = {
-    "tensor": "elements of the inertia tensor",
-    "positive": "products of inertia, + integral x z dm",
-}
-"""What the mixed rotational entries of a plain matrix can be."""
-
 _SMALLEST, _LARGEST = 1e-30, 1e6  # kg, kg m2: of no body that is measured here
 
 

@@ -8,9 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from fitting.causes import UNKNOWNS
-from fitting.laws import LAWS
-from fitting.mass import MASS_SIGNS
+from fitting.choices import DAMPING, MASS_SIGNS, UNKNOWNS
 from stapeskit.faults import Fault, raise_all
 from stapeskit.option_types import (
     CountOrZero,
@@ -33,11 +31,12 @@ LOADED, IGNORE = "load", "ignore"
 JsonFile = Annotated[Path, output_file(".json")]
 
 _BOUNDED = "estimator constrained"
-_UNKNOWN_NAMES = ", ".join(name for name, unknown in UNKNOWNS.items() if unknown.options)
+_UNKNOWN_NAMES = ", ".join(UNKNOWNS)
 
 
 def _law_help() -> str:
-    return "; ".join(f"{name}: {kind.formula.format(a=0.5)}, {kind.meaning}" for name, kind in LAWS.items())
+    laws = DAMPING.items()
+    return "; ".join(f"{name}: {formula.format(a=0.5)}, {meaning}" for name, (formula, meaning) in laws)
 
 
 class KDOptions(Options):

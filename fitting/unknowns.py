@@ -71,8 +71,6 @@ class Unknown:
         Unknowns of one family are one error at different places.
     adopt : bool
         Whether K and D are taken with it where it is the best explanation: an inherent part of some ears.
-    options : bool
-        Whether ``--unknowns`` takes it.
     starts : tuple of float
         Further sizes from which a fit starts, where it may be far from first order.
     companions : tuple of Unknown
@@ -92,7 +90,6 @@ class Unknown:
     positive: bool = False
     family: str = ""
     adopt: bool = False
-    options: bool = True
     starts: tuple[float, ...] = ()
     companions: tuple[Unknown, ...] = ()
     weights: Callable[[Data], Array] | None = None

@@ -1,8 +1,8 @@
 """The kinds of value that options have: how each is read from text or TOML, and what it must be.
 
-A type is ``Annotated[VALUE, Kind(reader, ...)]``. A reader takes what a command line gives (text, or a list of
-texts where an option may be repeated), what a TOML file gives, and its own values: command line, study files
-and Python share one check. It raises ValueError without a message: the `Kind` has the words.
+A type is ``Annotated[VALUE, Kind(reader, ...)]``. A reader takes what a command line gives (text, or a list
+of texts where an option may be repeated), what a TOML file gives, and its own values: command line, study
+files and Python share one check. It raises ValueError without a message: the `Kind` has the words.
 """
 
 from __future__ import annotations

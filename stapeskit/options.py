@@ -1,8 +1,8 @@
 """Options of the commands, declared once: command line, --config, study files, Python, help, template, page.
 
 A table of options is a frozen dataclass made of its annotations. A field's name is its key in a study file
-(``box_mm``); `Opt.name`, by default the key without its unit, is the flag and the keyword in Python (``--box``,
-``box=``). All faults of what a user gives come together.
+(``box_mm``); `Opt.name`, by default the key without its unit, is the flag and the keyword in Python
+(``--box``, ``box=``). All faults of what a user gives come together.
 
     class ScanOptions(Options):
         table = "scan"
@@ -138,7 +138,7 @@ class Options:
     @classmethod
     def entries(cls) -> tuple[Entry, ...]:
         """Return every option of the table."""
-        return _entries(cls)
+        return _entries(cls)  # type: ignore[arg-type]
 
     @classmethod
     def key_names(cls) -> tuple[str, ...]:

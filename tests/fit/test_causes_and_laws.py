@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fitting import choices
 from fitting.causes import UNKNOWNS, candidates
 from fitting.data import data_of
 from fitting.evidence import log_odds
@@ -33,6 +34,10 @@ def test_every_unknown_changes_the_equations_and_nothing_at_zero():
         assert any(not np.array_equal(getattr(moved, name), getattr(base, name)) for name in fields), (
             unknown.name
         )
+
+
+def test_every_unknown_may_be_asked_for():
+    assert tuple(UNKNOWNS) == choices.UNKNOWNS
 
 
 def test_odds_are_those_of_a_normal_prior():

@@ -117,6 +117,7 @@ def test_frame_and_plot_and_table(ear):
     assert frame["value"].to_numpy() == pytest.approx(result.values)
     assert frame["unit"].iloc[0] == "N/m"
     drawn = result.plot()
+    assert hasattr(drawn, "_repr_png_")  # a notebook shows it
     assert len(drawn.axes) == 6
 
 

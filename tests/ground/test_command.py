@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import signal
@@ -11,6 +12,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+import stapeskit
 
 PROGRAM = """
 import sys, time
@@ -117,3 +120,36 @@ def test_names_of_files_cannot_steer_the_terminal() -> None:
 
     assert printable("scan\x1b[31m.tif\n") == "scan?[31m.tif\n"
     assert printable("µ ± °\t1") == "µ ± °\t1"
+
+
+ROOMS = {"ct2mass": "ct_inertia", "points2dof": "kinematics", "dof2kd": "fitting", "scan2kd": "pipeline"}
+HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "pydantic", "h5py", "pyvista"}
+
+
+@pytest.mark.parametrize("command", ROOMS)
+def test_help_loads_no_library_that_computes(command: str) -> None:
+    program = (
+        "import atexit, sys\n"
+        "atexit.register(lambda: sys.stderr.write(' '.join(sys.modules)))\n"
+        f"sys.argv = ['{command}', '--help']\n"
+        f"from {ROOMS[command]}.cli import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout.startswith(f"usage: {command}")
+    assert not HEAVY & set(done.stderr.split())
+
+
+@pytest.mark.parametrize("command", ["ct2mass", "points2dof", "dof2kd"])
+def test_a_function_shows_every_option_of_its_command(command: str) -> None:
+    """`inspect.signature` is what notebooks complete from: names, types, defaults."""
+    from pipeline.options_page import COMMANDS
+
+    shown = inspect.signature(getattr(stapeskit, command)).parameters
+    table = COMMANDS[command][0]
+    entries = [entry for entry in table.entries() if not entry.opt.positional]
+    assert len(entries) > 10
+    for entry in entries:
+        assert shown[entry.name].default == entry.default
+        assert shown[entry.name].annotation == entry.annotation

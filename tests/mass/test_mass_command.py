@@ -153,6 +153,7 @@ def test_the_result_prints_draws_and_tabulates_itself() -> None:
     assert len(frame) == 21
     assert frame["standard_deviation_si"].notna().all()
     assert result.plot().axes
+    assert hasattr(result.plot(), "_repr_png_")
     assert "<table>" in result._repr_html_()
 
 

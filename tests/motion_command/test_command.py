@@ -131,6 +131,7 @@ def test_result_prints_a_screen_and_makes_table_and_figure(ear):
     assert list(frame.columns[:5]) == ["run", "body", "freq_hz", "x_re_m", "x_im_m"]
     assert len(frame) == 2 * 16
     assert len(result.plot().axes) == 12
+    assert hasattr(result.plot(), "_repr_png_")  # a notebook shows it
 
 
 def test_sections_go_into_any_page(ear):
