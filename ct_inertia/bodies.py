@@ -248,16 +248,16 @@ class BodySurface:
 
 @dataclass(frozen=True)
 class BorderContact:
-    """One plane in which the scan ends and the stapes does not.
+    """A border of the scan at which the stapes goes on: an outermost layer, or the rim of the field of view.
 
     Attributes
     ----------
     axis : str
-        ``x``, ``y`` or ``z``, across the plane.
+        ``x``, ``y`` or ``z``, across the layer; empty at the rim of a field of view.
     end : str
-        ``first`` or ``last`` layer of voxels along that axis.
+        ``first`` or ``last`` layer of voxels along that axis; empty at the rim.
     area_mm2 : float
-        Of the body in that layer.
+        Of the body there.
     centre_mm : ndarray, (3,)
         Its middle, scan coordinates.
     """
@@ -268,7 +268,8 @@ class BorderContact:
     centre_mm: Array
 
     def __str__(self) -> str:
-        return f"the {self.end} layer along {self.axis} ({self.area_mm2:.2g} mm2)"
+        place = f"the {self.end} layer along {self.axis}" if self.axis else "the rim of the field of view"
+        return f"{place} ({self.area_mm2:.2g} mm2)"
 
 
 @dataclass(frozen=True)

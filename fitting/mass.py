@@ -166,9 +166,10 @@ def has_products(matrix: Array, dof: tuple[str, ...]) -> bool:
 
 
 def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
-    """Read a square matrix without header, SI, in the order of ``dof`` or of all six degrees of freedom.
+    """Read a square matrix, SI, in the order of ``dof``, of all six degrees of freedom, or of its own names.
 
-    Comma separated, or with semicolons or tabs, where a comma is a decimal comma.
+    Comma separated, or with semicolons or tabs, where a comma is a decimal comma. A first row of names of
+    degrees of freedom, and such a first column, order the matrix.
 
     Raises
     ------
@@ -187,35 +188,73 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
     for mark in (";", "\t"):
         if mark in text:
             text = text.replace(",", ".").replace(mark, ",")
-    rows = [(line, words) for line, words in enumerate(text.splitlines(), 1) if words.strip()]
+    rows = [
+        (line, [cell.strip(' "') for cell in words.split(",")])
+        for line, words in enumerate(text.splitlines(), 1)
+        if words.strip(' ",')
+    ]
+    names, rows = _without_names(rows, path.name)
+    if names and not set(dof) <= set(names):
+        wanted = f"of the degrees of freedom {','.join(dof)}"
+        raise StapeskitError.of("M.csv", wanted, ",".join(names), path.name, "Give a larger M, or --dof")
+    wanted_names = names or dof
     faults = list[Fault]()
-    values = [_numbers(words, Place(path.name, "row", (line,)), faults) for line, words in rows]
-    if rows and all(cell.strip(' "')[:1].isalpha() for cell in rows[0][1].split(",")):
-        cells = [cell.strip(' "') for cell in rows[0][1].split(",")]
-        step = "Remove the header"
-        if "freq_hz" in cells:
-            step = "It looks like the motion of points2dof: give that first, and the mass with --mass"
-        wanted = "numbers separated by commas, without a header"
-        raise StapeskitError.of("M.csv", wanted, list_some(cells, 6), Place(path.name, "row", (1,)), step)
+    values = [_numbers(cells, Place(path.name, "row", (line,)), faults) for line, cells in rows]
     raise_all(faults)
-    if len(values) not in (len(dof), 6) or any(len(row) != len(values) for row in values):
+    sizes = (len(names),) if names else (len(dof), 6)
+    if len(values) not in sizes or any(len(row) != len(values) for row in values):
         widths = sorted({len(row) for row in values}) or [0]
-        wanted = f"{len(dof)} x {len(dof)} for --dof {','.join(dof)}, or 6 x 6"
+        wanted = f"{len(wanted_names)} x {len(wanted_names)} for {','.join(wanted_names)}"
+        wanted += "" if names else ", or 6 x 6"
         got = f"{len(values)} rows of {' or '.join(map(str, widths))} numbers"
         raise StapeskitError.of("M.csv", wanted, got, path.name, "Give M in the order of --dof")
     matrix = np.array(values)
+    if names:
+        places = [names.index(name) for name in (DOF_NAMES if len(names) == len(DOF_NAMES) else dof)]
+        matrix = matrix[np.ix_(places, places)]
     check_mass(matrix, path.name)
     return matrix
 
 
-def _numbers(words: str, place: Place, faults: list[Fault]) -> list[float]:
+_Row = tuple[int, list[str]]
+
+
+def _without_names(rows: list[_Row], file: str) -> tuple[tuple[str, ...], list[_Row]]:
+    """Take names of degrees of freedom off the first row and column, as pandas and spreadsheets write them.
+
+    Raises
+    ------
+    StapeskitError
+        The first row holds words that are no degrees of freedom, or the first column has another order.
+    """
+    if not rows or not all(cell == "" or cell[0].isalpha() for cell in rows[0][1]):
+        return (), rows
+    line, head = rows[0]
+    names = tuple(cell.lower() for cell in head if cell)
+    if not set(names) <= set(DOF_NAMES) or len(set(names)) < len(names):
+        step = f"Remove the first row, or name degrees of freedom in it ({', '.join(DOF_NAMES)})"
+        if "freq_hz" in names:
+            step = "It looks like the motion of points2dof: give that first, and the mass with --mass"
+        wanted = "numbers separated by commas"
+        raise StapeskitError.of("M.csv", wanted, list_some(head, 6), Place(file, "row", (line,)), step)
+    below = rows[1:]
+    first = tuple(cells[0].lower() for _, cells in below)
+    if first == names:
+        return names, [(number, cells[1:]) for number, cells in below]
+    if any(cell[:1].isalpha() for cell in first):
+        wanted = f"named in the order of its first row ({', '.join(names)})"
+        raise StapeskitError.of("the first column of M.csv", wanted, list_some(first, 6), file)
+    return names, below
+
+
+def _numbers(cells: list[str], place: Place, faults: list[Fault]) -> list[float]:
     """Return the numbers of a row, and add the faults of its cells."""
     numbers = []
-    for column, cell in enumerate(words.split(","), 1):
+    for column, cell in enumerate(cells, 1):
         try:
             numbers.append(float(cell))
         except ValueError:
-            shown = f'"{cell.strip()[:40]}"' if cell.strip() else "an empty cell"
+            shown = f'"{cell[:40]}"' if cell else "an empty cell"
             where = Place(place.file, place.unit, place.numbers, f"column {column}")
             step = "Write SI numbers with decimal points and commas between them"
             faults.append(Fault("M.csv", "numbers separated by commas", shown, where, step))

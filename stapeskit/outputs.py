@@ -46,6 +46,7 @@ class Outputs:
             tuple(names),
             force,
         )
+        self._written = self.names
         files = [file for path in inputs for file in _with_contents(Path(path))]
         self._inputs = {key: file for file in files if (key := _identity(file)) is not None}
 
@@ -93,6 +94,7 @@ class Outputs:
             files = sorted(path for path in stage.rglob("*") if path.is_file())
             written = {path.relative_to(stage).as_posix(): sha256(path) for path in files}
             self.check(written)
+            self._written = tuple(written)
             manifest = self._manifest()
             earlier = manifest.get(self.command, {})
             stale = [name for name in earlier if name in self.names and name not in written]
@@ -116,8 +118,10 @@ class Outputs:
         )
 
     def paths(self) -> tuple[Path, ...]:
-        """Return the files that the command is known to have written."""
-        return tuple(self.folder / name for name in self._manifest().get(self.command, {}))
+        """Return the outputs that are there, relative to the working folder where they lie within it."""
+        known = self._manifest().get(self.command, {})
+        folder = Path(os.path.relpath(self.folder)) if self.folder.is_relative_to(Path.cwd()) else self.folder
+        return tuple(folder / name for name in known if name in self._written)
 
     def _check_folder(self) -> None:
         for parent in (self.folder, *self.folder.parents):

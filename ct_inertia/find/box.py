@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,9 @@ def read_box(
         single=single,
     )
     measured = None if overview is None else _measured(box, overview)
-    return box if measured is None else _with_measured(box, measured)
+    if overview is None or measured is None:
+        return box
+    return _as_air(box, measured, float(overview.levels[0]))
 
 
 def from_coarse(box: Box, mask: NDArray[Any], first: Index, step: Index) -> NDArray[Any]:
@@ -129,7 +132,14 @@ def _measured(box: Box, overview: Overview) -> Mask | None:
     return ~(grown(outside) if np.any(box.block > 1) else outside)
 
 
-def _with_measured(box: Box, measured: Mask) -> Box:
-    from dataclasses import replace
+def _as_air(box: Box, measured: Mask, air: float) -> Box:
+    """Let what was not measured hold air: a constant far from it would leak into every blur beside it.
 
-    return replace(box, measured=measured)
+    The value is the stored one nearest to the level of air, so that no new grey step appears.
+    """
+    stored = box.grey if box.single is None else box.single
+    known = np.unique(stored[measured])
+    nearest = known[np.argmin(np.abs(known.astype(float) - air))]
+    grey = np.where(measured, box.grey, np.float32(nearest))
+    single = None if box.single is None else np.where(measured, box.single, nearest)
+    return replace(box, grey=grey, single=single, measured=measured)

@@ -13,7 +13,7 @@ from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, M
 from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, from_coarse, read_box
 from ct_inertia.find.choose import Candidate, choose
 from ct_inertia.find.distance import used_box
-from ct_inertia.find.overview import Overview, look_at, noise_of, smooth_noise
+from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, smooth_noise
 from ct_inertia.find.pieces import describe
 from ct_inertia.find.plate import find_plate, plate_mask
 from ct_inertia.scan.scan import Scan
@@ -71,7 +71,7 @@ def find_stapes(
     tell("cutting the stapes out")
     labelled = _label(scan, overview, chosen)
     named = search.seed_mm is not None
-    return replace(labelled, named=named, notices=(*_scan_notices(overview), *labelled.notices, *notices))
+    return replace(labelled, named=named, notices=(*scan_notices(overview), *labelled.notices, *notices))
 
 
 def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
@@ -92,7 +92,6 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         region = None
     if overview.is_mask:
         box = replace(box, grey=view.own.astype(np.float32), is_mask=True)
-    share = 0.0 if overview.unmeasured is None else float(np.mean(overview.unmeasured))
     return Labelled(
         box=box,
         stapes=view.own,
@@ -105,7 +104,7 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         plastic=reading.plastic,
         noise=view.noise,
         separation=Separation(view.method) if chosen.split is None else chosen.split.separation(),
-        unmeasured_share=share,
+        unmeasured_share=overview.unmeasured_share,
         evidence=_evidence(overview, chosen),
         notices=_separation_notices(chosen),
     )
@@ -240,27 +239,6 @@ def _cells(overview: Overview, chosen: Candidate, own: Mask, region: PlateRegion
             free = labels[z, y, x] == 0
             labels[z[free], y[free], x[free]] = PLATE
     return Cells(labels, np.zeros(3, dtype=np.int64), overview.step)
-
-
-def _scan_notices(overview: Overview) -> list[Notice]:
-    """Report a thresholded scan, and a constant outside of the field of view."""
-    notices = []
-    if overview.is_mask:
-        text = (
-            f"The scan holds {overview.levels.size} grey values: it was thresholded, or is a label volume "
-            "(then give it with --labels). It is measured as the solid that its voxels fill; where its "
-            "surface lies within a voxel is lost (budget: voxels). Give the grey values as they were "
-            "reconstructed."
-        )
-        notices.append(Notice("scan_thresholded", text))
-    if overview.unmeasured is not None:
-        share = 100.0 * float(np.mean(overview.unmeasured))
-        text = (
-            f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
-            "field of view: it was not measured and takes no part in levels, noise and surroundings."
-        )
-        notices.append(Notice("outside_not_measured", text))
-    return notices
 
 
 def _separation_notices(chosen: Candidate) -> tuple[Notice, ...]:

@@ -18,6 +18,7 @@ LEAST_VOXELS = 50
 """Of a label that is a body: stray strokes of a brush have fewer."""
 
 _MOST_ISLANDS = 0.05  # of the stapes that are slips of the brush; beyond, a body may have been drawn in parts
+_MOST_BODIES = 255  # numbers of a label volume: what a byte holds
 _MOST_BYTES = 1 << 32  # of labels that are held in memory, one byte a voxel
 
 
@@ -50,7 +51,6 @@ def read_labels(labels: Scan, stapes_label: int | None, plate_label: int | None)
         Too large, no whole numbers, hardly a voxel of the stapes' number, or islands that are no slips of the
         brush.
     """
-    number, plate = body_numbers(labels.segment_names, stapes_label, plate_label, labels.name)
     if int(np.prod(labels.shape, dtype=np.int64)) > _MOST_BYTES:
         raise StapeskitError.of(
             "the label volume",
@@ -59,36 +59,53 @@ def read_labels(labels: Scan, stapes_label: int | None, plate_label: int | None)
             labels.name,
             "Crop it to what it labels",
         )
-    result = np.zeros(labels.shape, dtype=np.uint8)
-    present: set[int] = set()
-    planes = max(1, (1 << 22) // (labels.shape[1] * labels.shape[2]))
-    for first, slab in labels.slabs(planes):
-        if slab.dtype.kind == "f" and np.any(slab != np.rint(slab)):
-            raise StapeskitError.of(
-                "the label volume",
-                "whole numbers, one for each body",
-                "grey values",
-                labels.name,
-                "Give the scan as the first argument and its segmentation with --labels",
-            )
-        part = result[first : first + len(slab)]
-        part[slab != 0] = OTHER_BONE
-        part[slab == number] = STAPES
-        if plate is not None:
-            part[slab == plate] = PLATE
-        if len(present) < 12:
-            present |= set(np.unique(slab[::4, ::4, ::4]).astype(int).tolist())
+    result, codes = _read_codes(labels)
+    number, plate = body_numbers(labels.segment_names, sorted(codes), stapes_label, plate_label, labels.name)
+    body = np.full(256, OTHER_BONE, dtype=np.uint8)
+    body[0] = 0
+    body[codes[number]] = STAPES
+    if plate is not None:
+        body[codes[plate]] = PLATE
+    for plane in result:
+        plane[...] = body[plane]
     count = int(np.count_nonzero(result == STAPES))
     if count < LEAST_VOXELS:
         raise StapeskitError.of(
             "the label volume",
-            f"one with voxels of the stapes (number {number})",
-            f"{count} of them; numbers present: {', '.join(map(str, sorted(present)[:12]))}",
+            f"one with a stapes (number {number})",
+            f"{count} voxels of it; numbers present: {', '.join(map(str, sorted(codes)[:12]))}",
             labels.name,
             "Name the stapes' number with --stapes-label",
         )
     notices = _drop_islands(result, labels)
     return DrawnLabels(labels, result, bool(np.any(result == PLATE)), (*labels.notices, *notices))
+
+
+def _read_codes(labels: Scan) -> tuple[NDArray[np.uint8], dict[int, int]]:
+    """Read a label volume as bytes [z, y, x], 0 for background, and the byte of each number in it.
+
+    Raises
+    ------
+    StapeskitError
+        No whole numbers, or more of them than a label volume has.
+    """
+    result = np.zeros(labels.shape, dtype=np.uint8)
+    codes: dict[int, int] = {}
+    planes = max(1, (1 << 22) // (labels.shape[1] * labels.shape[2]))
+    for first, slab in labels.slabs(planes):
+        numbers = np.unique(slab[slab != 0])
+        if np.any(numbers != np.rint(numbers)) or len(codes.keys() | set(numbers.astype(int))) > _MOST_BODIES:
+            raise StapeskitError.of(
+                "the label volume",
+                f"whole numbers, one for each body, at most {_MOST_BODIES} of them",
+                "grey values",
+                labels.name,
+                "Give the scan as the first argument and its segmentation with --labels",
+            )
+        part = result[first : first + len(slab)]
+        for number in numbers:
+            part[slab == number] = codes.setdefault(int(number), len(codes) + 1)
+    return result, codes
 
 
 def _drop_islands(result: NDArray[np.uint8], labels: Scan) -> list[Notice]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from ct_inertia.find.box import read_box
 from ct_inertia.find.choose import Reading, readings
 from ct_inertia.find.distance import capped_distance, used_box
 from ct_inertia.find.label_volume import LEAST_VOXELS, DrawnLabels, read_labels
-from ct_inertia.find.overview import look_at, noise_of
+from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
 from ct_inertia.find.pieces import describe
 from ct_inertia.find.plate import find_plate, mask_region, plate_mask
 from ct_inertia.scan.scan import Scan
@@ -129,12 +130,16 @@ def _flat_ends(stapes: Mask) -> dict[str, Mask]:
 
 
 def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
-    """Lay labels on a scan: bodies by the labels, surfaces by the grey values."""
+    """Lay labels on a scan: bodies by the labels, surfaces by the grey values where there are any."""
     offset = _offset(drawn, scan)
+    overview = look_at(scan)
+    if overview.is_mask:
+        alone = _alone(drawn)
+        return replace(alone, notices=(*scan_notices(overview), *alone.notices))
     used = used_box(drawn.labels == STAPES) or (slice(0, 1),) * 3
     low = np.array([k.start for k in used[::-1]]) + offset
     high = np.array([k.stop for k in used[::-1]]) + offset
-    box = read_box(scan, low, high, float(scan.spacing_mm.min()))
+    box = read_box(scan, low, high, float(scan.spacing_mm.min()), overview)
     local = np.zeros(box.shape, dtype=np.uint8)
     shape = np.array(box.shape[::-1])
     start, stop = np.maximum(box.first, offset), np.minimum(box.first + shape, offset + drawn.scan.size)
@@ -152,7 +157,7 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
     plastic_mask = local == PLATE
     plastic = float(np.median(box.grey[plastic_mask])) if plastic_mask.any() else None
     if not drawn.has_plate:
-        region = _plate_in_scan(scan, drawn, offset)
+        region = _plate_in_scan(scan, overview, drawn, offset)
         if region is not None:
             quiet_bone = box.grey > np.float32(0.5 * (air + bone))
             plastic_mask, plastic = (
@@ -162,7 +167,8 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
         if region is not None and region.immersing:
             region = None
     stapes, other = _by_grey_values(box, local, plastic_mask, 0.5 * (air + bone))
-    notices = [*drawn.notices, *_cut_by_labels(drawn, scan, offset, 0.5 * (air + bone))]
+    cut = _cut_by_labels(drawn, scan, offset, 0.5 * (air + bone))
+    notices = [*scan_notices(overview), *drawn.notices, *cut]
     return Labelled(
         box=box,
         stapes=stapes,
@@ -174,6 +180,7 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
         bone=bone,
         plastic=plastic,
         noise=noise_of(box.grey),
+        unmeasured_share=overview.unmeasured_share,
         separation=Separation("labels made elsewhere"),
         named=True,
         evidence={"bodies_from": "labels on the scan", "bone_above": 0.5 * (air + bone)},
@@ -258,11 +265,8 @@ def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: f
     return parts == 1, parts == 2
 
 
-def _plate_in_scan(scan: Scan, drawn: DrawnLabels, offset: Index) -> PlateRegion | None:
+def _plate_in_scan(scan: Scan, overview: Overview, drawn: DrawnLabels, offset: Index) -> PlateRegion | None:
     """Seek the plate in the grey values where the labels hold none."""
-    overview = look_at(scan)
-    if overview.is_mask:
-        return None
     reading: Reading | None = next(
         (one for one in readings(overview.levels, None) if one.plastic is not None), None
     )

@@ -12,6 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.scan.scan import Scan
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
 
 _TARGET_MM = 0.05  # a stapes is 3 mm high: 60 coarse voxels
 _MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
@@ -37,6 +38,7 @@ class Overview:
     Attributes
     ----------
     grey : ndarray of float32, [z, y, x]
+        What was not measured counts as air.
     step : ndarray of int, (3,)
         Voxels of the scan per coarse voxel along x, y, z; coarse voxel 0 is voxel ``step // 2``.
     spacing_mm : ndarray, (3,)
@@ -66,6 +68,11 @@ class Overview:
     def voxel_mm3(self) -> float:
         """Volume of one coarse voxel, mm3."""
         return float(np.prod(self.spacing_mm))
+
+    @property
+    def unmeasured_share(self) -> float:
+        """Share of the scan outside of its field of view."""
+        return 0.0 if self.unmeasured is None else float(np.mean(self.unmeasured))
 
     def calm(self, contrast: float) -> Grey:
         """Return the grey values, smoothed where noise would make holes and specks of a threshold."""
@@ -101,7 +108,30 @@ def look_at(scan: Scan) -> Overview:
     if outside is not None and _lies_beside_bone(grey, outside, levels):
         padding, outside = None, None
         levels = material_levels(grey, noise, float(np.prod(spacing)), None)
+    if outside is not None:
+        grey[outside] = np.float32(levels[0])
     return Overview(grey, step, spacing, noise, levels, padding, outside)
+
+
+def scan_notices(overview: Overview) -> list[Notice]:
+    """Report a thresholded scan, and a constant outside of the field of view."""
+    notices = []
+    if overview.is_mask:
+        text = (
+            f"The scan holds {overview.levels.size} grey values: it was thresholded, or is a label volume "
+            "(then give it with --labels). It is measured as the solid that its voxels fill; where its "
+            "surface lies within a voxel is lost (budget: voxels). Give the grey values as they were "
+            "reconstructed."
+        )
+        notices.append(Notice("scan_thresholded", text))
+    if overview.unmeasured is not None:
+        share = 100.0 * overview.unmeasured_share
+        text = (
+            f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
+            "field of view: it was not measured and takes no part in levels, noise and surroundings."
+        )
+        notices.append(Notice("outside_not_measured", text))
+    return notices
 
 
 def _step(scan: Scan) -> Index:
@@ -153,7 +183,8 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     value = float(values[np.argmax(count)])
     if count.max() < 4:
         return None, None
-    solid = eroded(np.pad(grey == np.float32(value), 1, constant_values=True))[1:-1, 1:-1, 1:-1]
+    same = grey == np.float32(value)
+    solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
     if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
         return None, None
     labels = cc3d.connected_components(solid, connectivity=6)
@@ -161,7 +192,11 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     touching = np.zeros(int(labels.max()) + 1, dtype=bool)
     touching[np.concatenate(outermost)] = True
     touching[0] = False
-    outside = grown(touching[labels]) & (grey == np.float32(value))
+    outside = grown(touching[labels]) & same
+    joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
+    with_solid = np.zeros(int(joined.max()) + 1, dtype=bool)
+    with_solid[joined[outside]] = True
+    outside = with_solid[joined]
     return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
 
 

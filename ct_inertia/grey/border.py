@@ -8,6 +8,7 @@ import numpy as np
 
 from ct_inertia.bodies import BorderContact, Box, Grey, Mask, Moments
 from ct_inertia.grey.moments import sensitivity
+from ct_inertia.grey.start import grown
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -15,7 +16,7 @@ _HALF_BALL = 2.0 / (3.0 * np.sqrt(np.pi))  # volume of half a ball over its cros
 
 
 def border_contacts(stapes: Mask, box: Box) -> tuple[BorderContact, ...]:
-    """Return where a mask [z, y, x] reaches those ends of its box that are ends of the scan."""
+    """Return where a mask [z, y, x] reaches an end of the scan or what was not measured."""
     contacts = []
     for axis in range(3):
         area = box.voxel_mm3 / float(box.spacing_mm[axis])
@@ -30,6 +31,10 @@ def border_contacts(stapes: Mask, box: Box) -> tuple[BorderContact, ...]:
                 contacts.append(
                     BorderContact("xyz"[axis], end, count * area, box.scan_points(middle[None])[0])
                 )
+    if box.measured is not None and np.any(rim := stapes & grown(~box.measured)):
+        area = float(np.count_nonzero(rim)) * box.voxel_mm3 ** (2.0 / 3.0)
+        middle = np.argwhere(rim)[:, ::-1].mean(axis=0)
+        contacts.append(BorderContact("", "", area, box.scan_points(middle[None])[0]))
     return tuple(contacts)
 
 
@@ -43,14 +48,18 @@ def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Box, 
     """
     covariance = np.zeros((10, 10))
     for contact in contacts:
-        axis = "xyz".index(contact.axis)
-        place = 0 if contact.end == "first" else share.shape[2 - axis] - 1
-        layer = np.clip(np.take(share, place, axis=2 - axis), 0.0, 1.0)
-        area = float(layer.sum()) * box.voxel_mm3 / float(box.spacing_mm[axis])
+        area = _blurred_area(contact, share, box) if contact.axis else contact.area_mm2
         away = (contact.centre_mm - moments.centroid_mm)[None]
         step = sensitivity(away, moments.volume_mm3, 0.0)[0] * _HALF_BALL * area**1.5
         covariance += np.outer(step, step)
     return covariance
+
+
+def _blurred_area(contact: BorderContact, share: Grey, box: Box) -> float:
+    axis = "xyz".index(contact.axis)
+    place = 0 if contact.end == "first" else share.shape[2 - axis] - 1
+    layer = np.clip(np.take(share, place, axis=2 - axis), 0.0, 1.0)
+    return float(layer.sum()) * box.voxel_mm3 / float(box.spacing_mm[axis])
 
 
 def border_notice(contacts: Sequence[BorderContact]) -> Notice:

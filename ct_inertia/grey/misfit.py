@@ -110,7 +110,8 @@ def misfit_notice(found: list[PlaceMisfit]) -> Notice | None:
 
 def _places(fit: SceneFit) -> dict[str, Mask]:
     share = fit.shares["stapes"]
-    own = fit.side("stapes") & (fit.start.distances["stapes"] <= np.float32(fit.start.reach_mm))
+    reach = fit.start.distances["stapes"] <= np.float32(fit.start.reach_mm)
+    own = fit.side("stapes") & reach & fit.start.near
     void = own & fit.media.voids if fit.media.voids is not None else np.zeros_like(own)
     return {
         "void": void,

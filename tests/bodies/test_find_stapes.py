@@ -108,6 +108,34 @@ def test_a_round_field_of_view_is_not_air():
     assert np.mean(overview.unmeasured) == pytest.approx(np.mean(outside), abs=0.05)
 
 
+@pytest.mark.parametrize("value", [-32768, 0, 65535])
+def test_a_constant_however_near_the_bone_and_far_from_air_changes_nothing(value):
+    scan, placed = ear(gap_mm=0.12)
+    exact = true_moments(placed)
+    y, x = np.indices(scan.shape[1:])
+    middle = scan.index_points(exact.centroid_mm)
+    far = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 > (2.3 / scan.spacing_mm[0]) ** 2
+    grey = np.where(far, value, scan.read().astype(np.int32)).astype(np.float32)
+    found = measure(find_stapes(Scan.from_array(grey, scan.spacing_mm)))
+    assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 4.0 * found.moments.volume_sd_mm3
+    assert found.moments.volume_sd_mm3 < 0.01 * exact.volume_mm3
+    codes = {notice.code for notice in found.notices}
+    assert "outside_not_measured" in codes
+    assert not codes & {"touches_border", "grey_values_misfit", "soft_surroundings", "air_clipped"}
+
+
+def test_a_stapes_that_the_field_of_view_cuts_is_reported():
+    scan, placed = ear(gap_mm=0.12)
+    exact = true_moments(placed)
+    y, x = np.indices(scan.shape[1:])
+    middle = scan.index_points(exact.centroid_mm)
+    far = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 > (1.4 / scan.spacing_mm[0]) ** 2
+    grey = np.where(far, 0, scan.read()).astype(np.float32)
+    found = measure(find_stapes(Scan.from_array(grey, scan.spacing_mm)))
+    assert "touches_border" in {notice.code for notice in found.notices}
+    assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
+
+
 def test_a_mask_is_measured_as_a_mask():
     scan, placed = ear(**ALONE)
     exact = true_moments(placed).volume_mm3

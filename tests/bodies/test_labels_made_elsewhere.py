@@ -16,36 +16,43 @@ from tests.bodies.body_scenes import Ball, ear, true_moments
 PARTS = {"gap_mm": 0.12, "plate_gap_mm": 0.1}
 
 
-@pytest.mark.parametrize(
-    ("names", "given", "expected"),
-    [
-        ({}, (None, None), (1, 2)),
-        ({}, (3, None), (3, 2)),
-        ({}, (2, None), (2, None)),
-        ({4: "Stapes left", 7: "plate"}, (None, None), (4, 7)),
-        ({1: "Segment_1", 2: "Segment_2"}, (None, None), (1, 2)),
-        ({5: "stapes", 6: "stapes tendon"}, (None, None), (5, 2)),
-        ({1: "stapes", 2: "footplate ligament"}, (None, None), (1, None)),
-        ({1: "incus", 3: "bone"}, (3, None), (3, 2)),
-    ],
-)
-def test_numbers_by_option_by_name_or_by_custom(names, given, expected):
-    assert body_numbers(names, *given) == expected
+FOUND = [
+    ({5: "stapes", 6: "stapes tendon"}, [5, 6], None, None, (5, None)),
+    ({1: "incus", 3: "bone"}, [1, 3], 3, None, (3, None)),
+    ({1: "Segment_1", 2: "Segment_2"}, [1, 2], None, None, (1, 2)),
+    ({}, [1], None, None, (1, None)),
+    ({}, [1, 2, 3], None, None, (1, 2)),
+    ({1: "plate", 2: "Stapes left"}, [1, 2], None, None, (2, 1)),
+    ({1: "stapes", 4: "stapes muscle"}, [1, 4], None, None, (1, None)),
+    ({1: "Segment_1"}, [1], None, None, (1, None)),
+    ({1: "a", 2: "b"}, [1, 2, 7], 7, 2, (7, 2)),
+    ({5: "footplate", 6: "stapes"}, [5, 6], 6, None, (6, None)),
+]
 
 
-@pytest.mark.parametrize(
-    ("names", "given", "thing"),
-    [
-        ({1: "incus", 2: "malleus"}, (None, None), "the label volume"),
-        ({1: "stapes a", 2: "stapes b"}, (None, None), "the label volume"),
-        ({1: "stapes", 2: "footplate"}, (None, None), "the label volume"),
-        ({}, (4, 4), "--plate-label"),
-    ],
-)
-def test_names_that_leave_it_open_are_refused(names, given, thing):
-    with pytest.raises(StapeskitError) as error:
-        body_numbers(names, *given)
-    assert error.value.faults[0].thing == thing
+@pytest.mark.parametrize(("names", "present", "stapes", "plate", "expected"), FOUND)
+def test_names_win_over_numbers_and_options_over_names(names, present, stapes, plate, expected):
+    assert body_numbers(names, present, stapes, plate, "a.nrrd") == expected
+
+
+REFUSED = [
+    ({1: "incus", 2: "malleus"}, [1, 2], None, None),
+    ({}, [4], 4, 4),
+    ({1: "incus"}, [1], None, None),
+    ({}, [4], None, None),
+    ({1: "Segment_1", 2: "Segment_2", 4: "Segment_4"}, [1, 2, 4], None, None),
+    ({1: "stapes a", 2: "stapes b"}, [1, 2], None, None),
+    ({1: "stapes", 2: "footplate"}, [1, 2], None, None),
+    ({1: "stapes"}, [1, 2], None, 1),
+    ({}, [1, 2], 3, None),
+]
+
+
+@pytest.mark.parametrize(("names", "present", "stapes", "plate"), REFUSED)
+def test_labels_that_do_not_say_which_body_is_the_stapes(names, present, stapes, plate):
+    with pytest.raises(StapeskitError) as caught:
+        body_numbers(names, present, stapes, plate, "a.nrrd")
+    assert caught.value.faults[0].where == "a.nrrd"
 
 
 def drawn():

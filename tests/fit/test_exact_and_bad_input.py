@@ -248,3 +248,26 @@ def test_bodies_in_each_other_s_place_are_named():
     result = fit(ear.motion, ear.mass, structure="base", base="stapes")
     assert "bodies_exchanged" in codes(result)
     assert result.verdict.level == "do not use"
+
+
+NAMED = {
+    "as pandas writes it": ",y,alpha,gamma\ny,3,1,2\nalpha,1,5,0\ngamma,2,0,6\n",
+    "names above": "y,alpha,gamma\n3,1,2\n1,5,0\n2,0,6\n",
+    "another order": ";gamma;y;alpha\ngamma;6;2;0\ny;2;3,0;1\nalpha;0;1;5\n",
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_names_of_degrees_of_freedom_order_a_plain_matrix(tmp_path, name):
+    (tmp_path / "M.csv").write_text(NAMED[name])
+    expected = np.array([[3.0, 1.0, 2.0], [1.0, 5.0, 0.0], [2.0, 0.0, 6.0]])
+    assert np.array_equal(read_mass_csv(tmp_path / "M.csv", DOF), expected)
+
+
+@pytest.mark.parametrize(
+    "text", ["y,alpha\n3,1\n1,5\n", ",y,alpha,gamma\nalpha,3,1,2\ny,1,5,0\ngamma,2,0,6\n"]
+)
+def test_names_that_do_not_fit_a_plain_matrix(tmp_path, text):
+    (tmp_path / "M.csv").write_text(text)
+    with pytest.raises(StapeskitError):
+        read_mass_csv(tmp_path / "M.csv", DOF)

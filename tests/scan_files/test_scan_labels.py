@@ -7,9 +7,9 @@ import pytest
 import SimpleITK as sitk
 from scipy.spatial.transform import Rotation
 
-from ct_inertia.scan.label_file import SEGMENTS, body_numbers, write_crop, write_segmentation
+from ct_inertia.find.label_numbers import body_numbers
+from ct_inertia.scan.label_file import SEGMENTS, write_crop, write_segmentation
 from ct_inertia.scan.open_scan import open_labels, open_scan
-from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
 from tests.scan_files.scan_writers import SPACING, picture
 
@@ -83,37 +83,3 @@ def test_a_label_file_keeps_its_own_spacing(tmp_path):
     assert grid.spacing_mm == pytest.approx(SPACING)
     _, grid = open_labels(w.plain(tmp_path / "a.tif", LABELS), 0.5)
     assert grid.spacing_mm == pytest.approx([0.5] * 3)
-
-
-FOUND = [
-    ({}, [1], None, None, (1, None)),
-    ({}, [1, 2, 3], None, None, (1, 2)),
-    ({1: "plate", 2: "Stapes left"}, [1, 2], None, None, (2, 1)),
-    ({1: "stapes", 4: "stapes muscle"}, [1, 4], None, None, (1, None)),
-    ({1: "Segment_1"}, [1], None, None, (1, None)),
-    ({1: "a", 2: "b"}, [1, 2, 7], 7, 2, (7, 2)),
-    ({5: "footplate", 6: "stapes"}, [5, 6], 6, None, (6, None)),
-]
-
-
-@pytest.mark.parametrize(("names", "present", "stapes", "plate", "expected"), FOUND)
-def test_names_win_over_numbers_and_options_over_names(names, present, stapes, plate, expected):
-    assert body_numbers(names, present, stapes, plate, "a.nrrd") == expected
-
-
-REFUSED = [
-    ({1: "incus"}, [1], None, None),
-    ({}, [4], None, None),
-    ({1: "Segment_1", 2: "Segment_2", 4: "Segment_4"}, [1, 2, 4], None, None),
-    ({1: "stapes a", 2: "stapes b"}, [1, 2], None, None),
-    ({1: "stapes", 2: "footplate"}, [1, 2], None, None),
-    ({1: "stapes"}, [1, 2], None, 1),
-    ({}, [1, 2], 3, None),
-]
-
-
-@pytest.mark.parametrize(("names", "present", "stapes", "plate"), REFUSED)
-def test_labels_that_do_not_say_which_body_is_the_stapes(names, present, stapes, plate):
-    with pytest.raises(StapeskitError) as caught:
-        body_numbers(names, present, stapes, plate, "a.nrrd")
-    assert caught.value.faults[0].where == "a.nrrd"
