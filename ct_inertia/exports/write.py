@@ -134,16 +134,10 @@ def lighter(surface: Surface, smooth: int | None, faces: int | None) -> Surface:
     """
     if not smooth and (faces is None or faces >= len(surface.faces)):
         return surface
-    try:
-        import pymeshlab
-    except (ImportError, OSError) as fault:
-        step = "Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)"
-        raise StapeskitError.of(
-            "--smooth and --faces", "used where pymeshlab works", fault, next_step=step
-        ) from fault
+    from ct_inertia.surface.meshlab import mesh_set
+
     middle = surface.vertices_mm.mean(axis=0)
-    meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(surface.vertices_mm - middle, surface.faces.astype(np.int32)))
+    meshes = mesh_set(surface.vertices_mm - middle, surface.faces, "--smooth and --faces")
     if smooth:
         meshes.apply_coord_taubin_smoothing(stepsmoothnum=smooth, **_TAUBIN)
     if faces is not None and faces < len(surface.faces):

@@ -23,7 +23,6 @@ Faces = NDArray[np.int64]
 
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
-_LARGEST_HOLE = 1 << 20  # edges
 
 
 @dataclass(frozen=True)
@@ -232,22 +231,13 @@ def _pieces(faces: Faces) -> list[NDArray[np.intp]]:
 
 def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str]:
     """Close an open mesh, and say how: holes of one piece are filled, several open pieces wound around."""
-    import pymeshlab
-
+    from ct_inertia.surface.meshlab import filled
     from ct_inertia.surface.winding import winding_surface
 
     if sum(len(boundary_edges(faces[piece])) > 0 for piece in _pieces(faces)) == 1:
-        meshes = pymeshlab.MeshSet(verbose=False)
-        meshes.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32)))
-        try:
-            meshes.meshing_repair_non_manifold_edges()
-            meshes.meshing_re_orient_faces_coherently()
-            meshes.meshing_close_holes(maxholesize=_LARGEST_HOLE, selfintersection=False)
-            filled = meshes.current_mesh().face_matrix().astype(np.int64)
-            if not len(boundary_edges(filled)):
-                return meshes.current_mesh().vertex_matrix(), filled, "its holes were filled"
-        except pymeshlab.PyMeshLabException:
-            pass  # holes that cannot be filled: the winding number needs none
+        mesh = filled(vertices, faces)
+        if mesh is not None and not len(boundary_edges(mesh[1])):
+            return *mesh, "its holes were filled"
     vertices, faces, step_mm = winding_surface(vertices, faces, name)
     grid = f"a grid of {step_mm:.2g} mm"
     how = f"its open pieces were replaced by the surface of winding number one half on {grid}"
@@ -278,13 +268,13 @@ def _oriented(vertices: Array, faces: Faces, name: str) -> tuple[Faces, int]:
 
 def _coherent(vertices: Array, faces: Faces) -> Faces:
     """Return the faces with neighbours wound alike, by a walk over each piece."""
-    import pymeshlab
+    from ct_inertia.surface.surface import as_mesh
 
-    meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32)))
-    meshes.meshing_re_orient_faces_coherently()
-    found = meshes.current_mesh().face_matrix().astype(np.int64)
-    # Its faces begin at another corner: only the sense counts.
+    mesh = as_mesh(vertices, faces).compute_normals(
+        cell_normals=True, point_normals=False, split_vertices=False, consistent_normals=True
+    )
+    found = np.asarray(mesh.regular_faces, dtype=np.int64)
+    # A turned face may begin at another corner: only the sense counts.
     first = np.argmax(found == faces[:, :1], axis=1)
     same = np.take_along_axis(found, (first[:, None] + 1) % 3, axis=1)[:, 0] == faces[:, 1]
     return np.where(same[:, None], faces, faces[:, ::-1])
