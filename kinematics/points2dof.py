@@ -26,11 +26,12 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
 from kinematics.place.calibration import Calibration, calibrate
+from kinematics.place.channel_errors import body_starts
 from kinematics.place.handedness import check_axes
 from kinematics.place.lasers import LaserAgreement, laser_agreement
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement
-from kinematics.place.shared_errors import Parameter, correction_parameters, shared_errors
+from kinematics.place.shared_errors import Parameter, effects, shared_errors
 from kinematics.place.surfaces import Surface, surfaces_of
 from kinematics.repeats import pool_repeats
 from kinematics.results import MotionResult
@@ -233,7 +234,11 @@ def _correct(
 ) -> tuple[_Fitted, list[Correction]]:
     """Return the fits of bodies with what was found applied."""
     placed = fitted.placed
-    done = [corrected(body, diagnoses[number], placed.freq_hz) for number, body in enumerate(placed.bodies)]
+    starts = body_starts(placed)
+    done = [
+        corrected(body, diagnoses[number], placed.freq_hz, starts[number])
+        for number, body in enumerate(placed.bodies)
+    ]
     bodies = tuple(one.body for one in done)
     return _fit(replace(placed, bodies=bodies), options), done
 
@@ -272,13 +277,14 @@ def _motion(
 
     more: list[tuple[Sequence[Parameter], Array]] = []
     if calibration is not None:
-        more.append((calibration.parameters, calibration.covariance))
-    more += [correction_parameters(placed, number, one) for number, one in enumerate(corrections)]
+        found = calibration.estimate
+        more.append((effects(placed, found.errors, "calibration."), found.covariance))
+    more += [(effects(placed, one.errors, "correction."), one.covariance) for one in corrections]
     shared = shared_errors(placed, fits, placement, lasers, more, positions=calibration is None)
     q = stacked("q")
     if lasers is not None and shared is not None:
         q = q + np.tensordot(
-            lasers.values, shared.derivatives[len(shared.names) - len(lasers.names) :], axes=1
+            lasers.estimate.values, shared.derivatives[-len(lasers.estimate.values) :], axes=1
         )
     return RigidMotion(
         placed.runs,
@@ -306,7 +312,8 @@ def _provenance(
     parameters = {**options.parameters(), "frame": options.source_frame}
     if taken:
         parameters["found_beside"] = sorted(taken)
-    block = record(inputs, parameters, command)
+    frames = [options.frame or "footplate"] if read.fiducials is None else sorted({*read.fiducials.frames})
+    block = record(inputs, parameters, command) | {"registered_in": frames}
     return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
 
 

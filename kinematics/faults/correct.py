@@ -10,7 +10,8 @@ from kinematics.faults.kinds import KINDS, Finding, free
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.sentences import culprit, describe
 from kinematics.joint.estimate import joint
-from kinematics.joint.tangents import Geometry, Parameters
+from kinematics.joint.expected import ChannelError
+from kinematics.joint.tangents import DELAY, Geometry, Parameters
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -24,22 +25,20 @@ class Correction:
     ----------
     body : BodyChannels
         With other values, directions, positions and sd; NaN in channels that are left out.
-    parameters : Parameters
+    errors : tuple of ChannelError, (p,)
         What was corrected by an estimate: its error is shared by all lines.
-    names : tuple of str, (p,)
     covariance : ndarray, (p, p)
-        Of the estimates; delays in rad at the mean frequency.
+        Of the estimates, SI.
     notices : tuple of Notice
     """
 
     body: BodyChannels
-    parameters: Parameters
-    names: tuple[str, ...]
+    errors: tuple[ChannelError, ...]
     covariance: Array
     notices: tuple[Notice, ...]
 
 
-def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array) -> Correction:
+def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: int = 0) -> Correction:
     """Correct a body by the findings.
 
     Faults of lasers and of all beams are corrected by their estimate, whose covariance remains as a shared
@@ -51,52 +50,62 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array) -> Corre
     body : BodyChannels
     diagnosis : Diagnosis
     freq_hz : ndarray, (L,)
+    first : int
+        Number of its first channel among those of all bodies.
     """
-    channels = len(body.points)
-    estimated = [one for one in diagnosis.findings if one.owner in ("laser", "body") and one.kind in KINDS]
-    parameters = Parameters.of(channels)
-    for one in estimated:
-        parameters = parameters + free(one.kind, one.channels, channels)
-    readings = diagnosis.last.readings
+    count = len(body.points)
+    estimated = [one for one in diagnosis.findings if _how(one) == _ESTIMATED]
+    last = diagnosis.last
+    readings = last.readings
+    parameters = sum((free(one.kind, one.channels, count) for one in estimated), Parameters.of(count))
     mean_hz = float(np.mean(readings.freq_hz))
-    values = [one.values * (2.0 * np.pi * mean_hz if one.kind == "delay" else 1.0) for one in estimated]
-    x = np.concatenate(values) if values else np.zeros(0)
-    tau = np.linspace(-1.0, 1.0, len(freq_hz))
-    base = Geometry(body.arms_m, body.directions, np.ones((1, channels), dtype=complex))
-    geometry = base.moved(parameters, x, tau, freq_hz / mean_hz)
-    value = body.value / geometry.factor.T
-    louder = np.where(np.isfinite(readings.noise_factor), readings.noise_factor, 1.0)
-    value[:, ~np.isfinite(readings.noise_factor)] = np.nan
+    unit = np.where(parameters.tangent == DELAY, 2.0 * np.pi * mean_hz, 1.0)
+    values = unit * np.concatenate([np.zeros(0), *(one.values for one in estimated)])
+    base = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
+    moved = base.moved(parameters, values, np.linspace(-1.0, 1.0, len(freq_hz)), freq_hz / mean_hz)
+    left_out = ~np.isfinite(readings.noise_factor)
+    value = body.value / moved.factor.T
+    value[:, left_out] = np.nan
     for one in diagnosis.findings:
-        if one.verdict == "sign" and one.owner in ("channel", "point") and one.kind == "gain":
+        if _how(one) == _REVERSED:
             value[:, list(one.channels)] = -body.value[:, list(one.channels)]
-    sd = None if body.sd is None else body.sd * louder[:, None] / np.abs(geometry.factor.T)
+    louder = np.where(left_out, 1.0, readings.noise_factor)
     shift = readings.geometry.positions_m - diagnosis.first.readings.geometry.positions_m
-    directions = readings.geometry.directions
-    changed = replace(body, value=value, sd=sd, positions_m=body.arms_m + shift, directions=directions)
-    notices = [Notice("corrected", f"{culprit(one, body)}: {_done(one)} ({describe(one, body)}).")
-               for one in diagnosis.findings]  # fmt: skip
-    covariance = np.zeros((0, 0))
-    if len(parameters):
-        last = diagnosis.last
-        fit = joint(last.packed, parameters + last.expected, np.concatenate([0.0 * x, last.estimate.values]))
-        covariance = fit.covariance[: len(x), : len(x)] * last.noise.level
-    names = tuple(
-        f"correction.{body.body}.{one.owner}_{number + 1}.{one.kind}_{k + 1}"
-        for number, one in enumerate(estimated)
-        for k in range(len(one.values))
+    changed = replace(
+        body,
+        value=value,
+        sd=None if body.sd is None else body.sd * louder[:, None] / np.abs(moved.factor.T),
+        positions_m=body.arms_m + shift,
+        directions=readings.geometry.directions,
     )
-    return Correction(changed, parameters, names, covariance, tuple(notices))
+    fit = joint(last.packed, parameters + last.expected, np.concatenate([0.0 * values, last.estimate.values]))
+    size = len(parameters)
+    covariance = fit.covariance[:size, :size] * last.noise.level / np.outer(unit, unit)
+    return Correction(changed, _errors(body, estimated, first), covariance, tuple(
+        Notice("corrected", f"{culprit(one, body)}: {_how(one)} ({describe(one, body)}).")
+        for one in diagnosis.findings
+    ))  # fmt: skip
 
 
-def _done(one: Finding) -> str:
-    """Say what was done about a finding."""
-    if one.kind == "label_swap":
-        return "exchanged back"
-    if one.kind == "noise":
-        return "given its larger noise"
+_ESTIMATED, _REVERSED = "corrected by the estimate", "sign reversed"
+
+
+def _how(one: Finding) -> str:
+    """Say what is done about a finding."""
+    if one.kind in ("label_swap", "noise", "flexible"):
+        words = {"label_swap": "exchanged back", "noise": "given its larger noise"}
+        return words.get(one.kind, "left as it is")
     if one.owner in ("laser", "body") and one.kind in KINDS:
-        return "corrected by the estimate"
-    if one.verdict == "sign" and one.kind == "gain":
-        return "sign reversed"
-    return "left as it is" if one.kind == "flexible" else "left out"
+        return _ESTIMATED
+    return _REVERSED if one.verdict == "sign" and one.kind == "gain" else "left out"
+
+
+def _errors(body: BodyChannels, estimated: list[Finding], first: int) -> tuple[ChannelError, ...]:
+    """Return what is estimated as errors of channels."""
+    found = []
+    for number, one in enumerate(estimated):
+        channels = tuple(first + channel for channel in one.channels)
+        for k, tangent in enumerate(KINDS[one.kind].tangents):
+            name = f"{body.body}.{one.owner}_{number + 1}.{one.kind}_{k + 1}"
+            found.append(ChannelError(name, channels, tangent, float(one.sd[k])))
+    return tuple(found)

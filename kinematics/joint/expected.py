@@ -13,6 +13,34 @@ from stapeskit.arrays import Array
 
 
 @dataclass(frozen=True)
+class ChannelError:
+    """An error that channels share.
+
+    Attributes
+    ----------
+    name : str
+        ``laser_gain.1``, ``position.BODY.POINT.x``, ``axes.x``, ``beam.1.u`` ...: a reading is the true value
+        times 1 + gain, e^(i phase) and e^(-i w delay).
+    channels : tuple of int
+        Out of those of all bodies side by side.
+    tangent : int
+        Of `kinematics.joint.tangents`.
+    sd : float
+        Standard deviation that is stated of it: 1, rad, s or m.
+    """
+
+    name: str
+    channels: tuple[int, ...]
+    tangent: int
+    sd: float
+
+    @property
+    def kind(self) -> str:
+        """First part of the name."""
+        return self.name.partition(".")[0]
+
+
+@dataclass(frozen=True)
 class Layout:
     """Which channels belong together.
 

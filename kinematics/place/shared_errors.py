@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.correct import Correction
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.joint.tangents import DELAY, GAIN, GAIN_DRIFT, PHASE, PHASE_DRIFT, SHIFT, Geometry
+from kinematics.joint.expected import ChannelError
+from kinematics.joint.tangents import DELAY, GAIN, GAIN_DRIFT, PHASE, PHASE_DRIFT, Geometry
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.place.lasers import KINDS, LaserAgreement
+from kinematics.place.channel_errors import body_starts, position_errors
+from kinematics.place.lasers import LaserAgreement
 from kinematics.place.placement import Placement, block_diagonal
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.rigid_motion import SharedErrors
@@ -88,7 +89,7 @@ def shared_errors(
         blocks.append(_positions(placed, fits))
     blocks += more
     if lasers is not None:
-        blocks.append((laser_parameters(placed, lasers), lasers.covariance))
+        blocks.append((effects(placed, lasers.estimate.errors), lasers.estimate.covariance))
     parameters = [parameter for block, _ in blocks for parameter in block]
     if not parameters:
         return None
@@ -225,50 +226,19 @@ def tangent_rows(body: BodyChannels, own: Sequence[int], tangent: int) -> Comple
     return np.asarray(mask * change)
 
 
-def laser_parameters(placed: Measurement, lasers: LaserAgreement) -> list[Parameter]:
-    """Return the errors of the lasers: gain, phase (rad), delay (s)."""
-    parameters = []
-    for name in lasers.names:
-        kind, _, number = name.partition(".")
-        rows = {
-            place: tangent_rows(body, own.tolist(), KINDS[kind])
-            for place, body in enumerate(placed.bodies)
-            if len(own := np.flatnonzero(lasers.of_channel[place] == int(number) - 1))
-        }
-        parameters.append(Parameter(name, rows, int(kind == "laser_delay")))
-    return parameters
-
-
-def correction_parameters(
-    placed: Measurement, number: int, done: Correction
-) -> tuple[Sequence[Parameter], Array]:
-    """Return what was corrected by an estimate, and its covariance; delays in s."""
-    mean_omega = 2.0 * np.pi * float(np.mean(placed.freq_hz))
-    unit = np.where(done.parameters.tangent == DELAY, 1.0 / mean_omega, 1.0)
-    parameters = [
-        Parameter(
-            name,
-            {number: tangent_rows(placed.bodies[number], np.flatnonzero(mask).tolist(), tangent)},
-            int(tangent == DELAY),
-            tangent in (GAIN_DRIFT, PHASE_DRIFT),
-        )
-        for name, mask, tangent in zip(
-            done.names, done.parameters.mask, done.parameters.tangent.tolist(), strict=True
-        )
-    ]
-    return parameters, done.covariance * np.outer(unit, unit)
-
-
-def position_parameters(placed: Measurement) -> list[tuple[Parameter, float]]:
-    """Return the stated errors of positions along the footplate axes, with their sd, m."""
+def effects(placed: Measurement, errors: Sequence[ChannelError], prefix: str = "") -> list[Parameter]:
+    """Return what errors of channels change, under their names with a prefix."""
+    starts = body_starts(placed)
     found = []
-    for number, body in enumerate(placed.bodies):
-        for point in dict.fromkeys(body.points):
-            own = body.channels_of(point)
-            sd = float(body.position_sd_m[own[0]])
-            for axis, shift in zip("xyz" if sd > 0.0 else "", SHIFT, strict=False):
-                name = f"position.{body.body}.{point}.{axis}"
-                found.append((Parameter(name, {number: tangent_rows(body, own, shift)}), sd))
+    for error in errors:
+        rows = {}
+        for number, body in enumerate(placed.bodies):
+            own = [channel - starts[number] for channel in error.channels]
+            inside = [channel for channel in own if 0 <= channel < len(body.points)]
+            if inside:
+                rows[number] = tangent_rows(body, inside, error.tangent)
+        drifts = error.tangent in (GAIN_DRIFT, PHASE_DRIFT)
+        found.append(Parameter(prefix + error.name, rows, int(error.tangent == DELAY), drifts))
     return found
 
 
@@ -280,14 +250,17 @@ def _positions(placed: Measurement, fits: Fits) -> tuple[list[Parameter], Array]
     The motion that errors of positions make is a map of the true one, whose 36 entries are a sum over points:
     the eigenvectors of their covariance are patterns of all points that have the same effect.
     """
-    parameters = position_parameters(placed)
+    errors = position_errors(placed)
+    parameters = effects(placed, errors)
     lines, size = fits[0, 0].q.shape
-    spread = np.array([sd for _, sd in parameters])
+    spread = np.array([error.sd for error in errors])
     if 16 * len(parameters) * len(placed.runs) * len(placed.bodies) * lines * size <= _MOST_BYTES:
-        return [parameter for parameter, _ in parameters], np.diag(spread**2)
+        return parameters, np.diag(spread**2)
     patterns: list[Parameter] = []
     for number, body in enumerate(placed.bodies):
-        own = [(parameter.rows[number] * sd) for parameter, sd in parameters if number in parameter.rows]
+        own = [
+            one.rows[number] * sd for one, sd in zip(parameters, spread, strict=True) if number in one.rows
+        ]
         if not own:
             continue
         fit, rows = fits[0, number], np.stack(own)
@@ -307,7 +280,7 @@ def _positions(placed: Measurement, fits: Fits) -> tuple[list[Parameter], Array]
 def _join_positions(covariance: Array, names: Sequence[str], lasers: LaserAgreement) -> None:
     """Enter the covariance of what is left of the lasers' errors with the errors of positions."""
     at = {name: place for place, name in enumerate(names)}
-    rows = [at[name] for name in lasers.names]
+    rows = [at[name] for name in lasers.estimate.names]
     for name, column in lasers.across.items():
         if name in at:
             covariance[rows, at[name]] = covariance[at[name], rows] = column

@@ -174,7 +174,7 @@ def _shared(result: MotionResult) -> list[Markup]:
         if part is not None:
             rows = [
                 (name, Quantity(value, sd, ShownUnit(unit, 1.0)), f"{stated:.3g} {unit}")
-                for name, value, sd, stated, unit in part.rows()[:_MOST_ROWS]
+                for name, value, sd, stated, unit in part.estimate.rows()[:_MOST_ROWS]
             ]
             blocks.append(page.table(("", "estimate", "stated sd"), rows, caption, file="lasers"))
     shared = result.motion.shared

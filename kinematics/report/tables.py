@@ -131,7 +131,7 @@ def registration_json(result: MotionResult) -> dict[str, Any]:
         part = getattr(result, name)
         if part is not None:
             keys = ("name", "value", "sd", "stated_sd", "unit")
-            found[name] = [dict(zip(keys, row, strict=True)) for row in part.rows()]
+            found[name] = [dict(zip(keys, row, strict=True)) for row in part.estimate.rows()]
     return found
 
 

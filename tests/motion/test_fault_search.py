@@ -154,7 +154,7 @@ def test_a_corrected_laser_agrees_with_the_others():
     recording = recorded(3, points=10, faults=[{"kind": "laser_gain", "size": 0.2}])
     body, _, found = diagnosed(recording)
     fixed = corrected(body, found, recording.freq_hz)
-    assert len(fixed.names) == len(fixed.parameters) == len(fixed.covariance) == 1
+    assert len(fixed.errors) == len(fixed.covariance) == 1
     measurement = replace(as_measurement(recording), bodies=(fixed.body,))
     _, (after,), _ = fitted(measurement)
     freedom = np.sum(after.n_dof)

@@ -9,10 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fitting.verdict import unused_codes
 from kinematics.api import points2dof
 from kinematics.cli import work
 from kinematics.companions import with_companions
 from kinematics.options import MotionFiles, MotionOptions
+from kinematics.place.fiducials import read_fiducials
 from kinematics.points2dof import check_inputs
 from kinematics.report.page import motion_level, motion_page, motion_sections
 from kinematics.results import ENDINGS
@@ -20,7 +22,7 @@ from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
 from stapeskit.options import template
 from stapeskit.provenance import frames_hash, input_record
-from stapeskit.records.motion import read_motion
+from stapeskit.records.motion import read_motion, write_motion
 from stapeskit.report.page import Page
 from stapeskit.warnings import Notice, table
 from tests.motion_command.ears import error_in_sd, mass_of, measured, options, rewrite, simulated, write_mass
@@ -172,6 +174,17 @@ def test_a_mass_in_memory_leaves_the_hash_of_its_frames(ear):
     result = points2dof(folder / "ldv.csv", mass)
     assert "mass" not in result.taken
     assert result.motion.provenance["frames_hash"] == frames_hash(mass.record.raw)
+
+
+def test_the_frames_of_the_fiducials_are_recorded(ear, tmp_path):
+    """Warnings of plate and handedness count in the fit only where a frame of the plate took part."""
+    folder, truth = ear
+    motion = points2dof(folder / "ldv.csv", mass_of(truth)).motion
+    frames = sorted(set(read_fiducials(folder / "fiducials.csv").frames))
+    write_motion(tmp_path, "dof", motion)
+    assert read_motion(tmp_path / "dof.h5").provenance["registered_in"] == frames
+    assert unused_codes(motion.provenance) == ()
+    assert "handedness_unconfirmed" in unused_codes({"registered_in": ["scan"]})
 
 
 def test_responses_per_reference_are_one_at_the_reference(ear):

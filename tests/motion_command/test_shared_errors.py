@@ -12,7 +12,7 @@ from kinematics.fit.rigid_fit import fit_lines
 from kinematics.joint.tangents import BEAM_U, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
 from kinematics.measurement import Measurement, from_arrays
 from kinematics.place import shared_errors as shared
-from kinematics.place.lasers import lasers_of
+from kinematics.place.channel_errors import Lasers
 from kinematics.place.placement import Placement
 from simulate import Experiment, measure_motion, resonant_motion, scattered_points
 from stapeskit.spatial import DOF_NAMES, point_rows
@@ -140,9 +140,10 @@ def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
     truth = simulated(tmp_path, in_footplate=True, seed=7, noise=0.0005, position_sd_mm=0.0)
     beam = off_lasers(tmp_path, 0.015, 0.8)
     result = measured(tmp_path)
-    lasers = result.lasers
-    own = int(np.argmin(np.linalg.norm(lasers.directions - beam, axis=1)))
-    count = len(lasers.directions)
+    lasers = result.lasers.estimate
+    directions = lasers.lasers.directions
+    own = int(np.argmin(np.linalg.norm(directions - beam, axis=1)))
+    count = len(directions)
     mean_free = np.eye(count) - 1.0 / count
     gain, phase = (mean_free @ part for part in lasers.values.reshape(3, count)[:2])
     assert gain[own] == pytest.approx(0.015 * (1.0 - 1.0 / count), abs=4.0 * lasers.sd[own])
@@ -173,7 +174,8 @@ def test_one_laser_has_nothing_to_agree_with():
     along = replace(
         placed, bodies=(replace(body, directions=np.tile([0.0, 1.0, 0.0], (len(body.points), 1))),)
     )
-    assert len(lasers_of(along)[1]) == 1
+    assert len(Lasers.of(along).directions) == 1
+    assert Lasers.of(along).errors({"laser_gain": 0.01}) == []
 
 
 def test_calibration_finds_a_turn_of_all_beams(tmp_path):
@@ -188,11 +190,11 @@ def test_calibration_finds_a_turn_of_all_beams(tmp_path):
 
     rewrite(tmp_path / "ldv.csv", turned)
     result = measured(tmp_path, calibrate=True)
-    found = result.calibration
+    found = result.calibration.estimate
     assert {notice.code for notice in result.notices} >= {"calibrated"}
     values = dict(zip(found.names, found.values, strict=True))
     sd = dict(zip(found.names, found.sd, strict=True))
-    name = "calibration.axes.y"
+    name = "axes.y"
     # lasers may be turned as well: their common turn is part of it
     assert values[name] > 0.0
     assert sd[name] < np.deg2rad(1.0)
