@@ -91,8 +91,9 @@ def check_inputs(options: MotionOptions) -> None:
     StapeskitError
         Every fault that shows.
     """
-    from kinematics.readers.formats import TEXT_ENDINGS, format_of
+    from kinematics.readers.formats import format_of
     from kinematics.readers.points import read_points
+    from kinematics.readers.text import TEXT_ENDINGS
 
     faults: list[Fault] = []
     with collect_faults(faults):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,24 +13,18 @@ from numpy.typing import NDArray
 from kinematics.measurement import BodyChannels, Measurement, Repeat
 from kinematics.readers.facts import FileFacts, unknown_files
 from kinematics.readers.formats import companion_files, format_of, read_file
-from kinematics.readers.identify import (
-    Entry,
-    assumptions,
-    unused_options,
-    with_bodies,
-    with_facts,
-    with_runs,
-)
+from kinematics.readers.gather import twice_faults
+from kinematics.readers.identify import assumptions, unused_options, with_bodies, with_facts, with_runs
 from kinematics.readers.lines import check_filled, common_grid, grid_faults
 from kinematics.readers.noise import with_noise
 from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Channel, Recording
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
-from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, unique
 
 _SAME_PLACE_M = 1e-6  # positions written with four digits
+_ONE_RUN = "Name different excitations with --run NAME=FILE, or leave one of the two out"
 
 
 def read_measurement(
@@ -88,25 +82,20 @@ def read_measurement(
 
 
 @dataclass(frozen=True)
-class _Grid:
-    """Lines, order of the quantity and runs of a measurement, and the lines of each recording among them.
+class _Stack:
+    """The channels of all files on one grid of lines: P rows, L lines.
 
-    ``common_sd`` (r, L) is the noise of the reference of runs whose channels were all recorded together.
+    ``sd`` and ``common_sd`` are NaN where none is stated; ``stated`` (P,) says whether the file of a row
+    states noise, ``relative`` (P,) whether that is known up to one factor.
     """
 
     freq_hz: Array
-    order: int
-    takes: Sequence[tuple[str, str]]
-    lines: Mapping[int, NDArray[np.intp]]
+    channels: tuple[Channel, ...]
+    value: ComplexArray
+    sd: Array
     common_sd: Array
-
-    def take_of(self, entry: Entry) -> int:
-        """Return the place of the run and repeat of a row."""
-        return self.takes.index((entry.channel.run, entry.channel.repeat))
-
-    def shares_reference(self, take: int) -> bool:
-        """Return whether the noise of the reference is common to all channels of a run."""
-        return bool(np.any(self.common_sd[take] > 0.0))
+    stated: NDArray[np.bool_]
+    relative: NDArray[np.bool_]
 
 
 def assemble(
@@ -137,87 +126,104 @@ def assemble(
     facts = facts or FileFacts()
     raise_all([*unknown_files(facts, [one.file for one in recordings]), *unused_options(recordings, facts)])
     notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
-    recordings = [with_noise(with_facts(one, facts)) for one in recordings]
-    raise_all(fault for one in recordings for fault in _value_faults(one))
-    entries = [Entry(one, row, channel) for one in recordings for row, channel in enumerate(one.channels)]
-    entries, about_bodies = with_bodies(entries, points, facts)
-    entries, about_runs = with_runs(entries, facts)
-    raise_all(_direction_faults(entries))
-    about_reference = _reference_notices(entries)
-    grid, about_lines = _grid_of(recordings, entries)
-    notices += [*about_bodies, *about_runs, *about_reference, *about_lines]
+    stack, about_lines = _stacked([with_noise(with_facts(one, facts)) for one in recordings])
+    channels, about_bodies = with_bodies(stack.channels, points, facts)
+    channels, about_runs = with_runs(channels, facts)
+    raise_all([*_direction_faults(channels), *_reference_faults(channels)])
+    raise_all(twice_faults(channels, stack.value, _ONE_RUN))
+    stack, order = _of_one_quantity(replace(stack, channels=tuple(channels)))
+    takes = list(dict.fromkeys((channel.run, channel.repeat) for channel in channels))
+    different = len({(channel.body, channel.point, channel.beam_key) for channel in channels})
+    check_filled(len(takes) * different, len(stack.freq_hz), stack.value.size, "")
+    stack, common_sd = _reference_noise(stack, takes)
+    notices += [*about_bodies, *about_runs, *_reference_notices(channels), *about_lines]
     faults: list[Fault] = []
     bodies = []
-    for name in dict.fromkeys(entry.channel.body for entry in entries):
-        mine = [entry for entry in entries if entry.channel.body == name]
+    for name in dict.fromkeys(channel.body for channel in channels):
         with collect_faults(faults):
-            body, missing = _body(name, mine, points, grid)
+            body, missing = _body(name, stack, takes, points)
             bodies.append(body)
             notices += missing
     raise_all(faults)
     present = np.array([np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies])
-    raise_all(grid_faults(grid.freq_hz, present, [body.body for body in bodies]))
-    repeats = tuple(Repeat(run, repeat) for run, repeat in grid.takes)
-    several = len({run for run, _ in grid.takes}) < len(grid.takes)
+    raise_all(grid_faults(stack.freq_hz, present, [body.body for body in bodies]))
+    repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
+    several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
         frame,
         tuple(repeat.name if several else repeat.run for repeat in repeats),
-        grid.freq_hz,
+        stack.freq_hz,
         tuple(bodies),
-        QUANTITY_OF_ORDER[grid.order],
+        QUANTITY_OF_ORDER[order],
         notices=unique(notices),
         repeats=repeats if several else (),
-        common_sd=grid.common_sd if np.any(grid.common_sd > 0.0) else None,
+        common_sd=common_sd if np.any(common_sd > 0.0) else None,
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
 
 
-def _grid_of(recordings: Sequence[Recording], entries: Sequence[Entry]) -> tuple[_Grid, list[Notice]]:
-    """Join the lines of all files; find the runs, the most common quantity and the noise of references."""
-    freq_hz, lines, notices = common_grid([one.freq_hz for one in recordings])
-    takes = list(dict.fromkeys((entry.channel.run, entry.channel.repeat) for entry in entries))
-    channels = len({(e.channel.body, e.channel.point, e.channel.beam_key) for e in entries})
-    check_filled(len(takes) * channels, len(freq_hz), sum(one.value.size for one in recordings), "")
-    order = Counter(entry.channel.order for entry in entries).most_common(1)[0][0]
-    common_sd = np.zeros((len(takes), len(freq_hz)))
-    grid = _Grid(freq_hz, order, takes, dict(zip(map(id, recordings), lines, strict=True)), common_sd)
-    for take in range(len(takes)):
-        mine = [entry for entry in entries if grid.take_of(entry) == take]
-        noise = [None if e.recording.common_sd is None else e.recording.common_sd[e.row] for e in mine]
-        first = noise[0]
-        if first is not None and all(one is not None and np.array_equal(one, first) for one in noise):
-            common_sd[take, grid.lines[id(mine[0].recording)]] = np.nan_to_num(first)
-    return grid, notices
+def _stacked(recordings: Sequence[Recording]) -> tuple[_Stack, list[Notice]]:
+    """Join the lines of all files, and set their channels below each other."""
+    freq_hz, places, notices = common_grid([one.freq_hz for one in recordings])
+    counts = [len(one.channels) for one in recordings]
+    shape = (sum(counts), len(freq_hz))
+    check_filled(*shape, sum(one.value.size for one in recordings), "")
+    value, sd, common = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan), np.full(shape, np.nan)
+    start = 0
+    for one, lines, count in zip(recordings, places, counts, strict=True):
+        rows = slice(start, start + count)
+        for matrix, part in ((value, one.value), (sd, one.sd), (common, one.common_sd)):
+            if part is not None:
+                matrix[rows, lines] = part
+        start += count
+    return _Stack(
+        freq_hz,
+        tuple(channel for one in recordings for channel in one.channels),
+        value,
+        sd,
+        common,
+        np.repeat([one.sd is not None for one in recordings], counts),
+        np.repeat([one.relative for one in recordings], counts),
+    ), notices
 
 
-def _value_faults(one: Recording) -> list[Fault]:
-    """List numbers that no motion can have, one sentence for each kind."""
-    limits: tuple[tuple[str, Array | None, float, float], ...] = (
-        ("the frequencies", one.freq_hz, LOWEST_HZ, HIGHEST_HZ),
-        ("the values", np.abs(one.value), 0.0, LARGEST),
-        ("the coordinates of the points, in mm", np.abs(1e3 * one.points_m), 0.0, FARTHEST_MM),
-        ("the standard deviations", one.sd, 0.0, LARGEST),
-        ("the coherence", one.coherence, 0.0, 1.0),
-        ("the number of averages", one.n_avg, 1.0, LARGEST),
-    )
-    faults = []
-    for thing, numbers, low, high in limits:
-        bad = (numbers < low) | (numbers > high) if numbers is not None else np.zeros(0)
-        if numbers is not None and np.any(bad):
-            where = one.channels[int(np.argwhere(bad)[0][0])].where if bad.ndim == 2 else ""
-            count = int(np.sum(bad))
-            got = f"{numbers[bad][0]:.6g}" + (f" and {count - 1} more" if count > 1 else "")
-            want = f"from {low:g} to {high:g}, or NaN where missing"
-            faults.append(Fault(thing, want, got, where or one.file, "Export it again"))
-    return faults
+def _of_one_quantity(stack: _Stack) -> tuple[_Stack, int]:
+    """Return all values as the most common quantity, and its order."""
+    orders = np.array([channel.order for channel in stack.channels])
+    order = Counter(orders.tolist()).most_common(1)[0][0]
+    value, sd = stack.value, stack.sd
+    for other in set(orders.tolist()) - {order}:
+        rows, factor = orders == other, (2j * np.pi * stack.freq_hz) ** (order - other)
+        value[rows] *= factor
+        sd[rows] *= np.abs(factor)
+    return stack, order
 
 
-def _direction_faults(entries: Sequence[Entry]) -> list[Fault]:
+def _reference_noise(stack: _Stack, takes: Sequence[tuple[str, str]]) -> tuple[_Stack, Array]:
+    """Return the noise of the reference of runs, (r, L), whose channels were all recorded together.
+
+    Where they were not, the noise of their references is added to that of the channels.
+    """
+    common_sd = np.zeros((len(takes), len(stack.freq_hz)))
+    if np.all(np.isnan(stack.common_sd)):
+        return stack, common_sd
+    sd = stack.sd.copy()
+    for number, take in enumerate(takes):
+        rows = np.array([(channel.run, channel.repeat) == take for channel in stack.channels])
+        noise = np.nan_to_num(stack.common_sd[rows])
+        if np.all(noise == noise[0]):
+            common_sd[number] = noise[0]
+        else:
+            sd[rows] = np.hypot(sd[rows], noise * np.abs(stack.value[rows]))
+    return replace(stack, sd=sd), common_sd
+
+
+def _direction_faults(channels: Sequence[Channel]) -> list[Fault]:
     without: dict[str, list[str]] = {}
-    for entry in entries:
-        if np.any(np.isnan(entry.channel.direction)):
-            without.setdefault(entry.channel.body, []).append(entry.channel.point)
+    for channel in channels:
+        if np.any(np.isnan(channel.direction)):
+            without.setdefault(channel.body, []).append(channel.point)
     want = "given with the direction of the beam"
     step = "State the direction towards the laser head with --beam z, -y or X,Y,Z"
     return [
@@ -226,70 +232,57 @@ def _direction_faults(entries: Sequence[Entry]) -> list[Fault]:
     ]
 
 
-def _reference_notices(entries: Sequence[Entry]) -> list[Notice]:
-    """Refuse responses to different quantities in one run; report the quantity that the motion refers to."""
+def _reference_faults(channels: Sequence[Channel]) -> list[Fault]:
+    """Refuse responses to different quantities in one run."""
     by_run: dict[str, dict[str, str]] = {}
-    for entry in entries:
-        where = str(entry.channel.where) or entry.recording.file
-        by_run.setdefault(entry.channel.run, {}).setdefault(entry.channel.per, where)
+    for channel in channels:
+        kind = f"responses per {channel.per}" if channel.per else "amplitudes"
+        by_run.setdefault(channel.run, {}).setdefault(kind, str(channel.where) or channel.file)
     step = "Export all points as responses to one reference, or all as amplitudes"
-    raise_all(
+    return [
         Fault(
             "the values of one run",
             "of one unit",
-            " and ".join(
-                f"{f'responses per {per}' if per else 'amplitudes'} ({at})" for per, at in units.items()
-            ),
+            " and ".join(f"{kind} ({where})" for kind, where in kinds.items()),
             f"run {run}",
             step,
         )
-        for run, units in by_run.items()
-        if len(units) > 1
-    )
-    units = sorted({per for one in by_run.values() for per in one} - {""})
-    if not units:
-        return []
+        for run, kinds in by_run.items()
+        if len(kinds) > 1
+    ]
+
+
+def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:
+    """Report the quantity that the motion refers to."""
+    units = sorted({channel.per for channel in channels} - {""})
     text = (
         f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
         "deviations; stiffness and damping do not depend on it."
     )
-    return [Notice("per_reference", text)]
+    return [Notice("per_reference", text)] if units else []
 
 
 def _body(
-    name: str, entries: Sequence[Entry], points: Points | None, grid: _Grid
+    name: str, stack: _Stack, takes: Sequence[tuple[str, str]], points: Points | None
 ) -> tuple[BodyChannels, list[Notice]]:
-    """Fill the arrays of one body; report positions that differ and channels that are there twice."""
+    """Fill the arrays of one body."""
+    rows = [row for row, channel in enumerate(stack.channels) if channel.body == name]
+    mine = [stack.channels[row] for row in rows]
     first: dict[tuple[str, tuple[float, ...]], Channel] = {}
-    for entry in entries:
-        first.setdefault((entry.channel.point, entry.channel.beam_key), entry.channel)
-    row_of = {key: row for row, key in enumerate(first)}
-    shape = (len(grid.takes), len(first), len(grid.freq_hz))
+    for channel in mine:
+        first.setdefault((channel.point, channel.beam_key), channel)
+    row_of = {key: number for number, key in enumerate(first)}
+    shape = (len(takes), len(first), len(stack.freq_hz))
     value, sd = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
-    known = {entry.recording.relative for entry in entries if entry.recording.sd is not None}
-    relative = False not in known
-    filled: dict[tuple[int, int], Entry] = {}
-    faults: list[Fault] = []
-    for entry in entries:
-        channel, one = entry.channel, entry.recording
-        row, take = row_of[channel.point, channel.beam_key], grid.take_of(entry)
-        own = ~np.isnan(one.value[entry.row].real)
-        lines = grid.lines[id(one)][own]
-        other = filled.setdefault((take, row), entry)
-        if other is not entry and not np.all(np.isnan(value[take, row, lines].real)):
-            step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
-            got = f"two that share frequencies ({other.channel.where} and {channel.where})"
-            faults.append(Fault(f"the channel {channel.name}", "there once in a run", got, "", step))
-        change = grid.order - channel.order
-        factor = (2j * np.pi * one.freq_hz[own]) ** change if change else np.ones(len(lines))
-        value[take, row, lines] = one.value[entry.row, own] * factor
-        if one.sd is not None and one.relative == relative:
-            spread = one.sd[entry.row, own]
-            if one.common_sd is not None and not grid.shares_reference(take):
-                spread = np.hypot(spread, one.common_sd[entry.row, own] * np.abs(one.value[entry.row, own]))
-            sd[take, row, lines] = spread * np.abs(factor)
-    positions = _positions(name, entries, points, faults)
-    raise_all(faults)
+    known = np.any(stack.stated[rows])
+    relative = not np.any(stack.stated[rows] & ~stack.relative[rows])
+    for row, channel in zip(rows, mine, strict=True):
+        own = ~np.isnan(stack.value[row].real)
+        place = takes.index((channel.run, channel.repeat)), row_of[channel.point, channel.beam_key]
+        value[place][own] = stack.value[row, own]
+        if stack.relative[row] == relative:
+            sd[place][own] = stack.sd[row, own]
+    positions = _positions(name, mine, points)
     notices = []
     unused = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
     if known and unused:
@@ -304,35 +297,43 @@ def _body(
         np.array([channel.direction for channel in first.values()]),
         value,
         sd if known else None,
-        relative,
+        bool(relative),
         np.array([listed.get((name, point), np.nan) for point in names], dtype=float),
     )
     return body, notices
 
 
-def _positions(
-    body: str, entries: Sequence[Entry], points: Points | None, faults: list[Fault]
-) -> dict[str, Array]:
-    """Return the positions of the points of a body, m: of the points file, else of the files."""
+def _positions(body: str, channels: Sequence[Channel], points: Points | None) -> dict[str, Array]:
+    """Return the positions of the points of a body, m: of the points file, else of the files.
+
+    Raises
+    ------
+    StapeskitError
+        A point with two, or some points without any.
+    """
+    faults: list[Fault] = []
     found: dict[str, tuple[Array, str]] = {}
     if points is not None:
         found = {
             point: (place, points.file) for (name, point), place in points.positions_m.items() if name == body
         }
-    for entry in entries:
-        point, place, where = entry.channel.point, entry.channel.position_m, str(entry.channel.where)
+    for channel in channels:
+        place, where = channel.position_m, str(channel.where)
         if np.any(np.isnan(place)):
             continue
-        known, source = found.setdefault(point, (place, where))
+        known, source = found.setdefault(channel.point, (place, where))
         if np.any(np.abs(known - place) > _SAME_PLACE_M + 1e-5 * np.abs(known)):
             got = f"{(1e3 * known).tolist()} ({source}) and {(1e3 * place).tolist()} mm"
             step = "Correct it; --length-unit states the unit where a file does not"
-            faults.append(Fault(f"the position of point {point} of body {body}", "one", got, where, step))
-            found[point] = (place, where)
-    measured = {entry.channel.point: None for entry in entries}
+            faults.append(
+                Fault(f"the position of point {channel.point} of body {body}", "one", got, where, step)
+            )
+            found[channel.point] = (place, where)
+    measured = dict.fromkeys(channel.point for channel in channels)
     lacking = [point for point in measured if point not in found]
     if lacking and len(lacking) < len(measured):
         step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
         thing = f"points {list_some(lacking, 8)} of body {body}"
         faults.append(Fault(thing, "given with positions, as others are", "none", "", step))
+    raise_all(faults)
     return {point: found[point][0] for point in measured if point in found}

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kinematics.readers.text import TEXT_ENDINGS, decoded, export_files
 from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from kinematics.readers.recording import Recording
 
 TIDY = "tidy"
-TEXT_ENDINGS = (".txt", ".asc", ".csv", ".dat")
 WORKBOOKS = (".xls", ".xlsx", ".xlsm", ".ods")
 
 _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6 s a byte of text
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
-_MOST_FILES = 100_000  # a point and axis each of 30 000 points; a home folder has more
 _ZIP, _COMPOUND = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _SOUND = (b"RIFF", b"RIFX", b"RF64")
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
@@ -49,8 +47,6 @@ class Head:
     @cached_property
     def text(self) -> str:
         """The first bytes as text; empty for archives and sound."""
-        from kinematics.readers.text import decoded
-
         return "" if self.content.startswith((_ZIP, _COMPOUND, *_SOUND)) else decoded(self.content)
 
 
@@ -87,11 +83,13 @@ class Format:
     mapped: bool = False
 
 
-def _holds(module: str, test: str) -> Callable[[Head], bool]:
-    """Return a test of the text of a head that a module has."""
+def _begins_as(kind: str) -> Callable[[Head], bool]:
+    """Return a test of what the table is with which a text begins."""
 
     def holds(head: Head) -> bool:
-        return bool(getattr(import_module(f"kinematics.readers.{module}"), test)(head.text))
+        from kinematics.readers.wide import kind_of
+
+        return kind_of(head.text) == kind
 
     return holds
 
@@ -119,7 +117,7 @@ FORMATS = (
         libraries=("scipy.io",), series=True, mapped=True,
     ),
     Format(
-        "hdf5", "HDF5 (.h5)", lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"), "hdf5",
+        "hdf5", "HDF5 (.h5)", lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"), "matlab",
         "data sets by their names (`freq_hz`, `re`, `im`, `direction`, `position_mm`, ...); others by "
         "`--mapping`",
         libraries=("h5py",), series=True, mapped=True,
@@ -132,12 +130,12 @@ FORMATS = (
     ),
     Format(
         "fastscan", "text exports of a scanning vibrometer (a folder, or .txt)",
-        _holds("psv", "looks_like_fastscan"), "psv",
+        _begins_as("fastscan"), "wide",
         "Polytec PSV: FastScan folders (one file a frequency)", in_folders=True,
     ),
     Format(
         "points", "per-point text exports of a scanning vibrometer",
-        _holds("psv", "looks_like_points"), "psv",
+        _begins_as("points"), "wide",
         "Polytec PSV: a file, or a block of one file, for each point", in_folders=True,
     ),
     Format(
@@ -147,7 +145,7 @@ FORMATS = (
         libraries=("numpy", "scipy.io"), series=True,
     ),
     Format(
-        "wide", "a wide table (.csv)", lambda head: head.mapped or _holds("wide", "is_wide")(head), "wide",
+        "wide", "a wide table (.csv)", lambda head: head.mapped or _begins_as("wide")(head), "wide",
         "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
         "...`); "
         "other names by `--mapping`", mapped=True,
@@ -228,22 +226,6 @@ def head_of(path: Path) -> Head:
 
     with path.open("rb") as stream:
         return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapping_beside(path) is not None)
-
-
-def export_files(folder: Path) -> list[Path]:
-    """Return the files in a folder and its folders that may be text exports: by ending, not hidden.
-
-    Raises
-    ------
-    StapeskitError
-        It holds more files than a measurement has.
-    """
-    files = list(islice(folder.rglob("*"), _MOST_FILES + 1))
-    if len(files) > _MOST_FILES:
-        got, step = f"more than {_MOST_FILES}", "Give the folder of the exported text files"
-        raise StapeskitError.of("the folder", "one with the files of a measurement", got, folder.name, step)
-    chosen = [file for file in files if file.suffix.lower() in TEXT_ENDINGS and not file.name.startswith(".")]
-    return sorted(file for file in chosen if file.is_file())
 
 
 def _format_of_folder(path: Path) -> Format:

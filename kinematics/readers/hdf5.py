@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts
-from kinematics.readers.recording import Recording, from_parts
+from kinematics.readers.gather import from_parts
 
 if TYPE_CHECKING:
     import h5py
@@ -20,19 +19,6 @@ STRINGS = "a MATLAB string array"
 """Stands for a variable of MATLAB's class string, which no library reads."""
 
 _DEEPEST = 8  # groups in groups that are read; links may lead round
-
-
-def read(path: Path, facts: FileFacts) -> Recording:
-    """Read spectra from an HDF5 file; see `kinematics.readers.matlab.recording_of_tree`.
-
-    Raises
-    ------
-    StapeskitError
-        As `kinematics.readers.matlab.read`.
-    """
-    from kinematics.readers.matlab import recording_of_tree
-
-    return recording_of_tree(read_tree(path), path, facts)
 
 
 def read_tree(path: Path) -> dict[str, Any]:

@@ -1,33 +1,24 @@
-"""Mapping files: TOML that says which column or variable of a file is what (``ldv.csv.toml``, ``--mapping``).
+"""Which column or variable of a file is what: by its mapping in TOML, or as a reader recognised it.
 
-frequency = "data.f"       # a column, or a variable; dots reach into structs and groups
-frequency_unit = "kHz"     # Hz
-position = "where"         # points x 3
-position_unit = "mm"       # m, mm or um
-points = "names"           # left out: 1, 2, 3, ...
-amplitude = "peak"         # or "rms"
-convention = "+"           # e^{+iwt}; "-" for e^{-iwt}
-
-[[signal]]                 # one for every beam
-value = "data.vz"          # complex; or value_re and value_im, or magnitude and phase
-direction = "z"            # x ... -z, three numbers, or a variable of points x 3
-unit = "mm/s"
-phase_unit = "rad"         # deg
-point = "3"                # where the signal is of one point
-coherence = "data.coh"     # optional; also sd (unit of the value), n_avg, run, body
+``ldv.csv.toml`` beside ``ldv.csv``, or ``--mapping``; docs/vibrometer_files.md has the keys with examples.
 """
 
 from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Callable
 from collections.abc import Mapping as Names
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
+from kinematics.readers.gather import from_parts, from_polar
 from kinematics.readers.units import PHASES
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.arrays import ComplexArray
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 
 _CHOICES = {
     "frequency_unit": ("Hz", "kHz", "MHz"),
@@ -42,7 +33,10 @@ _PAIRS = (("value",), ("value_re", "value_im"), ("magnitude", "phase"))
 
 @dataclass(frozen=True)
 class Signal:
-    """One beam: names of columns or variables; empty where there is none."""
+    """One beam: names of columns or variables; empty where there is none.
+
+    ``value`` is complex, or there are ``value_re`` and ``value_im``, or ``magnitude`` and ``phase``.
+    """
 
     value: str = ""
     value_re: str = ""
@@ -60,14 +54,55 @@ class Signal:
     body: str = ""
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """Columns or variables of the value."""
+        names = (self.value, self.value_re, self.value_im, self.magnitude, self.phase)
+        return tuple(name for name in names if name)
+
+    @property
     def name(self) -> str:
         """The first of its columns or variables, for messages."""
-        return self.value or self.value_re or self.magnitude
+        return self.parts[0] if self.parts else self.coherence
+
+    def values(
+        self, numbers: Callable[[str], NDArray[Any]], phase_unit: str, where: Place | str
+    ) -> ComplexArray:
+        """Return the complex values in their unit.
+
+        Parameters
+        ----------
+        numbers : callable
+            Takes the name of a column or variable and returns its array.
+        phase_unit : str
+            One of `PHASES`.
+
+        Raises
+        ------
+        StapeskitError
+            A part without its other, or of another size; another unit of phases.
+        """
+        if self.value:
+            return numbers(self.value).astype(complex)
+        if len(self.parts) != 2 or self.parts not in (
+            (self.value_re, self.value_im),
+            (self.magnitude, self.phase),
+        ):
+            want = "with its phase, or a real part with its imaginary part"
+            step = "Export both, or state in a mapping which column is what (docs/vibrometer_files.md)"
+            raise StapeskitError.of(f"the column {self.name}", want, "alone", where, step)
+        one, other = map(numbers, self.parts)
+        if one.shape != other.shape:
+            raise StapeskitError.of(f"{' and '.join(self.parts)}", "of one size", "others", where)
+        if self.value_re:
+            return from_parts(one, other)
+        if phase_unit.lower() not in PHASES:
+            raise StapeskitError.of("the unit of the phases", "deg or rad", phase_unit, where)
+        return from_polar(one, other, PHASES[phase_unit.lower()])
 
 
 @dataclass(frozen=True)
 class Mapping:
-    """Which column or variable is what."""
+    """Which column or variable is what; ``convention`` ``-`` is e^{-iwt}."""
 
     frequency: str = ""
     frequency_unit: str = ""

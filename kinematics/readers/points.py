@@ -32,21 +32,13 @@ class Points:
         """Return the bodies that have a point of a name."""
         return [body for body, other in self.positions_m if other == point]
 
-    def key_of(self, body: str, point: str) -> tuple[str, str]:
-        """Return the key of a point, in this file's spelling where one alone differs in case or blanks.
-
-        Raises
-        ------
-        KeyError
-            The point is not listed.
-        """
+    def key_of(self, body: str, point: str) -> tuple[str, str] | None:
+        """Return the key of a point, in this file's spelling where one alone differs in case or blanks."""
         if (body, point) in self.positions_m:
             return body, point
         wanted = [name.strip().casefold() for name in (body, point)]
         alike = [key for key in self.positions_m if [name.casefold() for name in key] == wanted]
-        if len(alike) != 1:
-            raise KeyError((body, point))
-        return alike[0]
+        return alike[0] if len(alike) == 1 else None
 
 
 def read_points(path: Path) -> Points:
@@ -65,24 +57,28 @@ def read_points(path: Path) -> Points:
         return {*POSITION, *({"sd_mm"} & set(header))}, {"body", "point"}
 
     table = read_table(Path(path), choose)
-    body, point = table.texts["body"], table.texts["point"]
     xyz = np.column_stack([table.numbers[name] for name in POSITION])
     sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
     faults = [*table.faults, *position_faults(table, POSITION), *sd_faults(table, sd)]
     positions: dict[tuple[str, str], Array] = {}
     spread: dict[tuple[str, str], float] = {}
     for row in range(len(table)):
-        if body.codes[row] < 0 or point.codes[row] < 0:
+        key = (text_of(table, "body", row), plain_name(text_of(table, "point", row)))
+        if not all(key):
             step = "Name the body and the point"
             faults.append(Fault("body and point", "names", "an empty cell", table.where(row), step))
-            continue
-        key = (body.names[body.codes[row]], plain_name(point.names[point.codes[row]]))
-        if key in positions:
+        elif key in positions:
             thing, got = f"point {key[1]} of body {key[0]}", "the same point again"
             faults.append(Fault(thing, "listed once", got, table.where(row), "Keep one row"))
         positions[key], spread[key] = 1e-3 * xyz[row], 1e-3 * float(sd[row])
     raise_all(faults)
     return Points(table.file, positions, spread)
+
+
+def text_of(table: Table, name: str, row: int) -> str:
+    """Return a cell of a text column; empty where the column or the text is missing."""
+    column = table.texts.get(name)
+    return "" if column is None else (*column.names, "")[column.codes[row]]
 
 
 def require(header: Sequence[str], names: Sequence[str], file: str) -> None:

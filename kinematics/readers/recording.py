@@ -5,18 +5,15 @@ Shapes: P rows (channels), L frequency lines.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kinematics.measurement import QUANTITIES, direction_name
-from kinematics.readers.lines import check_filled, common_grid
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.faults import Place
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -26,31 +23,10 @@ if TYPE_CHECKING:
 QUANTITY_OF_ORDER = tuple(QUANTITIES)
 SI_UNITS = ("m", "m/s", "m/s2")
 
-_MATRICES = ("value", "sd", "coherence", "n_avg", "common_sd")
-
 
 def unknown_vector() -> Array:
     """Return three NaN: a position or direction that the file does not hold."""
     return np.full(3, np.nan)
-
-
-def from_parts(real: Array, imaginary: Array, factor: float = 1.0) -> ComplexArray:
-    """Return ``factor * (real + i imaginary)``; a complex product would make NaN of infinite parts."""
-    value = np.empty(np.shape(real), dtype=complex)
-    with np.errstate(over="ignore"):
-        value.real, value.imag = real * factor, imaginary * factor
-    return value
-
-
-def scaled(value: ComplexArray, factor: float) -> ComplexArray:
-    """Return ``value * factor``; see `from_parts`."""
-    return from_parts(np.real(value), np.imag(value), factor)
-
-
-def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
-    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(magnitude * np.exp(1j * turn * phase))
 
 
 @dataclass(frozen=True)
@@ -72,6 +48,8 @@ class Channel:
         Position of the point; unit vector towards the laser head. NaN where the file does not hold them.
     where : Place or str
         For messages.
+    file : str
+        Name of its file.
     """
 
     point: str
@@ -83,6 +61,7 @@ class Channel:
     position_m: Array = field(default_factory=unknown_vector)
     direction: Array = field(default_factory=unknown_vector)
     where: Place | str = ""
+    file: str = ""
 
     @property
     def name(self) -> str:
@@ -94,6 +73,11 @@ class Channel:
     def beam_key(self) -> tuple[float, ...]:
         """The direction in millionths, equal for beams that are one; zeros where it is not known."""
         return tuple((np.nan_to_num(np.round(1e6 * self.direction)) + 0.0).tolist())
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells it apart from the other channels of a file."""
+        return self.body, self.point, self.run, self.repeat, self.beam_key
 
 
 @dataclass(frozen=True)
@@ -129,11 +113,6 @@ class Recording:
         and in which unit positions are (else they were taken as metres).
     from_series : bool
         Whether the values were estimated from time series.
-
-    Raises
-    ------
-    StapeskitError
-        A direction that is no unit vector, or frequencies that do not ascend.
     """
 
     file: str
@@ -151,19 +130,6 @@ class Recording:
     amplitude_stated: bool = False
     length_stated: bool = True
     from_series: bool = False
-
-    def __post_init__(self) -> None:
-        ascending = not np.any(self.freq_hz < 0.0) and not np.any(np.diff(self.freq_hz) <= 0.0)
-        faults = (
-            [] if ascending else [Fault("the frequencies", "ascending and not negative", "others", self.file)]
-        )
-        with np.errstate(over="ignore"):
-            lengths = np.linalg.norm(self.directions, axis=1)
-        for row in np.flatnonzero(np.abs(lengths - 1.0) > 1e-3).tolist():  # not so for NaN
-            got, step = f"length {lengths[row]:.4g}", "Divide the direction by its length"
-            where = self.channels[row].where
-            faults.append(Fault("a direction", "a unit vector (within 1e-3)", got, where, step))
-        raise_all(faults)
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -248,83 +214,3 @@ class Recording:
             f"Recording({self.file}: {len(self.channels)} channels at {points} points, {len(self.freq_hz)} "
             f"lines, {self.freq_hz[0]:g} to {self.freq_hz[-1]:g} Hz, {self.quantity} in {self.units}{noise})"
         )
-
-
-@dataclass(frozen=True)
-class Row:
-    """One channel with its own frequencies; the arrays are (L,) and as in `Recording`, averages a number."""
-
-    channel: Channel
-    freq_hz: Array
-    value: ComplexArray
-    sd: ArrayLike | None = None
-    coherence: ArrayLike | None = None
-    n_avg: ArrayLike | None = None
-    common_sd: ArrayLike | None = None
-
-
-def recording_of(file: str, rows: Sequence[Row], **facts: Any) -> Recording:
-    """Gather rows with frequencies of their own into one recording; a line at 0 Hz is dropped with a notice.
-
-    Parameters
-    ----------
-    facts
-        Other attributes of `Recording`.
-
-    Raises
-    ------
-    StapeskitError
-        There is no row, or no line above 0 Hz; as `Recording`.
-    """
-    if not rows:
-        step = "Export the points with their spectra"
-        raise StapeskitError.of("the file", "with values of at least one point", "none", file, step)
-    grid, places, notices = common_grid([row.freq_hz for row in rows])
-    check_filled(len(rows), len(grid), sum(len(row.freq_hz) for row in rows), file)
-    kept = grid > 0.0
-    matrices: dict[str, Any] = {}
-    for name in _MATRICES:
-        parts = [getattr(row, name) for row in rows]
-        if any(part is not None for part in parts):
-            matrix = np.full((len(rows), len(grid)), np.nan, dtype=complex if name == "value" else float)
-            for number, part in enumerate(parts):
-                if part is not None:
-                    matrix[number, places[number]] = part
-            matrices[name] = matrix if np.all(kept) else matrix[:, kept]
-    if not np.any(kept):
-        step = "Export the lines above 0 Hz"
-        raise StapeskitError.of("the frequencies", "above 0 Hz", "0 Hz alone", file, step)
-    if not np.all(kept):
-        notices.append(Notice("dc_line", f"the line at 0 Hz of {file} holds no motion and was dropped."))
-    facts["notices"] = (*facts.get("notices", ()), *notices)
-    return Recording(file, grid[kept], channels=tuple(row.channel for row in rows), **matrices, **facts)
-
-
-def best_quantity(kinds: Sequence[tuple[Hashable, int, str]], file: str) -> tuple[list[bool], list[Notice]]:
-    """Choose responses rather than amplitudes, and one quantity of each channel, velocity first.
-
-    Parameters
-    ----------
-    kinds : sequence of (channel, order, per)
-
-    Returns
-    -------
-    keep : list of bool
-    notices : list of Notice
-        What was left out.
-    """
-    responses = any(per for *_, per in kinds)
-    rank = {1: 0, 0: 1, 2: 2}
-    best: dict[Hashable, int] = {}
-    for channel, order, per in kinds:
-        if per or not responses:
-            best[channel] = min(best.get(channel, order), order, key=rank.__getitem__)
-    keep = [bool(per or not responses) and best[channel] == order for channel, order, per in kinds]
-    if all(keep):
-        return keep, []
-    names = {True: set[str](), False: set[str]()}
-    for (_, order, per), kept in zip(kinds, keep, strict=True):
-        names[kept].add(f"{QUANTITY_OF_ORDER[order]} per {per}" if per else QUANTITY_OF_ORDER[order])
-    used, left = (" and ".join(sorted(names[kept])) for kept in (True, False))
-    text = f"{file} holds {used}, used here, and {left} of the same points, left out."
-    return keep, [Notice("quantity_chosen", text)]

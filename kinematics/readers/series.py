@@ -1,8 +1,8 @@
 """Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
 
-Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped
-sine); arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV,
-whose channels are named 1, 2, ... and scaled to full scale = 1.
+Files: a CSV with a column ``time_s`` and one column a channel; arrays of samples, or of rows x samples, with
+``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels are named 1, 2, ... and scaled to full
+scale = 1.
 
 The table of channels, one row a channel::
 
@@ -19,15 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts, SeriesFacts, is_file
-from kinematics.readers.recording import Recording, Row, recording_of
-from kinematics.readers.series_tables import Listed, numbers_of, read_channels, read_steps, reference_of
+from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.recording import Recording
+from kinematics.readers.series_tables import Listed, read_channels, read_steps, reference_of, table_of
 from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
 from kinematics.signals.lock_in import Step, stepped_frf
 from kinematics.signals.samples import sample_notices
@@ -42,20 +42,18 @@ RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
 _SHORTEST = 16  # samples; shorter records hold no spectrum
 
-
-Records = list[tuple[Array | None, Array]]
-"""Reference (sample,) or None, and responses (channel, sample), of every record."""
+Record = tuple[Array | None, Array]
+"""Reference (sample,) or None, and responses (channel, sample)."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """The samples of a file by channel, one array (sample,) a record; set frequencies of its steps."""
+    """The samples of a file by channel, (record, sample) each."""
 
     file: str
     sample_rate_hz: float
     start_s: float
-    channels: Mapping[str, tuple[Array, ...]]
-    set_hz: Array | None = None
+    channels: Mapping[str, Array]
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -67,24 +65,22 @@ def read(path: Path, facts: FileFacts) -> Recording:
         No table of channels, a channel that is missing, no or several references, or what is wrong with the
         samples.
     """
-    path = Path(path)
-    how = facts.series
+    path, how = Path(path), facts.series
     if how is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
     listed = [row for row in read_channels(how.channels) if not row.file or is_file(row.file, path.name)]
     responses = [row for row in listed if row.role == "response"]
     if not responses:
-        step = "Add a row, or leave the column file empty"
-        want = f"with a response of {path.name}"
+        want, step = f"with a response of {path.name}", "Add a row, or leave the column file empty"
         raise StapeskitError.of("the table of channels", want, "none", how.channels.name, step)
     reference = reference_of(listed, how)
     names = [row.name for row in responses] + ([] if reference is None else [reference.name])
     series = read_series(path, list(dict.fromkeys(names)))
     rows: list[Row] = []
-    notices: list[Notice] = [*sample_notices(series.channels, path.name)]
+    groups, notices = _groups(series, responses, reference)
     spread = 1.0
-    for group, records in _groups(series, responses, reference, notices):
+    for group, records in groups:
         frf = _estimate(records, series, how)
         low, high = how.band_hz or (0.0, np.inf)
         lines = (frf.freq_hz >= low) & (frf.freq_hz <= high)
@@ -101,7 +97,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
     return recording_of(
         path.name,
         rows,
-        notices=tuple(dict.fromkeys(notices)),
+        notices=tuple(dict.fromkeys([*sample_notices(series.channels, path.name), *notices])),
         statement=f"time series at {series.sample_rate_hz:g} Hz",
         line_spread=spread,
         amplitude_stated=True,
@@ -119,7 +115,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
         or samples are no finite numbers.
     """
     flat = _flatten(_tree(path, names))
-    low = {name.lower(): flat[name] for name in reversed(list(flat))}
+    low = {name.lower(): array for name, array in reversed(flat.items())}
     listed = list_some(flat, 20) or "none"
     missing = [name for name in names if name.lower() not in low]
     if missing:
@@ -129,21 +125,18 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
     longest = max(max(array.shape, default=0) for array in matched.values())
     time = next((low[name].reshape(-1) for name in TIMES if name in low and low[name].size == longest), None)
     rate = next((float(low[name].flat[0]) for name in RATES if name in low and low[name].size == 1), np.nan)
-    start = 0.0
     if time is not None:
-        rate, start = sampling_rate(time.astype(float), path.name), float(time[0])
+        rate = sampling_rate(time.astype(float), path.name)
     elif not 0.0 < rate <= HIGHEST_HZ:
-        step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
-        got = f"the variables {listed}"
+        step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
     faults: list[Fault] = []
-    channels: dict[str, tuple[Array, ...]] = {}
+    channels: dict[str, Array] = {}
     for name, array in matched.items():
         with collect_faults(faults):
             channels[name] = _samples(array, f"{path.name}, {name}")
     raise_all(faults)
-    set_hz = low["freq_hz"].astype(float).reshape(-1) if "freq_hz" in low else None
-    return Series(path.name, rate, start, channels, set_hz)
+    return Series(path.name, rate, 0.0 if time is None else float(time[0]), channels)
 
 
 def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
@@ -159,8 +152,10 @@ def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
         from kinematics.readers.matlab import read_variables
 
         return read_variables(path)
-    wanted = [name.lower() for name in names]
-    return numbers_of(path, ("time_s", *wanted), ("freq_hz",)).numbers
+    wanted = ["time_s", *(name.lower() for name in names)]
+    table = table_of(path, wanted, wanted)
+    raise_all(table.faults)
+    return table.numbers
 
 
 def _wav(path: Path) -> dict[str, Any]:
@@ -204,8 +199,8 @@ def sampling_rate(time: Array, where: str) -> float:
     return 1.0 / step
 
 
-def _samples(values: Array, where: str) -> tuple[Array, ...]:
-    """Return rows of samples; the longer side is time. Rows without any number are left as they are."""
+def _samples(values: Array, where: str) -> Array:
+    """Return records of samples; the longer side is time. Rows without any number are left as they are."""
     rows = np.atleast_2d(values.astype(float).squeeze())
     if rows.ndim > 2 or rows.size < _SHORTEST:
         want = f"samples, or rows x samples ({_SHORTEST} at least)"
@@ -217,25 +212,31 @@ def _samples(values: Array, where: str) -> tuple[Array, ...]:
         got = f"{int(np.sum(bad))} others, the first in row {row + 1}, sample {sample + 1}"
         step = "Cut the record, or leave the channel out"
         raise StapeskitError.of("the samples", f"finite and below {LARGEST:g}", got, where, step)
-    return tuple(rows)
+    return rows
 
 
 def _groups(
-    series: Series, responses: Sequence[Listed], reference: Listed | None, notices: list[Notice]
-) -> list[tuple[list[Listed], Records]]:
+    series: Series, responses: Sequence[Listed], reference: Listed | None
+) -> tuple[list[tuple[list[Listed], list[Record]]], list[Notice]]:
     """Return what was recorded together: channels with a point, and each row of channels without one."""
-    lead = 1 if reference is None else len(series.channels[reference.name])
+    lead = None if reference is None else series.channels[reference.name]
     fixed = [one for one in responses if one.channel.point or len(series.channels[one.name]) == 1]
     roving = [one for one in responses if one not in fixed]
-    groups: list[tuple[list[Listed], Records]] = []
+    groups: list[tuple[list[Listed], list[Record]]] = []
+    notices: list[Notice] = []
     for members in filter(None, (fixed, roving)):
-        counts = {len(series.channels[one.name]) for one in members}
-        if len(counts) > 1 or lead not in (1, *counts):
-            got = ", ".join(f"{one.name} {len(series.channels[one.name])}" for one in members[:6])
-            raise StapeskitError.of("the channels", "of as many rows (records or points)", got, series.file)
-        rows = list(range(counts.pop()))
-        for part in [rows] if members is fixed else [[k] for k in rows]:
-            alive = [one for one in members if all(_moves(series.channels[one.name][k]) for k in part)]
+        used = {one.name: series.channels[one.name] for one in members}
+        shapes = {rows.shape for rows in used.values()}
+        shapes |= set() if lead is None or len(lead) == 1 else {lead.shape}
+        samples = {shape[1] for shape in shapes} | (set() if lead is None else {lead.shape[1]})
+        if len(shapes) > 1 or len(samples) > 1:
+            got = ", ".join(f"{name} {' x '.join(map(str, rows.shape))}" for name, rows in used.items())
+            step = "Resample channels that were sampled at another rate"
+            want = "of one number of records (or points) and samples"
+            raise StapeskitError.of("the channels", want, got, series.file, step)
+        count = next(iter(shapes))[0]
+        for part in [range(count)] if members is fixed else [range(k, k + 1) for k in range(count)]:
+            alive = [one for one in members if all(_moves(used[one.name][k]) for k in part)]
             if len(alive) < len(members):
                 silent = list_some((one.name for one in members if one not in alive), 6)
                 text = (
@@ -249,38 +250,31 @@ def _groups(
                     replace(one, channel=replace(one.channel, point=one.channel.point or point, per=per))
                     for one in alive
                 ]
-                groups.append((named, [_record(series, alive, reference, k) for k in part]))
+                leads = None if reference is None or lead is None else lead * reference.scale
+                records = [
+                    (
+                        None if leads is None else leads[k % len(leads)],
+                        np.array([used[one.name][k] * one.scale for one in alive]),
+                    )
+                    for k in part
+                ]
+                groups.append((named, records))
     if not groups:
         step = "Check that the channels were connected"
         raise StapeskitError.of("the responses", "with a signal", "one value in all", series.file, step)
-    return groups
+    return groups, notices
 
 
 def _moves(row: Array) -> bool:
     return bool(np.all(np.isfinite(row)) and np.any(row != row[0]))
 
 
-def _record(
-    series: Series, members: Sequence[Listed], reference: Listed | None, k: int
-) -> tuple[Array | None, Array]:
-    """Return reference and responses (channel, sample) of one row, in SI."""
-    signals = [series.channels[one.name][k] * one.scale for one in members]
-    lead = None
-    if reference is not None:
-        rows = series.channels[reference.name]
-        lead = rows[k if len(rows) > 1 else 0] * reference.scale
-    sizes = sorted({len(signal) for signal in (*signals, *([] if lead is None else [lead]))})
-    if len(sizes) > 1:
-        step, got = "Resample channels that were sampled at another rate", " and ".join(map(str, sizes))
-        raise StapeskitError.of("the channels", "of one number of samples", got, series.file, step)
-    return lead, np.array(signals)
-
-
-def _estimate(records: Records, series: Series, how: SeriesFacts) -> Frf:
+def _estimate(records: Sequence[Record], series: Series, how: SeriesFacts) -> Frf:
     """Estimate responses as the excitation is: steps, a period, or segments of anything else."""
     rate = series.sample_rate_hz
-    if how.steps is not None or series.set_hz is not None:
-        steps = [step for lead, signals in records for step in _steps(lead, signals, series, how)]
+    if how.steps is not None:
+        stretches = read_steps(how.steps)
+        steps = [step for record in records for step in _steps(record, stretches, series)]
         return stepped_frf(steps, rate, how.settle, series.file)
     pairs = [(lead, signals) for lead, signals in records if lead is not None]
     if not pairs:
@@ -293,23 +287,16 @@ def _estimate(records: Records, series: Series, how: SeriesFacts) -> Frf:
     return welch_frf(pairs, rate, segment, series.file)
 
 
-def _steps(lead: Array | None, signals: Array, series: Series, how: SeriesFacts) -> list[Step]:
-    """Cut a record into its steps, by the table of steps or the column of set frequencies."""
-    rate, count = series.sample_rate_hz, signals.shape[1]
-    if how.steps is not None:
-        stretches = [
-            (round((start - series.start_s) * rate), round((stop - series.start_s) * rate), freq)
-            for start, stop, freq in read_steps(how.steps)
-        ]
-    else:
-        column = np.zeros(0) if series.set_hz is None else series.set_hz
-        if len(column) != count:
-            raise StapeskitError.of("freq_hz", f"{count} samples long", len(column), series.file)
-        edges = [0, *(np.flatnonzero(np.diff(column)) + 1).tolist(), count]
-        stretches = [(a, b, float(column[a])) for a, b in pairwise(edges) if column[a] > 0.0]
-    outside = [f"samples {a} to {b}" for a, b, _ in stretches if not 0 <= a < b <= count + 1]
+def _steps(record: Record, stretches: Sequence[tuple[float, float, float]], series: Series) -> list[Step]:
+    """Cut a record into its steps (start and stop, s; frequency, Hz)."""
+    (lead, signals), rate = record, series.sample_rate_hz
+    count, steps, outside = signals.shape[1], list[Step](), list[str]()
+    for start, stop, freq in stretches:
+        a, b = (round((second - series.start_s) * rate) for second in (start, stop))
+        if not 0 <= a < b <= count + 1:
+            outside.append(f"samples {a} to {b}")
+        steps.append(Step(freq, None if lead is None else lead[a:b], signals[:, a:b]))
     if outside:
-        want = f"within the record of {count} samples"
-        step = "Correct the table of steps"
+        want, step = f"within the record of {count} samples", "Correct the table of steps"
         raise StapeskitError.of("a step", want, list_some(outside), series.file, step)
-    return [Step(freq, None if lead is None else lead[a:b], signals[:, a:b]) for a, b, freq in stretches]
+    return steps

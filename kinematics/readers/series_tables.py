@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinematics.readers.facts import SeriesFacts, direction_of
-from kinematics.readers.points import require
+from kinematics.readers.points import require, text_of
 from kinematics.readers.recording import SI_UNITS, Channel, unknown_vector
 from kinematics.readers.text import plain_name, shown
-from kinematics.readers.units import is_none, motion_unit, plain, unit_fault
+from kinematics.readers.units import MOTIONS, is_none, motion_unit, plain
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 
 if TYPE_CHECKING:
     from stapeskit.tables import Table
-
 
 ROLES = ("response", "reference", "ignore")
 _NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
@@ -46,13 +45,7 @@ def read_channels(path: Path) -> list[Listed]:
         A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed
         twice; all faults with their lines.
     """
-    from stapeskit.tables import read_table
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("channel", "unit"), file)
-        return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
-
-    table = read_table(Path(path), choose)
+    table = table_of(path, ("channel", "unit"), _NUMBERS, _TEXTS)
     faults = list(table.faults)
     listed = [_listed(table, row, faults) for row in range(len(table))]
     keys = [(row.name, row.file, row.channel.point) for row in listed]
@@ -67,10 +60,7 @@ def read_channels(path: Path) -> list[Listed]:
 
 def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
     """Read one row of the table of channels; what is wrong is added to the faults."""
-    texts = {
-        name: (*table.texts[name].names, "")[table.texts[name].codes[row]] if name in table.texts else ""
-        for name in _TEXTS
-    }
+    texts = {name: text_of(table, name, row) for name in _TEXTS}
     numbers = {name: table.numbers.get(name, np.full(row + 1, np.nan))[row] for name in _NUMBERS}
     where = table.where(row)
     role = texts["role"].lower() or "response"
@@ -81,24 +71,30 @@ def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
     if not 0.0 < factor < np.inf:
         faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
     unit = motion_unit(texts["unit"])
+    unit = None if unit is None or unit.per else unit
     direction = unknown_vector()
     if role == "response":
-        if unit is None or unit.per:
-            step = "Give the unit of the numbers times the sensitivity, e.g. m/s"
-            faults.append(unit_fault(shown(texts["unit"]), ("unit",), where, step))
         direction = np.array([numbers[name] for name in _NUMBERS[:3]])
         with collect_faults(faults):
             direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
-    elif role == "reference" and is_none(texts["unit"]):
-        faults.append(Fault("unit", "the unit of the reference, e.g. Pa, V or m/s", "an empty cell", where))
-    motion = unit if unit is not None and not unit.per else None
+    wanted = MOTIONS if role == "response" and unit is None else ""
+    wanted = "the unit of the reference" if role == "reference" and is_none(texts["unit"]) else wanted
+    if wanted:
+        step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
+        faults.append(
+            Fault("the unit of unit", f"one of {wanted}", shown(texts["unit"]) or "none", where, step)
+        )
     channel = Channel(
-        plain_name(texts["point"]), texts["body"], texts["run"],
-        order=unit.order if unit else 1, direction=direction, where=where,
+        plain_name(texts["point"]),
+        texts["body"],
+        texts["run"],
+        order=unit.order if unit else 1,
+        direction=direction,
+        where=where,
         position_m=1e-3 * np.array([numbers[name] for name in _NUMBERS[3:6]]),
-    )  # fmt: skip
-    scale = factor * (motion.scale if motion else 1.0)
-    per = SI_UNITS[motion.order] if motion else plain(texts["unit"])
+    )
+    scale = factor * (unit.scale if unit else 1.0)
+    per = SI_UNITS[unit.order] if unit else plain(texts["unit"])
     return Listed(texts["channel"], role, texts["file"], scale, per, channel)
 
 
@@ -110,10 +106,8 @@ def reference_of(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
     StapeskitError
         There are several, or not the one that is asked for.
     """
-    wanted = how.reference_channel
-    references = [
-        r for r in listed if (r.name.lower() == wanted.lower() if wanted else r.role == "reference")
-    ]
+    wanted = how.reference_channel.lower()
+    references = [r for r in listed if (r.name.lower() == wanted if wanted else r.role == "reference")]
     names = list(dict.fromkeys(row.name for row in references))
     if len(names) > 1 or (wanted and not names):
         got = ", ".join(names) or wanted
@@ -132,31 +126,34 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
         positive.
     """
     columns = ("start_s", "stop_s", "freq_hz")
-    table = numbers_of(path, columns)
+    table = table_of(path, columns, columns)
     start, stop, freq = (table.numbers[name] for name in columns)
     good = (stop > start) & (freq > 0.0) & np.isfinite(start + stop + freq)
     want = "three finite numbers, the stop later than the start, the frequency positive"
     raise_all(
-        Fault("a step", want, f"{start[row]:g} to {stop[row]:g} s at {freq[row]:g} Hz", table.where(row))
-        for row in np.flatnonzero(~good).tolist()
+        [
+            *table.faults,
+            *(
+                Fault("a step", want, f"{start[k]:g} to {stop[k]:g} s at {freq[k]:g} Hz", table.where(k))
+                for k in np.flatnonzero(~good).tolist()
+            ),
+        ]
     )
     return list(zip(start.tolist(), stop.tolist(), freq.tolist(), strict=True))
 
 
-def numbers_of(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
-    """Read columns of numbers of a table.
+def table_of(path: Path, required: Sequence[str], numbers: Sequence[str], texts: Sequence[str] = ()) -> Table:
+    """Read those of some columns that a table has; its faults are still to be raised.
 
     Raises
     ------
     StapeskitError
-        A column is missing, or a cell is no number.
+        A required column is missing.
     """
     from stapeskit.tables import read_table
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, columns, file)
-        return {*columns, *(set(optional) & set(header))}, set()
+        require(header, required, file)
+        return set(numbers) & set(header), set(texts) & set(header)
 
-    table = read_table(Path(path), choose)
-    raise_all(table.faults)
-    return table
+    return read_table(Path(path), choose)

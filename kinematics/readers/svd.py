@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
+from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.recording import Channel, Recording, unknown_vector
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Place, StapeskitError
 from stapeskit.warnings import Notice
@@ -55,7 +56,9 @@ _VERSIONS = {
 }  # fmt: skip
 """Versions of the layouts of streams: the first number of each."""
 
-_POINT_BYTES = 56  # of a point in MeasPoints
+_POINT = np.dtype(
+    {"names": ["number", "xyz"], "formats": ["<i4", "(3,)<f4"], "offsets": [0, 16], "itemsize": 56}
+)
 _POINTS_AT = 90  # number of points in MeasPoints; the points follow
 _AXIS_AT = 82  # first and last frequency and number of lines in Media_Type
 _NAMES_AT = 107  # names of a channel in Channels, from its start
@@ -137,13 +140,13 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")
     # the ratio of powers of an empty line is no number: a missing value
     with np.errstate(divide="ignore", invalid="ignore"):
-        response, coherence = scan.h1, np.clip(scan.coherence, 0.0, 1.0)
+        response, coherence = scan.h1, scan.coherence
     response[~np.isfinite(response)] = np.nan
     rows = []
     for point in np.flatnonzero(measured).tolist():
         place, where = scan.points_m[point], Place(path.name, "point", (point + 1,))
         channel = Channel(str(point + 1), per=per, position_m=place, direction=direction, where=where)
-        noise = {"coherence": coherence[point], "n_avg": float(scan.averages)}
+        noise = {"coherence": np.minimum(coherence[point], 1.0), "n_avg": float(scan.averages)}
         rows.append(Row(channel, scan.freq_hz, response[point], **noise))
     statement = (
         f"PSV {scan.version}, aligned coordinates in metres, H1 of {scan.names[0]} over {scan.names[1]}, "
@@ -165,7 +168,9 @@ def read_scan(path: Path) -> Scan:
     try:
         with olefile.OleFileIO(path) as ole:
             return _File(ole, path.name).scan()
-    except (OSError, struct.error, IndexError, UnicodeDecodeError) as fault:  # olefile and short streams
+    except StapeskitError:
+        raise
+    except (OSError, struct.error, IndexError, ValueError) as fault:  # olefile and short streams
         got = " ".join(str(fault).split())[:120] or type(fault).__name__
         want = "whole, as PSV 10 writes it"
         raise StapeskitError.of("the scan file", want, got, path.name, EXPORT) from fault
@@ -200,15 +205,14 @@ class _File:
         folders = sorted({name.split("/")[1] for name in streams if name.startswith("Polytec_Data/")})
         media = {medium.formula: medium for medium in map(self.medium, folders)}
         crosses = [match for formula in media if (match := _CROSS.fullmatch(formula))]
+        autos = [f"AVG[AP[S[T[{number}]]]]" for match in crosses for number in match.groups()]
         want = "one cross power of a vibrometer channel and a reference, with both auto powers"
-        listed = ", ".join(media) or "none"
-        self.require(len(crosses) == 1, "the averaged spectra", want, listed)
-        one, other = int(crosses[0][1]), int(crosses[0][2])
-        autos = [f"AVG[AP[S[T[{number}]]]]" for number in (one, other)]
-        self.require(set(autos) <= set(media), "the averaged spectra", want, listed)
+        good = len(crosses) == 1 and set(autos) <= set(media)
+        self.require(good, "the averaged spectra", want, ", ".join(media) or "none")
         cross, own, reference = (media[formula] for formula in (crosses[0][0], *autos))
         same = all(np.array_equal(medium.freq_hz, cross.freq_hz) for medium in (own, reference))
         self.require(same, "the spectra", "of the same frequencies", "different ones")
+        one, other = map(int, crosses[0].groups())
         names = (cross.names.get(one, ""), cross.names.get(other, ""))
         channels = self.channels()
         vibrometers = [name for name, (_, vibrometer) in channels.items() if vibrometer]
@@ -240,7 +244,6 @@ class _File:
         content = self.stream(f"Polytec_Data/{folder}/Static_Info")
         count = _numbers("<i", content, 60)[0]
         triples = [_numbers("<3i", content, 64 + 12 * k) for k in range(count)]
-        quantities = {channel: code for code, _, channel in triples}
         at = 64 + 12 * count + 8
         names: dict[int, str] = {}
         for _ in range(_numbers("<i", content, at - 4)[0]):
@@ -251,11 +254,11 @@ class _File:
         first, last, lines = _numbers("<2di", self.stream(f"Polytec_Data/{folder}/Media_Type"), _AXIS_AT)
         rate, _, samples = _numbers("<d2i", self.stream("Info/DAQ_Settings_Fft/Fft"), 4)
         step = rate / samples if samples > 0 else np.nan
-        good = (
-            lines >= 2 and 0.0 < step < np.inf and np.isclose((last - first) / (lines - 1), step, rtol=1e-9)
-        )
+        spaced = lines >= 2 and np.isclose((last - first) / (lines - 1), step, rtol=1e-9)
         got = f"{lines} lines from {first:g} to {last:g} Hz, {samples} samples at {rate:g} Hz"
-        self.require(good, f"the frequencies of {formula}", "spaced as the sampling says", got)
+        want = "spaced as the sampling says"
+        self.require(spaced and 0.0 < step < np.inf, f"the frequencies of {formula}", want, got)
+        quantities = {channel: code for code, _, channel in triples}
         return Medium(folder, formula, names, quantities, first + step * np.arange(lines))
 
     def channels(self) -> dict[str, tuple[int, bool]]:
@@ -283,14 +286,12 @@ class _File:
         """Return the coordinates of the points, (p, 3), m; NaN where all are zero."""
         content = self.stream("Info/Geometry/MeasPoints")
         count = _numbers("<i", content, _POINTS_AT)[0]
-        good = 1 <= count <= (len(content) - _POINTS_AT) // _POINT_BYTES + 1
-        self.require(good, "the number of points", "as many as the file holds", count)
-        starts = [_POINTS_AT + 4 + _POINT_BYTES * k for k in range(count)]
-        numbers = [_numbers("<i", content, start)[0] for start in starts]
-        good = numbers == list(range(1, count + 1))
-        self.require(good, "the points", "numbered from 1", numbers[:5])
-        points = np.array([_numbers("<3f", content, start + 16) for start in starts], dtype=float)
-        return points if np.any(points) else np.full(points.shape, np.nan)
+        self.require(count > 0, "the number of points", "positive", count)
+        points = np.frombuffer(content, _POINT, count, _POINTS_AT + 4)
+        good = np.array_equal(points["number"], np.arange(1, count + 1))
+        self.require(good, "the points", "numbered from 1", points["number"][:5])
+        xyz = points["xyz"].astype(float)
+        return xyz if np.any(xyz) else np.full(xyz.shape, np.nan)
 
     def records(self, medium: Medium, kind: str, points: int) -> ComplexArray:
         """Return the values of a medium, (p, L), NaN at points without a record."""

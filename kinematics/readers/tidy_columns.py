@@ -15,35 +15,30 @@ DIRECTION = ("dir_x", "dir_y", "dir_z")
 TEXTS = ("body", "point", "run", "repeat", "dir")
 EXTRA = ("n_avg", "coherence")
 KNOWN = (*TEXTS, *POSITION, *DIRECTION, "freq_hz", *EXTRA)
+
 _WITH_UNIT = re.compile(r"(?:re|im|amp|sd)(?:_.*)?|(freq|phase).*")
 _UNITS = {"freq": "freq_hz", "phase": "phase_deg", None: f"one of {SUFFIXES}"}
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of one table.
+    """The columns of one table: ``first`` and ``second`` are real and imaginary part, or polar.
 
-    Attributes
-    ----------
-    first, second : str
-        Real and imaginary part, or with ``polar`` amplitude and phase.
-    unit : Unit
-        Of the value.
-    sd : str
-        Name of the sd column, empty without one; ``sd_scale`` is its factor to SI.
-    names : frozenset of str
-        All that are read.
-    ignored : tuple of str
+    ``sd`` is empty without one, in the unit of the value but for its ``sd_scale``; ``ignored`` are not read.
     """
 
     first: str
     second: str
-    polar: bool
     unit: Unit
     sd: str
     sd_scale: float
     names: frozenset[str]
     ignored: tuple[str, ...] = ()
+
+    @property
+    def polar(self) -> bool:
+        """Whether the value is given by amplitude and phase."""
+        return self.unit.part == "amp"
 
     @property
     def texts(self) -> set[str]:
@@ -64,18 +59,21 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
     StapeskitError
         A column is missing, has an unknown unit, or contradicts another one.
     """
-    place = Place(file, "line", (1,))
+    place, faults = Place(file, "line", (1,)), list[Fault]()
+
+    def refuse(thing: str, expected: str, got: str, step: str) -> None:
+        faults.append(Fault(thing, expected, got, place, step))
+
     units = {name: unit for name in header if (unit := unit_of(name)) is not None}
     other = other_table(header, ("freq_hz",))
     if other and not units:
-        raise_all([Fault("the table", "of vibrometer readings", "no column freq_hz", place, other)])
-    faults = []
+        refuse("the table", "of vibrometer readings", "no column freq_hz", other)
+        raise_all(faults)
     for name in header:
         match = _WITH_UNIT.fullmatch(name)
         if match and name not in units and name != _UNITS[match[1]]:
             step = "Convert the values, and name their unit in the header"
-            thing = f"the unit of column {name}"
-            faults.append(Fault(thing, _UNITS[match[1]], "an unknown one", place, step))
+            refuse(f"the unit of column {name}", _UNITS[match[1]], "an unknown one", step)
     direction = ("dir",) if "dir" in header or set(DIRECTION).isdisjoint(header) else DIRECTION
     positions = POSITION if any(name in header for name in POSITION) else ()
     wanted = ("body", "point", "freq_hz", *direction, *positions)
@@ -84,34 +82,39 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
         near = [f"{one[0]} for {name}" for name in header if (one := get_close_matches(name, missing, 1))]
         step = "Add the column, or correct its name in the header (points2dof --help lists the layouts)"
         step = f"Did you mean {', '.join(near)}?" if near else step
-        faults.append(Fault("the table", "complete", f"no column {', '.join(missing)}", place, step))
+        refuse("the table", "complete", f"no column {', '.join(missing)}", step)
     if "dir" in header and not set(DIRECTION).isdisjoint(header):
-        faults.append(Fault("the direction", "given once", "dir and dir_x ...", place, "Remove one"))
-    values = {unit.part: name for name, unit in units.items() if unit.part != "sd"}
-    if set(values) == {"amp"} and "phase_deg" in header:
-        values["phase"] = "phase_deg"
-    count = sum(unit.part != "sd" for unit in units.values()) + ("phase" in values)
-    polar = "phase" in values
-    first, second = (values.get(part, "") for part in (("amp", "phase") if polar else ("re", "im")))
-    if count != 2 or not (first and second):
-        got = ", ".join(values.values()) or "none of them"
-        want = "re_m_s with im_m_s, or amp_m_s with phase_deg (or another unit), once"
-        faults.append(Fault("the value", want, got, place, "Add the missing column, or remove the others"))
-        raise_all(faults)
-    kinds = {name: (unit.order, unit.rms) for name, unit in units.items()}
-    if not polar and (kinds[first], units[first].scale) != (kinds[second], units[second].scale):
-        got = f"{first} and {second}"
-        faults.append(Fault("real and imaginary part", "in one unit", got, place, "Convert one of them"))
+        refuse("the direction", "given once", "dir and dir_x ...", "Remove one")
+    first, second = _pair(units, header)
     spreads = [name for name, unit in units.items() if unit.part == "sd"]
-    if len(spreads) > 1 or any(kinds[name] != kinds[first] for name in spreads):
-        want, got = f"one column sd_{first.split('_', 1)[1]}", ", ".join(spreads)
-        faults.append(Fault("the standard deviation", want, got, place, "Convert it, or remove the others"))
+    if not second:
+        want = "re_m_s with im_m_s, or amp_m_s with phase_deg (or another unit), once"
+        step = "Add the missing column, or remove the others"
+        refuse("the value", want, first or "none of them", step)
+        raise_all(faults)
+    kind = {name: (unit.order, unit.rms) for name, unit in units.items()}
+    if second in units and (kind[first], units[first].scale) != (kind[second], units[second].scale):
+        refuse("real and imaginary part", "in one unit", f"{first} and {second}", "Convert one of them")
+    if len(spreads) > 1 or any(kind[name] != kind[first] for name in spreads):
+        want = f"one column sd_{first.split('_', 1)[1]}"
+        refuse("the standard deviation", want, ", ".join(spreads), "Convert it, or remove the others")
     raise_all(faults)
     sd = spreads[0] if spreads else ""
-    optional = {"run", "repeat", *EXTRA} & set(header)
-    names = frozenset([*wanted, first, second, *optional, *spreads])
+    names = frozenset([*wanted, first, second, *spreads, *({"run", "repeat", *EXTRA} & set(header))])
     ignored = tuple(name for name in header if name and name not in names)
-    return Columns(first, second, polar, units[first], sd, units[sd].scale if sd else 1.0, names, ignored)
+    return Columns(first, second, units[first], sd, units[sd].scale if sd else 1.0, names, ignored)
+
+
+def _pair(units: dict[str, Unit], header: Sequence[str]) -> tuple[str, str]:
+    """Return the two columns of the value, in order; else what is there of them, and an empty name."""
+    values = {name: unit.part for name, unit in units.items() if unit.part != "sd"}
+    names = list(values)
+    if list(values.values()) == ["amp"] and "phase_deg" in header:
+        return names[0], "phase_deg"
+    if sorted(values.values()) == ["im", "re"]:
+        real, imaginary = sorted(names, key=lambda name: values[name], reverse=True)
+        return real, imaginary
+    return ", ".join(names), ""
 
 
 def with_meant(name: str) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,20 +19,16 @@ from typing import Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.recording import (
-    Channel,
-    Recording,
-    Row,
-    best_quantity,
-    recording_of,
-    scaled,
-    unknown_vector,
-)
+from kinematics.readers.gather import Row, joined_place, recording_of
+from kinematics.readers.recording import Channel, Recording, unknown_vector
 from kinematics.readers.text import CUT, shown
 from kinematics.readers.uff_geometry import Geometry, read_geometry
-from kinematics.readers.units import MotionUnit, is_none, motion_unit, plain, unit_fault
+from kinematics.readers.units import MotionUnit, is_none, motion_unit, plain
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.warnings import Notice
+
+Function = Mapping[str, Any]
+"""A dataset 58 as pyuff gives it, with its ``place`` in the file."""
 
 FRF, TRANSMISSIBILITY, COHERENCE, SPECTRUM = 4, 5, 6, 12
 KINDS = {
@@ -49,58 +45,14 @@ ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
+AXES = ("", "+x", "+y", "+z", "+rx", "+ry", "+rz", "-rz", "-ry", "-rx", "-z", "-y", "-x")
+"""Directions by their codes, the negative ones counted from the end."""
+
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
 _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
 _IN_TEXT = re.compile(r"(?:^|[\s_])[+-]?[xyz]\b", re.IGNORECASE)
-_ROTATION = Fault(
-    "the direction of a function",
-    "0 (scalar) or +-1, +-2, +-3",
-    "a rotation or another number",
-    next_step="Vibrometers measure translations: leave rotations out of the export",
-)
-_CONTRADICTION = Fault(
-    "quantity and unit",
-    "those of one motion",
-    "different ones",
-    next_step="Correct the unit in the measuring program",
-)
-
-
-@dataclass(frozen=True)
-class Function:
-    """A function of motion over frequency: ``data`` are the fields of its dataset, ``scale`` leads to SI."""
-
-    place: int
-    data: Mapping[str, Any]
-    order: int
-    scale: float
-    per: str
-
-    @property
-    def node(self) -> int:
-        """Node of the response."""
-        return int(self.data["rsp_node"])
-
-    @property
-    def point(self) -> str:
-        """Name of the point: the number of its node, or the name of the entity where that is 0."""
-        name = str(self.data.get("rsp_ent_name", "")).strip()
-        return name if self.node == 0 and not is_none(name) else str(self.node)
-
-    @property
-    def excitation(self) -> tuple[int, int, int]:
-        """Load case, else node and direction of the reference; zeros where they mean nothing."""
-        case = int(self.data["load_case_id"])
-        if case or self.data["func_type"] == SPECTRUM:
-            return case, 0, 0
-        return 0, int(self.data["ref_node"]), int(self.data["ref_dir"])
-
-    @property
-    def channel(self) -> tuple[object, ...]:
-        """What tells measurements at a point apart."""
-        return self.point, self.data["rsp_dir"], self.excitation, self.data["ver_num"]
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -110,58 +62,45 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     ------
     StapeskitError
         The file is cut short, a function holds fewer values than its header says, a measured direction is a
-        rotation, a unit is unknown, there is no function of motion, or one point and direction is there
-        twice; all faults of the file together, one a kind.
+        rotation, or there is no function of motion; as `recording_of`. All faults together, one a kind.
     """
     path = Path(path)
     sets, faults = _read_sets(path)
-    functions = [(place, one) for place, one in sets if one.get("type") == 58]
-    geometry = read_geometry(sets, path.name, {int(one["rsp_node"]) for _, one in functions}, faults)
-    motions, others = _motions(functions, geometry, path.name, faults)
-    raise_all(faults)
+    functions = [one for one in sets if one.get("type") == 58]
+    geometry = read_geometry(sets, path.name, {int(one["rsp_node"]) for one in functions}, faults)
+    others = Counter(text for one in functions if (text := _unusable(one)))
+    usable = [one for one in functions if one["func_type"] != COHERENCE and not _unusable(one)]
     listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
-    if not motions:
+    if not usable and not faults:
         want = "one with functions 58 of displacement, velocity or acceleration over frequency"
         step = "Export complex spectra or frequency responses of velocity or displacement as UFF 58"
         raise StapeskitError.of("a universal file", want, listed or "none", path.name, step)
-    keep, notices = best_quantity([(one.channel, one.order, one.per) for one in motions], path.name)
-    chosen = [one for one, kept in zip(motions, keep, strict=True) if kept]
-    if listed:
-        notices.append(Notice("content_ignored", f"{path.name}: left out: {listed}."))
-    if any(one.data["func_type"] == SPECTRUM for one in chosen):
-        text = (
-            f"{path.name} holds spectra, no frequency responses: their phases are those of one motion only "
-            "when every point was triggered by the excitation."
-        )
-        notices.append(Notice("spectra_phase", text))
-    stated = geometry.length_factor is not None
-    if not stated and any(is_none(str(one.data.get("ordinate_axis_units_lab", ""))) for one in chosen):
-        text = f"{path.name} names no unit of its values and has no dataset 164: they were taken as SI."
-        notices.append(Notice("length_unit_assumed", text))
-    raise_all(_repeated(chosen, path.name))
-    runs, repeats = _runs(chosen), len({one.data["ver_num"] for one in chosen}) > 1
-    coherence = {
-        key: one
-        for _, one in functions
+    runs, repeats = _runs(usable), len({one["ver_num"] for one in usable}) > 1
+    coherences = {
+        key: np.real(one["data"])
+        for one in functions
         if one["func_type"] == COHERENCE
         for key in (_response(one), _response(one)[:3])
     }
-    lengths = (
-        f"lengths by dataset 164, {geometry.length_factor:g} per metre" if stated else "lengths as metres"
-    )
+    rows = [
+        _row(one, geometry, run, repeats, coherences, path.name)
+        for one, run in zip(usable, runs, strict=True)
+    ]
+    raise_all([*faults, *_row_faults(usable, rows)])
+    stated = geometry.length_factor is not None
+    lengths = f"by dataset 164, {geometry.length_factor:g} per metre" if stated else "as metres"
     return recording_of(
         path.name,
-        [
-            _row(one, geometry, run, repeats, coherence, path.name)
-            for one, run in zip(chosen, runs, strict=True)
-        ],
-        notices=(*notices, *geometry.notices),
-        statement=f"global axes of the file, {lengths}",
+        rows,
+        twice=_step_for_directions(usable),
+        notices=(*_notices(usable, listed, stated, path.name), *geometry.notices),
+        statement=f"global axes of the file, lengths {lengths}",
+        amplitude_stated=False,
         length_stated=stated,
     )
 
 
-def _read_sets(path: Path) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault]]:
+def _read_sets(path: Path) -> tuple[list[dict[str, Any]], list[Fault]]:
     """Return the datasets of a file with their places from 1, and what is wrong with them.
 
     Where pyuff fails, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten.
@@ -177,7 +116,7 @@ def _read_sets(path: Path) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault
         return _datasets(copy, plain_text, path.name)
 
 
-def _datasets(path: Path, content: bytes, name: str) -> tuple[list[tuple[int, dict[str, Any]]], list[Fault]]:
+def _datasets(path: Path, content: bytes, name: str) -> tuple[list[dict[str, Any]], list[Fault]]:
     """Return the datasets that pyuff reads, and what is wrong with the others."""
     import pyuff
 
@@ -187,135 +126,48 @@ def _datasets(path: Path, content: bytes, name: str) -> tuple[list[tuple[int, di
         got = shown(whole.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"
         faults.append(Fault("the last line of a universal file", "-1", got, name, CUT))
     file = pyuff.UFF(str(path))
-    sets: list[tuple[int, dict[str, Any]]] = []
+    sets: list[dict[str, Any]] = []
     damaged: list[int] = []
     for place in range(1, file.get_n_sets() + 1):
         try:
-            one = file.read_sets(place - 1)
+            one = {**file.read_sets(place - 1), "place": place}
         except Exception:  # pyuff raises plain exceptions of many kinds
             damaged.append(place)
             continue
         if one.get("type") == 58:
-            faults += _function_faults(one, place, name)
-        sets.append((place, one))
+            x, y = np.atleast_1d(one.get("x", [])), np.atleast_1d(one.get("data", []))
+            if not len(y) or len(y) != one["num_pts"] or len(x) != len(y):
+                got, where = f"{len(y)} of {one['num_pts']}", Place(name, "dataset", (place,))
+                want = "as many as its header says"
+                faults.append(Fault("the values of a function", want, got, where, CUT))
+                continue
+        sets.append(one)
     if damaged:
         where = Place(name, "dataset", tuple(damaged))
         faults.append(Fault("a dataset", "as the format describes it", "another layout", where, CUT))
     return sets, faults
 
 
-def _function_faults(one: dict[str, Any], place: int, file: str) -> list[Fault]:
-    """List what keeps the numbers of a function from being used; descending frequencies are turned round."""
-    where = Place(file, "dataset", (place,))
-    x, y = np.atleast_1d(one.get("x", [])), np.atleast_1d(one.get("data", []))
-    if not len(y) or len(y) != one["num_pts"] or len(x) != len(y):
-        want = "as many as its header says"
-        return [Fault("the values of a function", want, f"{len(y)} of {one['num_pts']}", where, CUT)]
-    if one["func_type"] == 1:
-        return []
-    order = np.argsort(x, kind="stable")
-    one["x"], one["data"] = x[order].astype(float), y[order]
-    if not np.all(np.isfinite(x)) or one["x"][0] < 0.0 or np.any(np.diff(one["x"]) <= 0.0):
-        want = "different, finite and not negative"
-        got = f"{len(np.unique(x))} different ones of {len(x)}, from {np.min(x):g} to {np.max(x):g}"
-        return [Fault("the frequencies of a function", want, got, where, "Export it again")]
-    return []
+def _unusable(one: Function) -> str:
+    """Return what a function is that holds neither motion over frequency nor coherence; empty for others."""
+    kind = KINDS.get(one["func_type"], f"function of type {one['func_type']}")
+    named = motion_unit(_label(one, "ordinate")) is not None
+    ordinate = one["ordinate_spec_data_type"]
+    reasons = {
+        "": one["func_type"] not in (FRF, TRANSMISSIBILITY, SPECTRUM),
+        " of another quantity": ordinate not in ORDERS and (ordinate not in (0, 1) or not named),
+        " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY,
+        " of real numbers, without phase": not np.iscomplexobj(one["data"]),
+    }
+    if one["func_type"] == COHERENCE or not any(reasons.values()):
+        return ""
+    return kind + next(text for text, true in reasons.items() if true)
 
 
-def _motions(
-    functions: Sequence[tuple[int, Mapping[str, Any]]], geometry: Geometry, file: str, faults: list[Fault]
-) -> tuple[list[Function], Counter[str]]:
-    """Return the functions of motion over frequency, and count the others by what they are."""
-    usable, others = [], Counter[str]()
-    problems: dict[Fault, list[int]] = {}
-    for place, one in functions:
-        kind = KINDS.get(one["func_type"], f"function of type {one['func_type']}")
-        ordinate, label = one["ordinate_spec_data_type"], str(one.get("ordinate_axis_units_lab", ""))
-        unit = None if is_none(label) else motion_unit(label)
-        if one["func_type"] == COHERENCE:
-            continue
-        reasons = {
-            "": one["func_type"] not in (FRF, TRANSMISSIBILITY, SPECTRUM),
-            " of another quantity": ordinate not in ORDERS and (ordinate not in (0, 1) or unit is None),
-            " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY,
-            " of real numbers, without phase": not np.iscomplexobj(one["data"]),
-        }
-        if any(reasons.values()):
-            others[kind + next(text for text, true in reasons.items() if true)] += 1
-        elif abs(one["rsp_dir"]) > 3:
-            problems.setdefault(_ROTATION, []).append(place)
-        elif unit is None and not is_none(label):
-            step = "Export the file in SI units, on a linear scale"
-            problems.setdefault(unit_fault(shown(label), (), "", step), []).append(place)
-        elif unit is not None and ORDERS.get(ordinate, unit.order) != unit.order:
-            problems.setdefault(_CONTRADICTION, []).append(place)
-        else:
-            usable.append(_function(place, one, geometry))
-    faults += [
-        replace(fault, where=Place(file, "dataset", tuple(places))) for fault, places in problems.items()
-    ]
-    return usable, others
-
-
-def _function(place: int, one: Mapping[str, Any], geometry: Geometry) -> Function:
-    """Find order, factor to SI and reference of a function of motion."""
-    label = str(one.get("ordinate_axis_units_lab", ""))
-    unit = None if is_none(label) else motion_unit(label)
-    if unit is None:
-        order = ORDERS.get(one["ordinate_spec_data_type"], 1)
-        unit = MotionUnit(order, 1.0 / (geometry.length_factor or 1.0))
-    denominator = str(one.get("orddenom_axis_units_lab", ""))
-    per = unit.per
-    if one["func_type"] != SPECTRUM and not is_none(denominator):
-        per = plain(denominator)
-    elif one["func_type"] != SPECTRUM and not per:
-        per = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
-    return Function(place, one, unit.order, unit.scale, per)
-
-
-def _repeated(chosen: Sequence[Function], file: str) -> list[Fault]:
-    """Refuse functions of one point, direction, run and version; one sentence for all of them."""
-    groups: dict[tuple[object, ...], list[Function]] = {}
-    for one in chosen:
-        groups.setdefault(one.channel, []).append(one)
-    twice = [group for group in groups.values() if len(group) > 1]
-    if not twice:
-        return []
-    step = "Export one signal of one excitation, or give the runs different references"
-    labels = (
-        str(one.data.get(key, "")).strip() for group in twice for one in group for key in ("id1", "id2")
-    )
-    in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
-    if len(in_text) > 1:
-        step = (
-            f"Their directions are in the text alone ({list_some(in_text)}): export them with directions "
-            "of the degrees of freedom (record 6), or as a wide table"
-        )
-    listed = list_some((f"{group[0].point} ({group[0].data['rsp_dir']:+d})" for group in twice), 6)
-    where = Place(file, "dataset", tuple(one.place for group in twice for one in group))
-    got = f"up to {max(map(len, twice))} of them"
-    return [Fault(f"the function of nodes and directions {listed}", "there once", got, where, step)]
-
-
-def _response(one: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return what a coherence has in common with its response."""
-    return (one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"])
-
-
-def _runs(chosen: Sequence[Function]) -> list[str]:
-    """Return the run of each function: its load case, else its reference, where there are several.
-
-    Some exports repeat the node of the response as the reference; that says nothing about the excitation.
-    """
-    roving = all(one.excitation[1] == one.node for one in chosen) and len({one.node for one in chosen}) > 1
-    if len({one.excitation for one in chosen}) == 1 or roving:
-        return [""] * len(chosen)
-    axes = ("", "+x", "+y", "+z", "+rx", "+ry", "+rz", "-rz", "-ry", "-rx", "-z", "-y", "-x")
-    names = []
-    for case, node, direction in (one.excitation for one in chosen):
-        beam = axes[direction] if abs(direction) <= 6 else ""
-        names.append(f"case {case}" if case else f"{node}{beam}")
-    return names
+def _label(one: Function, axis: str) -> str:
+    """Return the unit that stands at an axis; empty where none is stated."""
+    label = str(one.get(f"{axis}_axis_units_lab", ""))
+    return "" if is_none(label) else label
 
 
 def _row(
@@ -323,29 +175,104 @@ def _row(
     geometry: Geometry,
     run: str,
     repeats: bool,
-    coherences: Mapping[tuple[int, ...], Mapping[str, Any]],
+    coherences: Mapping[tuple[int, ...], Any],
     file: str,
 ) -> Row:
     """Return a function as a row, with its coherence where the file holds it."""
-    data = one.data
+    label, per, response = _label(one, "ordinate"), _label(one, "orddenom"), one["func_type"] != SPECTRUM
+    order = ORDERS.get(one["ordinate_spec_data_type"], 1)
+    unit = motion_unit(label) if label else MotionUnit(order, 1.0 / (geometry.length_factor or 1.0))
+    if unit is not None and response and (per or not unit.per):
+        known = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
+        unit = replace(unit, per=plain(per) if per else known)
+    node, name = int(one["rsp_node"]), str(one.get("rsp_ent_name", "")).strip()
     channel = Channel(
-        one.point,
+        name if node == 0 and not is_none(name) else str(node),
         run=run,
-        repeat=str(data["ver_num"]) if repeats else "",
-        order=one.order,
-        per=one.per,
-        position_m=geometry.positions_m.get(one.node, unknown_vector()),
-        direction=geometry.direction(one.node, int(data["rsp_dir"])),
-        where=Place(file, "dataset", (one.place,)),
+        repeat=str(one["ver_num"]) if repeats else "",
+        position_m=geometry.positions_m.get(node, unknown_vector()),
+        direction=geometry.direction(node, int(one["rsp_dir"])),
+        where=Place(file, "dataset", (one["place"],)),
     )
-    coherence, key = None, _response(data)
+    coherence, key = None, _response(one)
     match = coherences.get(key, coherences.get(key[:3]))  # of the same reference, else of another
-    if match is not None and data["func_type"] != SPECTRUM:
-        stated = np.real(match["data"])
-        same = len(match["x"]) == len(data["x"]) and np.allclose(match["x"], data["x"])
-        if not same or np.any(stated < -1e-6) or np.any(stated > 1.0 + 1e-4):
-            want = "within 0 and 1, at the frequencies of its response"
-            step = "Export both again, or leave it out"
-            raise StapeskitError.of("the coherence", want, "others", channel.where, step)
-        coherence = np.clip(stated, 0.0, 1.0)
-    return Row(channel, data["x"], scaled(data["data"], one.scale), coherence=coherence)
+    if match is not None and response:
+        if len(match) != len(one["data"]):
+            want, got = "of as many lines as its response", len(match)
+            raise StapeskitError.of("the coherence", want, got, channel.where, "Export both again")
+        coherence = np.array(match, dtype=float)
+    return Row(channel, one["x"].astype(float), one["data"], coherence=coherence, unit=unit or label)
+
+
+def _response(one: Function) -> tuple[int, ...]:
+    """Return what a coherence has in common with its response."""
+    return (one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"])
+
+
+def _row_faults(functions: Sequence[Function], rows: Sequence[Row]) -> list[Fault]:
+    """Refuse rotations, and units that contradict the quantity; one sentence a kind."""
+    turned = [row.channel for one, row in zip(functions, rows, strict=True) if abs(one["rsp_dir"]) > 3]
+    wrong = [
+        row.channel
+        for one, row in zip(functions, rows, strict=True)
+        if isinstance(row.unit, MotionUnit)
+        and ORDERS.get(one["ordinate_spec_data_type"], row.unit.order) != row.unit.order
+    ]
+    faults = []
+    if turned:
+        want, got = "0 (scalar) or +-1, +-2, +-3", "a rotation or another number"
+        step = "Vibrometers measure translations: leave rotations out of the export"
+        faults.append(Fault("the direction of a function", want, got, joined_place(turned), step))
+    if wrong:
+        want, step = "those of one motion", "Correct the unit in the measuring program"
+        faults.append(Fault("quantity and unit", want, "different ones", joined_place(wrong), step))
+    return faults
+
+
+def _runs(functions: Sequence[Function]) -> list[str]:
+    """Return the run of each function: its load case, else its reference, where there are several.
+
+    Some exports repeat the node of the response as the reference; that says nothing about the excitation.
+    """
+    excitations = []
+    for one in functions:
+        case = int(one["load_case_id"])
+        spectrum = case or one["func_type"] == SPECTRUM
+        excitations.append((case, 0, 0) if spectrum else (0, int(one["ref_node"]), int(one["ref_dir"])))
+    nodes = [one["rsp_node"] for one in functions]
+    roving = len(set(nodes)) > 1 and nodes == [node for _, node, _ in excitations]
+    spectra = [one["func_type"] == SPECTRUM for one in functions]
+    responses = {excitation for excitation, own in zip(excitations, spectra, strict=True) if not own}
+    if len(responses or set(excitations)) <= 1 or roving:
+        return [""] * len(functions)
+    return [
+        f"case {case}" if case else f"{node}{AXES[direction] if abs(direction) <= 6 else ''}"
+        for case, node, direction in excitations
+    ]
+
+
+def _step_for_directions(functions: Sequence[Function]) -> str:
+    """Return what to do where a node and direction is there twice."""
+    labels = (str(one.get(key, "")).strip() for one in functions for key in ("id1", "id2"))
+    in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
+    if len(in_text) < 2:
+        return "Export one signal of one excitation, or give the runs different references"
+    return (
+        f"Their directions are in the text alone ({list_some(in_text)}): export them with directions of the "
+        "degrees of freedom (record 6), or as a wide table"
+    )
+
+
+def _notices(functions: Sequence[Function], left_out: str, stated: bool, file: str) -> list[Notice]:
+    """Report what was left out, spectra, and values without a unit."""
+    notices = [Notice("content_ignored", f"{file}: left out: {left_out}.")] if left_out else []
+    if all(one["func_type"] == SPECTRUM for one in functions):
+        text = (
+            f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
+            "every point was triggered by the excitation."
+        )
+        notices.append(Notice("spectra_phase", text))
+    if not stated and not all(_label(one, "ordinate") for one in functions):
+        text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
+        notices.append(Notice("length_unit_assumed", text))
+    return notices

@@ -37,7 +37,7 @@ class Geometry:
 
 
 def read_geometry(
-    sets: Sequence[tuple[int, Mapping[str, Any]]], file: str, used: set[int], faults: list[Fault]
+    sets: Sequence[Mapping[str, Any]], file: str, used: set[int], faults: list[Fault]
 ) -> Geometry:
     """Read units, coordinate systems and the nodes that functions refer to.
 
@@ -49,8 +49,8 @@ def read_geometry(
     factor: float | None = None
     systems: dict[int, System] = {}
     nodes: dict[int, tuple[Array, int, int, Place]] = {}
-    for place, one in sets:
-        where = Place(file, "dataset", (place,))
+    for one in sets:
+        where = Place(file, "dataset", (one["place"],))
         if one["type"] == 164:
             factor = float(one["length"])
             if not 0.0 < factor < np.inf:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
-
-from stapeskit.faults import Fault, Place, list_some
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 STANDARD_GRAVITY = 9.80665
@@ -87,11 +84,3 @@ def split_amplitude(label: str) -> tuple[str, str]:
     words = label.replace("_", " ").split()
     stated = [kinds[word.lower()] for word in words if word.lower() in kinds]
     return " ".join(word for word in words if word.lower() not in kinds), stated[0] if stated else ""
-
-
-def unit_fault(label: str, columns: Iterable[str], where: Place | str, step: str) -> Fault:
-    """Return the fault of columns whose unit is not one of motion; decibels get their own advice."""
-    names = list_some((column for column in columns if column), 4)
-    if re.search(r"\bdB\b", label, re.IGNORECASE):
-        step = "Export amplitudes on a linear scale: 10^(dB/20) times the reference"
-    return Fault(f"the unit of {names or 'the values'}", f"one of {MOTIONS}", label or "none", where, step)

@@ -1,205 +1,251 @@
-"""Read wide tables of spreadsheets: ``Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...``.
+"""Read tables over frequency: ``Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...``.
 
-The names give part, axis and point; where they do not, a mapping does (kinematics.readers.mapping).
+Wide tables of spreadsheets hold all points, text exports of scanning vibrometers a point each (see
+`kinematics.readers.psv`). The names of the columns give part, axis and point; else a mapping does.
 """
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.columns import (
-    WORD,
-    Beam,
-    BeamValues,
-    Sheet,
-    beams_of,
-    meaning,
-    name_and_unit,
-    values_of,
-)
+from kinematics.readers.columns import is_frequency, meaning, signals_of, words_of
 from kinematics.readers.facts import FileFacts, direction_of
-from kinematics.readers.mapping import Mapping, mapping_beside, read_mapping
-from kinematics.readers.recording import Channel, Recording, Row, recording_of, unknown_vector
-from kinematics.readers.text import cells_of, is_row, plain_name, read_rows, read_text, shown
+from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.mapping import Mapping, Signal, mapping_beside, read_mapping
+from kinematics.readers.psv import (
+    APART,
+    PointTable,
+    is_fastscan,
+    is_of_point,
+    point_table,
+    treatments,
+    turned_over,
+)
+from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.sheets import Sheet, first_header, name_and_unit, refuse, sheets_of
+from kinematics.readers.text import export_files, plain_name, shown
 from kinematics.readers.units import HERTZ
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice
 
 LOWEST_AUDIBLE_TOP_HZ = 100.0
 """A sweep that ends below is in kHz, where no unit is stated: hearing ends at 20 kHz."""
 
-_FREQUENCY = ("frequency", "freq", "frequenz", "fréquence", "f")
 _TIDY = {"body", "dir", "dir_x", "freq_hz"}
-_UNIT_ALONE = re.compile(r"[\[(].*[\])]|k?Hz|°|deg|rad|[munp]?m(/s[2²]?)?|µm(/s)?|g|")
-_MOST_ABOVE = 100  # lines above the names: a measuring program writes some ten
-_MAPPED = {
-    "value_re": "re", "value_im": "im", "magnitude": "amp", "phase": "phase",
-    "coherence": "coherence", "sd": "sd",
-}  # fmt: skip
 
 
-def is_wide(text: str) -> bool:
-    """Return whether a text begins as a wide table with telling names of columns."""
-    header = _header_of(text)
-    if header is None or not _TIDY.isdisjoint(name.lower() for name in header[1]):
-        return False
-    parts = {meant[0] for name in header[1] if (meant := meaning(name))}
-    return any(map(_is_frequency, header[1])) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
-
-
-def _header_of(text: str) -> tuple[int, list[str], list[str], str] | None:
-    """Return line (from 0), names, units and separator of the header in the first lines of a text.
-
-    None where no line of names is followed by a row of at least two numbers.
-    """
-    lines = text.split("\n", _MOST_ABOVE)[:_MOST_ABOVE]
-    for separator in "\t;,":
-        first = next((n for n, line in enumerate(lines) if is_row(cells_of(line, separator))), 0)
-        above = [n for n in range(first) if lines[n].strip()]
-        if not above or separator not in lines[above[-1]]:
-            continue
-        cells, below = cells_of(lines[above[-1]], separator), [""]
-        if len(above) > 1 and all(map(_UNIT_ALONE.fullmatch, cells)):
-            below = [cell.strip("[]() ") for cell in cells]
-            above.pop()
-            cells = cells_of(lines[above[-1]], separator)
-        while cells and not cells[-1]:
-            cells.pop()
-        named = [name_and_unit(cell) for cell in cells]
-        below += [""] * (len(cells) - len(below))
-        units = [unit or other for (_, unit), other in zip(named, below, strict=False)]
-        return above[-1], [name for name, _ in named], units, separator
-    return None
+def kind_of(text: str) -> str:
+    """Return what a text begins as: ``fastscan``, ``points``, ``wide`` or nothing of these."""
+    sheet = first_header(text)
+    if sheet is None:
+        return ""
+    if is_of_point(sheet):
+        return "points"
+    if is_fastscan(sheet):
+        return "fastscan"
+    if not _TIDY.isdisjoint(name.lower() for name in sheet.names):
+        return ""
+    parts = {meant[0] for name in sheet.names if (meant := meaning(name))}
+    complete = {"re", "im"} <= parts or {"amp", "phase"} <= parts
+    return "wide" if complete and any(map(is_frequency, sheet.names)) else ""
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
-    """Read a wide table; rows may lead from high to low frequencies.
+    """Read a file, or a folder (with its folders) of exports; the first table says what they are.
 
     Raises
     ------
     StapeskitError
-        Cells that are no numbers, missing columns, a magnitude without phase, a unit that is no motion or is
-        not stated where its values are ambiguous.
+        Cells that are no numbers, missing columns, a magnitude without phase, units that are not stated where
+        values are ambiguous, tables of several scans; as `recording_of`.
     """
     path = Path(path)
-    sheet = _read_sheet(path)
-    mapping_file = mapping_beside(path, facts.mapping)
+    faults: list[Fault] = []
+    files = export_files(path) if path.is_dir() else [path]
+    sheets = [sheet for file in files for sheet in sheets_of(file, faults)]
+    raise_all(faults)
+    fastscan, of_points = is_fastscan(sheets[0]), is_of_point(sheets[0])
+    mapping_file = None if fastscan or of_points else mapping_beside(path, facts.mapping)
     mapping = Mapping() if mapping_file is None else read_mapping(mapping_file)
-    beams, unknown = beams_of(sheet.names)
-    unused = [sheet.names[k] for k in unknown if sheet.names[k] and not _is_frequency(sheet.names[k])]
-    if mapping.signal:
-        beams, unused = _mapped_beams(mapping, sheet), []
-    freq = _frequencies(sheet, mapping)
-    order = np.argsort(freq, kind="stable")
-    sheet = replace(sheet, numbers=sheet.numbers[order])
-    found = values_of(sheet, beams, mapping.amplitude)
-    notices: tuple[Notice, ...] = ()
+    tables: list[PointTable] = []
+    if fastscan:
+        tables = turned_over(sheets)
+    for sheet in [] if fastscan else sheets:
+        with collect_faults(faults):
+            tables.append(point_table(sheet) if of_points else PointTable(sheet))
+    notices = treatments(sheets, path.name)
+    rows: list[tuple[Row, str]] = []
+    unused: list[str] = []
+    for table in tables:
+        with collect_faults(faults):
+            signals, unknown = signals_of(table.sheet.names)
+            signals = [_checked(signal, table.sheet) for signal in mapping.signal or signals]
+            unused += [] if mapping.signal or fastscan else unknown
+            rows += [(row, table.source) for row in _rows(table, signals, mapping, path.stem)]
+    raise_all(faults)
+    unused = [name for name in dict.fromkeys(unused) if name and not is_frequency(name)]
     if unused:
-        text = f"{path.name}: columns that name no part of a signal were left out: {', '.join(unused[:12])}."
-        notices = (Notice("content_ignored", text),)
+        text = f"{path.name}: columns that name no part of a signal were left out: {list_some(unused, 12)}."
+        notices.append(Notice("content_ignored", text))
+    stated = all(table.length_stated for table in tables)
+    statement = "columns by their names"
+    if fastscan or of_points:
+        units = "positions in stated units" if stated else "positions without unit, as metres"
+        statement = f"coordinates of the scan, {units}"
+        notices += _beam_notices([row for row, _ in rows], path.name)
+    found, about_runs = _with_runs(rows, path.name)
     return recording_of(
         path.name,
-        [_row(sheet, one, freq[order], mapping, path.stem) for one in found],
-        notices=notices,
-        statement="columns by their names",
-        amplitude_stated=all(one.amplitude for one in found),
+        found,
+        mapping.amplitude,
+        twice=APART,
+        notices=(*notices, *about_runs),
+        statement=statement,
+        length_stated=stated,
     )
 
 
-def _read_sheet(path: Path) -> Sheet:
-    """Read the numbers of a wide table; faulty rows and cells are refused together."""
-    text = read_text(path)
-    header = _header_of(text)
-    if header is None:
-        want, step = "one line of names above rows of numbers", "Put one line of names above the rows"
-        raise StapeskitError.of("the table", want, "none", path.name, step)
-    at, names, units, separator = header
-    lines = text.split("\n")
-    first = next((n for n in range(at + 1, len(lines)) if is_row(cells_of(lines[n], separator))), at + 1)
-    faults: list[Fault] = []
-    numbers = read_rows(lines[first:], first + 1, separator, names, path.name, faults)
-    raise_all(faults)
-    return Sheet(Place(path.name, "line", (at + 1,)), tuple(names), tuple(units), numbers)
+def _checked(signal: Signal, sheet: Sheet) -> Signal:
+    """Return a signal whose columns, named without units, are each in the table once.
 
-
-def _is_frequency(name: str) -> bool:
-    words = [word.lower() for word in WORD.findall(name)]
-    return bool(words) and words[0] in _FREQUENCY and set(words[1:]) <= {*HERTZ, "axis"}
-
-
-def _mapped_beams(mapping: Mapping, sheet: Sheet) -> list[Beam]:
-    """Return the beams that a mapping names."""
-    beams, faults = [], []
-    for signal in mapping.signal:
-        columns = {}
-        for key, part in _MAPPED.items():
-            name = name_and_unit(getattr(signal, key))[0]
-            if name and sheet.names.count(name) != 1:
-                step, got = f"It has {', '.join(sheet.names[:12])}", f"{sheet.names.count(name)} of that name"
-                faults.append(Fault(f"the column {name}", "in the table once", got, sheet.where.file, step))
-            elif name:
-                columns[part] = sheet.names.index(name)
-        if isinstance(signal.n_avg, str) and signal.n_avg:
-            faults.append(Fault("n_avg", "a number of averages", signal.n_avg, f"{sheet.where.file}.toml"))
-            continue
-        stated = signal.direction
-        beams.append(
-            Beam(
-                columns,
-                signal.point,
-                ",".join(map(str, stated)) if isinstance(stated, list) else stated,
-                signal.unit,
-                signal.phase_unit,
-                signal.body or mapping.body,
-                signal.run or mapping.run,
-                None if signal.n_avg == "" else float(signal.n_avg),
-            )
+    Raises
+    ------
+    StapeskitError
+    """
+    keys = ("value_re", "value_im", "magnitude", "phase", "coherence", "sd")
+    names = {key: name_and_unit(getattr(signal, key))[0] for key in keys}
+    raise_all(
+        Fault(
+            f"the column {name}",
+            "in the table once",
+            f"{sheet.names.count(name)} of that name",
+            sheet.where,
+            f"It has {', '.join(sheet.names[:12])}",
         )
-    raise_all(dict.fromkeys(faults))
-    return beams
+        for name in names.values()
+        if name and sheet.names.count(name) != 1
+    )
+    return replace(signal, **names)
+
+
+def _rows(table: PointTable, signals: Sequence[Signal], mapping: Mapping, stem: str) -> list[Row]:
+    """Return one row for each signal of a table; all faults of their columns together."""
+    sheet = table.sheet
+    freq = _frequencies(sheet, mapping)
+    faults = _phase_faults(sheet, signals)
+    rows: list[Row] = []
+    if not signals:
+        want, got = "real and imaginary part, or magnitude and phase", shown(", ".join(sheet.names))
+        raise refuse(sheet, "the columns", want, got, "Export Real & Imag., or Magnitude & Phase")
+    for signal in signals:
+        with collect_faults(faults):
+            rows.append(_row(table, signal, freq, mapping, stem))
+    raise_all(faults)
+    return rows
+
+
+def _row(table: PointTable, signal: Signal, freq: Array, mapping: Mapping, stem: str) -> Row:
+    """Return one beam at one point."""
+    sheet = table.sheet
+
+    def numbers(name: str) -> Array:
+        return np.asarray(sheet.numbers[:, sheet.names.index(name)])
+
+    def unit_of(name: str) -> str:
+        return sheet.units[sheet.names.index(name)] if name else ""
+
+    value = signal.values(numbers, signal.phase_unit or unit_of(signal.phase) or "deg", sheet.where)
+    if signal.value_re and unit_of(signal.value_re) != unit_of(signal.value_im):
+        got = " and ".join(shown(unit_of(name)) or "none" for name in signal.parts)
+        raise refuse(sheet, "real and imaginary part", "in one unit", got)
+    if isinstance(signal.n_avg, str) and signal.n_avg:
+        raise refuse(sheet, "n_avg of a mapping", "a number of averages", signal.n_avg)
+    stated = signal.direction or table.axis
+    stated = ",".join(map(str, stated)) if isinstance(stated, list) else stated
+    direction = direction_of(stated, sheet.where, "the direction of a signal") if stated else unknown_vector()
+    channel = Channel(
+        table.point or plain_name(signal.point) or stem,
+        signal.body or mapping.body,
+        signal.run or mapping.run,
+        position_m=table.position_m,
+        direction=direction,
+        where=sheet.where,
+    )
+    return Row(
+        channel,
+        freq,
+        value.conj() if mapping.convention == "-" else value,
+        sd=numbers(signal.sd) if signal.sd else None,
+        coherence=numbers(signal.coherence) if signal.coherence else None,
+        n_avg=None if signal.n_avg == "" else float(signal.n_avg),
+        unit=signal.unit or unit_of(signal.name),
+        source=signal.name,
+    )
 
 
 def _frequencies(sheet: Sheet, mapping: Mapping) -> Array:
     """Return the column of frequencies, Hz."""
     named = name_and_unit(mapping.frequency)[0]
-    columns = [k for k, name in enumerate(sheet.names) if (name == named if named else _is_frequency(name))]
+    columns = [k for k, name in enumerate(sheet.names) if (name == named if named else is_frequency(name))]
     if len(columns) != 1:
-        got = " and ".join(sheet.names[k] for k in columns) or "none"
-        step = f'Name it in {sheet.where.file}.toml: frequency = "{sheet.names[0]}"'
-        raise StapeskitError.of("the column of frequencies", "one", got, sheet.where, step)
-    name = sheet.names[columns[0]]
-    in_name = [word for word in WORD.findall(name) if word.lower() in HERTZ]
+        got = " and ".join(sheet.names[k] for k in columns) or f"none of {shown(', '.join(sheet.names))}"
+        step = f'Export spectra, or name it in a mapping: frequency = "{sheet.names[0]}"'
+        raise refuse(sheet, "the column of frequencies", "one", got, step)
+    name, freq = sheet.names[columns[0]], sheet.numbers[:, columns[0]]
+    in_name = [word for word in words_of(name) if word in HERTZ]
     unit = mapping.frequency_unit or sheet.units[columns[0]] or "".join(in_name[:1])
     if unit and unit.lower() not in HERTZ:
-        raise StapeskitError.of("the unit of the frequencies", "Hz, kHz or MHz", shown(unit), sheet.where)
-    freq = sheet.numbers[:, columns[0]] * HERTZ[(unit or "Hz").lower()]
-    if not len(freq) or not np.all((freq >= 0.0) & (freq < np.inf)) or len(np.unique(freq)) < len(freq):
-        want, step = "different, finite and not negative", "Write one row a frequency"
-        raise StapeskitError.of("the frequencies", want, "others", sheet.where, step)
-    if not unit and freq.max() <= LOWEST_AUDIBLE_TOP_HZ:
-        got = f"none, with frequencies from {freq.min():g} to {freq.max():g}"
+        raise refuse(sheet, "the unit of the frequencies", "Hz, kHz or MHz", shown(unit))
+    if not unit and len(freq) and np.max(freq) <= LOWEST_AUDIBLE_TOP_HZ:
+        got = f"none, with frequencies from {np.min(freq):g} to {np.max(freq):g}"
         step = f'Write "{name} [kHz]" or "[Hz]" in the header'
-        raise StapeskitError.of("the unit of the frequencies", "stated", got, sheet.where, step)
-    return np.asarray(freq)
+        raise refuse(sheet, "the unit of the frequencies", "stated", got, step)
+    return np.asarray(freq * HERTZ[(unit or "Hz").lower()])
 
 
-def _row(sheet: Sheet, one: BeamValues, freq: Array, mapping: Mapping, stem: str) -> Row:
-    """Return one beam at one point."""
-    beam, unit = one.beam, one.unit
-    vector = unknown_vector()
-    if beam.direction:
-        vector = direction_of(beam.direction, sheet.where.file, "the direction of a signal")
-    sd, coherence = (
-        sheet.numbers[:, beam.columns[part]] if part in beam.columns else None for part in ("sd", "coherence")
+def _phase_faults(sheet: Sheet, signals: Sequence[Signal]) -> list[Fault]:
+    """Refuse phases without a unit that may be radians as well as degrees."""
+    columns = [sheet.names.index(one.phase) for one in signals if one.phase and not one.phase_unit]
+    silent = [column for column in columns if not sheet.units[column]]
+    largest = float(np.max(np.nan_to_num(np.abs(sheet.numbers[:, silent])), initial=0.0))
+    if not 0.0 < largest <= np.pi + 1e-3:
+        return []
+    got = f"none, with all phases within {largest:.4g}: degrees or radians"
+    step = f'Write "{sheet.names[silent[0]]} [rad]" or "[deg]" in the header'
+    return [Fault("the unit of the phases", "stated", got, sheet.where, step)]
+
+
+def _with_runs(rows: Sequence[tuple[Row, str]], file: str) -> tuple[list[Row], list[Notice]]:
+    """Name runs after the sources of the tables where these repeat points of each other."""
+    sources = list(dict.fromkeys(source for _, source in rows if source))
+    keys = [(row.channel.key, row.unit) for row, _ in rows]
+    if len(sources) > 1 and len(set(keys)) < len(keys):
+        return [
+            replace(row, channel=replace(row.channel, run=Path(source.replace("\\", "/")).stem))
+            for row, source in rows
+        ], []
+    notices = []
+    if 1 < len(sources) < len(rows):
+        text = (
+            f"{file} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
+        )
+        notices.append(Notice("runs_by_file", text))
+    return [row for row, _ in rows], notices
+
+
+def _beam_notices(rows: Sequence[Row], file: str) -> list[Notice]:
+    """Report x, y, z at a point, which scanning vibrometers compute from several beams."""
+    beams = {(row.channel.point, row.channel.beam_key) for row in rows}
+    if len(beams) == len({point for point, _ in beams}):
+        return []
+    text = (
+        f"{file} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
+        "beams than along them; sd and verdicts, which take channels as independent, are approximate. Export "
+        "the single heads with their directions where possible."
     )
-    channel = Channel(
-        plain_name(beam.point) or stem, beam.body, beam.run, order=unit.order, per=unit.per,
-        direction=vector, where=sheet.where,
-    )  # fmt: skip
-    value = one.value.conj() if mapping.convention == "-" else one.value
-    return Row(channel, freq, value, None if sd is None else sd * one.scale, coherence, beam.n_avg)
+    return [Notice("axes_from_beams", text)]

@@ -7,9 +7,10 @@ import pytest
 
 from kinematics.readers.assemble import assemble, read_measurement
 from kinematics.readers.facts import FileFacts
+from kinematics.readers.gather import Row, recording_of
 from kinematics.readers.lines import common_grid
 from kinematics.readers.points import read_points
-from kinematics.readers.recording import Channel, Row, recording_of
+from kinematics.readers.recording import Channel
 from kinematics.readers.units import motion_unit
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, tidy_table, universal_file
@@ -134,32 +135,32 @@ def test_positions_of_two_sources_must_agree(tmp_path):
 
 
 UNFIT = {
-    "one channel twice": ([one(row("1"), row("1"))], FileFacts(), "the channel stapes 1 (z)"),
-    "no direction": ([one(row(direction=np.full(3, np.nan)))], FileFacts(), "points 1 of body stapes"),
-    "two references": ([one(row("1", per="N"), row("2", per="V"))], FileFacts(), "the values of one run"),
-    "an option for nothing": ([one(row())], FileFacts(beam="z"), "--beam"),
-    "an unknown file": ([one(row())], FileFacts(run=("push=c.uff",)), "the file of --run push=c.uff"),
+    "one channel twice": ([row("1"), row("1")], FileFacts(), "the channel stapes 1 (z)"),
+    "no direction": ([row(direction=np.full(3, np.nan))], FileFacts(), "points 1 of body stapes"),
+    "two references": ([row("1", per="N"), row("2", per="V")], FileFacts(), "the values of one run"),
+    "an option for nothing": ([row()], FileFacts(beam="z"), "--beam"),
+    "an unknown file": ([row()], FileFacts(run=("push=c.uff",)), "the file of --run push=c.uff"),
     **{
-        f"the rule {text}": ([one(row())], FileFacts(body=(text,)), "--body")
+        f"the rule {text}": ([row()], FileFacts(body=(text,)), "--body")
         for text in ("stapes", "stapes=", "=1-3", "stapes=3-1", "stapes=1,,2")
     },
-    "a rule for nothing": ([one(row())], FileFacts(body=("base=7-9",)), "--body base"),
+    "a rule for nothing": ([row()], FileFacts(body=("base=7-9",)), "--body base"),
     "other lines": (
-        [one(row("1", body="a"), row("2", [410, 660, 905, 1100], body="b"))], FileFacts(),
+        [row("1", body="a"), row("2", [410, 660, 905, 1100], body="b")], FileFacts(),
         "the frequencies of bodies a and b",
     ),
-    "infinite values": ([one(row(value=np.inf))], FileFacts(), "the values"),
+    "infinite values": ([row(value=np.inf)], FileFacts(), "the values"),
     "half of the positions": (
-        [one(row("1"), row("2", position_m=np.full(3, np.nan)))], FileFacts(), "points 2 of body stapes",
+        [row("1"), row("2", position_m=np.full(3, np.nan))], FileFacts(), "points 2 of body stapes",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", UNFIT)
 def test_what_does_not_belong_together_is_refused(name):
-    recordings, facts, thing = UNFIT[name]
+    rows, facts, thing = UNFIT[name]
     with pytest.raises(StapeskitError) as caught:
-        assemble(recordings, facts=facts)
+        assemble([one(*rows)], facts=facts)
     assert things(caught) == [thing]
 
 

@@ -146,7 +146,7 @@ REFUSED = {
     "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "quantity and unit"),
     "one frequency twice": (
         function([1.0, 1.0, 2.0, 3.0], VALUE, even=False),
-        "the frequencies of a function",
+        "the frequencies",
     ),
     "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
     "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),

@@ -159,7 +159,7 @@ def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
 
 
 SCANS = {
-    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequency 400 Hz"),
+    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequencies"),
     "two scans": (
         [
             fastscan(400, PLACES_M, VELOCITY[:, :, 0]),
@@ -198,4 +198,6 @@ def test_points_of_two_sources_are_two_runs(tmp_path):
 
 def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
     block = point_block(1, VELOCITY[0, 0], PLACES_M[0], first="Time")
-    assert [fault.thing for fault in faults(written(tmp_path, block, "a.txt"))] == ["the first column"]
+    assert [fault.thing for fault in faults(written(tmp_path, block, "a.txt"))] == [
+        "the column of frequencies"
+    ]
