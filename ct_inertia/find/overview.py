@@ -22,6 +22,9 @@ _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows 
 _BESIDE = 3  # coarse voxels beside bone that are looked at: beyond the blur, which is one of them wide
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
+_MOSTLY_CLIPPED = (
+    0.5  # share p of air at one value: noise leaves p^27 of cubes
+)
 _FLAT_NOISE, _SAME_NOISE = calibrated("overview.flat_noise"), calibrated("overview.same_material_noise")
 _LEAST_SOLID = calibrated("overview.least_solid_share")
 _VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")
@@ -203,13 +206,14 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
 def _lies_beside_bone(grey: Grey, outside: Mask, levels: Array) -> bool:
     """Return whether a constant is air that the export has clipped.
 
-    It lies next to bone then, or single voxels of air have its value too.
+    It lies next to bone then, or most of the other air has its value too: noise clips single voxels, and
+    whole neighbourhoods only where nearly every voxel is clipped.
     """
     from ct_inertia.grey.start import grown
 
     bone = grey > np.float32(0.5 * (levels[0] + levels[-1]))
     others = grey[~outside & ~bone]
-    if np.count_nonzero(others == grey[outside][0]) > _LEAST_PADDING * others.size:
+    if np.count_nonzero(others == grey[outside][0]) > _MOSTLY_CLIPPED * others.size:
         return True
     beside = bone
     for _ in range(_BESIDE):

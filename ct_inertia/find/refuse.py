@@ -99,7 +99,7 @@ def _scale_fault(length_mm: float, scale: float, picture: str, voxel: str) -> Fa
         "right, in millimetres: a stapes is 3 to 4 mm high",
         f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm "
         f"high{guess}",
-        next_step=f"Correct it with --spacing (about {times:g} times the present one)",
+        next_step=f"Correct it with --spacing (about {times:.3g} times the present one)",
     )
 
 

@@ -219,9 +219,9 @@ def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | Non
 
 
 def _log_number(text: str, key: str) -> float | None:
-    found = re.search(rf"^{key}\s*=\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*$", text, re.MULTILINE)
+    found = re.search(rf"^{key}\s*=\s*([0-9.,]+(?:[eE][-+]?\d+)?)\s*$", text, re.MULTILINE)
     try:
-        return float(found[1]) if found else None
+        return float(found[1].replace(",", ".")) if found else None
     except ValueError:
         return None
 

@@ -22,6 +22,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 Faces = NDArray[np.int64]
 
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
+_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL file
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
 
 
@@ -79,6 +80,8 @@ def _load(path: Path) -> tuple[Array, Faces]:
 
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+        if not len(mesh.faces):
+            _check_stl_count(path)
         return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
     except (MemoryError, StapeskitError):
         raise
@@ -87,6 +90,25 @@ def _load(path: Path) -> tuple[Array, Faces]:
         raise StapeskitError.of(
             "the surface", "a mesh with triangles", got, path.name, "Export it again"
         ) from fault
+
+
+def _check_stl_count(path: Path) -> None:
+    """Refuse a binary STL file whose header counts other triangles than the file holds.
+
+    Raises
+    ------
+    StapeskitError
+        Both numbers.
+    """
+    size = path.stat().st_size
+    if path.suffix.lower() != ".stl" or size < _STL_HEADER + _STL_TRIANGLE:
+        return
+    with path.open("rb") as stream:
+        counted = int.from_bytes(stream.read(_STL_HEADER)[80:], "little")
+    held = (size - _STL_HEADER) / _STL_TRIANGLE
+    if held != counted:
+        wanted, got = f"of as many triangles as its header counts ({counted})", f"bytes of {held:.6g}"
+        raise StapeskitError.of("the STL file", wanted, got, path.name, "Copy or export it again")
 
 
 def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> MendedMesh:
