@@ -30,6 +30,8 @@ MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 """Number cells without a value."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}((,\d{3})+\.\d*|(\.\d{3})+,\d*|([ '\xa0\u202f]\d{3})+([.,]\d*)?)")
+"""Marks between thousands that are no decimal comma or point: 1,234.5, 1.234,5, 1 234, 1'234."""
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
 
@@ -342,6 +344,8 @@ def _parse(
 
 
 def _hint(cell: str, decimal: str) -> str:
+    if _THOUSANDS.fullmatch(cell):
+        return "Write numbers without marks between thousands"
     if decimal == "," and "." in cell:
         return "Write decimal commas or decimal points throughout, and nothing between thousands"
     if "," in cell:

@@ -22,9 +22,7 @@ _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows 
 _BESIDE = 3  # coarse voxels beside bone that are looked at: beyond the blur, which is one of them wide
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
-_MOSTLY_CLIPPED = (
-    0.5  # share p of air at one value: noise leaves p^27 of cubes
-)
+_MOSTLY_CLIPPED = 0.5  # share p of air at one value: noise leaves p^27 of cubes
 _FLAT_NOISE, _SAME_NOISE = calibrated("overview.flat_noise"), calibrated("overview.same_material_noise")
 _LEAST_SOLID = calibrated("overview.least_solid_share")
 _VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")

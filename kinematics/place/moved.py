@@ -32,6 +32,7 @@ _NOTICEABLE_MM = 0.1  # distances from which on other axes are looked for: marks
 _CURED = 0.3  # share of the distance that such a cause may leave
 _LEAST_POINTS = 3
 _REACH_MM = 8.0  # a stapes is about 3.5 mm high and 3 mm long
+_MOST_APART_MM = 100.0  # points of one stapes: thirty times its height
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def check_surfaces(
 
 
 def check_extent(measurement: Measurement) -> None:
-    """Refuse points of a stapes that lie within 10 um: their coordinates are in another unit.
+    """Refuse points of a stapes within 10 um, or far apart: their coordinates are in another unit.
 
     Raises
     ------
@@ -120,7 +121,11 @@ def check_extent(measurement: Measurement) -> None:
             extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
             if 0.0 < extent < LEAST_APART_MM:  # all at one place is another fault: beams.py names it
                 got, step = f"{1e3 * extent:.3g} um", "Give coordinates in mm: those in metres times 1000"
-                raise StapeskitError.of("the extent of the points of body stapes", "some mm", got, "", step)
+            elif extent > _MOST_APART_MM:
+                got, step = f"{extent:.3g} mm", "Give coordinates in mm: those in micrometres over 1000"
+            else:
+                continue
+            raise StapeskitError.of("the extent of the points of body stapes", "some mm", got, "", step)
 
 
 def far_away(placed: Measurement) -> list[Notice]:

@@ -95,6 +95,17 @@ def column(path: Path, name: str, value: str) -> None:
     path.write_text("\n".join(changed) + "\n", encoding="utf-8")
 
 
+def scale(path: Path, name: str, factor: float) -> None:
+    """Multiply every number of a column."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    place = lines[0].split(",").index(name)
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows:
+        row[place] = repr(factor * float(row[place]))
+    text = "\n".join([lines[0], *(",".join(row) for row in rows)])
+    path.write_text(f"{text}\n", encoding="utf-8")
+
+
 def drop_column(path: Path, name: str) -> None:
     """Remove a column."""
     rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
@@ -168,6 +179,7 @@ def mesh(path: Path, kind: str) -> None:
 CHANGES = {
     "cell": cell,
     "column": column,
+    "scale": scale,
     "drop_column": drop_column,
     "replace": replace,
     "repeat_line": repeat_line,
