@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from kinematics.options import NONE, MotionOptions
 from stapeskit.faults import StapeskitError
@@ -58,7 +59,7 @@ def with_companions(options: MotionOptions, mass: Path | str | None = None) -> F
     if mass is None:
         found = _mass_beside(folder)
         taken |= {} if found is None else {"mass": found}
-    update = {role: path for role, path in taken.items() if role != "mass"}
+    update: dict[str, Any] = {role: path for role, path in taken.items() if role != "mass"}
     return Found(replace(options, **update), found, taken)
 
 

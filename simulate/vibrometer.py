@@ -32,6 +32,8 @@ class Experiment:
         Frequencies, evenly or logarithmically spaced.
     excitations : tuple of str
         Main direction (x, y or z) of the shaker in each run.
+    repeats : bool
+        Runs of one direction are stated as repeats of one run; ldv.csv alone can say so.
     others : float
         How much the bone moves in its other degrees of freedom, 1: rocking and in-plane motion as usual.
     stapes_points, bone_points : int
@@ -70,6 +72,7 @@ class Experiment:
     band_hz: tuple[float, float] = (400.0, 5000.0)
     log: bool = False
     excitations: tuple[str, ...] = ("y",)
+    repeats: bool = False
     others: float = 1.0
     stapes_points: int = 10
     bone_points: int = 9
@@ -104,7 +107,7 @@ class Experiment:
         """Names of the runs: their excitation, numbered where one is repeated."""
         names = self.excitations
         return tuple(
-            name if names.count(name) == 1 else f"{name}{names[: k + 1].count(name)}"
+            name if names.count(name) == 1 or self.repeats else f"{name}{names[: k + 1].count(name)}"
             for k, name in enumerate(names)
         )
 

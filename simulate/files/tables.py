@@ -18,7 +18,9 @@ def write_tables(folder: Path, recording: Recording) -> Path:
 
 def write_tidy(path: Path, recording: Recording) -> Path:
     """Write one row a run, channel and frequency; missing values stay empty."""
-    many = len(recording.runs) > 1
+    runs = recording.runs
+    takes = [runs[:k].count(run) + 1 for k, run in enumerate(runs)]
+    more_columns = (["run"] if len(runs) > 1 else []) + (["repeat"] if max(takes) > 1 else [])
     digits = ".15g" if recording.stated == "none" and not recording.position_sd_mm else ".7g"
     columns = {
         "sd": (["sd_m_s"], [recording.sd_m_s]),
@@ -28,11 +30,11 @@ def write_tidy(path: Path, recording: Recording) -> Path:
     }
     names, values = columns[recording.stated]
     formats = {"sd_m_s": ".5g", "n_avg": ".0f", "coherence": ".9f"}
-    header = ["body,point,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s", *names, *(["run"] if many else [])]
+    header = ["body,point,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s", *names, *more_columns]
     lines = [",".join(header)]
     freq = [f"{value:.12g}" for value in recording.freq_hz]
-    for run, excitation in enumerate(recording.runs):
-        tail = f",{excitation}" if many else ""
+    for run, values_of_row in enumerate(zip(runs, takes, strict=True)):
+        tail = "".join(f",{value}" for value in values_of_row[: len(more_columns)])
         for channel, body in enumerate(recording.body):
             direction = ",".join(f"{part:.12g}" for part in recording.direction[channel])
             head = f"{body},{recording.point[channel]},{direction}"

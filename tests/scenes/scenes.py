@@ -179,6 +179,12 @@ SCENES: dict[str, Scene] = {
     "three_excitations": _points(
         Experiment(lines=60, in_footplate=True, excitations=("x", "y", "z"), seed=10)
     ),
+    "repeats": _points(
+        Experiment(lines=60, in_footplate=True, excitations=("y", "y", "y", "y"), repeats=True, seed=19)
+    ),
+    "calibrated_lasers": _points(
+        Experiment(lines=80, in_footplate=True, seed=20), ("calibrated",), points2dof="--calibrate"
+    ),
     "per_reference": _points(points2dof="--reference base:y"),
     "noise_free": _points(
         Experiment(lines=40, in_footplate=True, exact=True, position_sd_mm=0.0, seed=11), ("noise_estimated",)
