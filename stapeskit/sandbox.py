@@ -9,11 +9,8 @@ from __future__ import annotations
 import faulthandler
 import os
 import pickle
-import select
 import signal
-import struct
 import sys
-import tempfile
 import threading
 import time
 import traceback
@@ -22,6 +19,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, NoReturn, Self, TypeVar
 
@@ -40,7 +39,7 @@ CLOCK = 15.0
 DAMAGED = "It is damaged: copy or export it again"
 
 _LONGEST_TEXT = 200  # letters of a library's own message
-_FORK = threading.Lock()  # no child may inherit the half-made pipes of another one
+_FORK = threading.Lock()  # no child may inherit the half-made pipe of another one
 
 
 def processor_limit_s(path: Path) -> float:
@@ -122,7 +121,7 @@ class Session(Generic[Opened]):
 
     Notes
     -----
-    Requests of several threads are answered one after the other. Arrays come through a file in shared memory.
+    Requests of several threads are answered one after the other.
     """
 
     opened: Opened
@@ -169,8 +168,8 @@ class Session(Generic[Opened]):
             if not self._child:
                 raise self._error("a source whose reading ended before")
             try:
-                _write(self._ask, pickle.dumps(request))
-            except BrokenPipeError:
+                self._pipe.send(request)
+            except OSError:
                 self._fail()
             return self._receive()
 
@@ -190,75 +189,50 @@ class Session(Generic[Opened]):
             self._end()
 
     def _fork(self, open_source: Callable[[], tuple[Opened, Answer]]) -> None:
-        self._room = _shared_file()
         with _FORK, warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads
-            asked, self._ask = os.pipe()
-            self._tell, told = os.pipe()
+            self._pipe, theirs = Pipe()
             child = os.fork()
             if child == 0:
-                os.close(self._ask)
-                os.close(self._tell)
-                self._serve(open_source, asked, told)
-            os.close(asked)
-            os.close(told)
+                self._pipe.close()
+                self._serve(open_source, theirs)
+            theirs.close()
         self._child = child
 
-    def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], asked: int, told: int) -> NoReturn:
+    def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], pipe: Connection) -> NoReturn:
         """Open the source and answer requests until the parent ends; nothing else of the caller runs here."""
         try:
             _isolate(self._memory)
             answer: Answer = _no_requests
-
-            def respond(work: Callable[[], Any]) -> None:
-                _limit_processor(self._limit_s)
-                _write(told, self._packed(_outcome(work)))
 
             def begin() -> Opened:
                 nonlocal answer
                 opened, answer = open_source()
                 return opened
 
-            respond(begin)
-            while (request := _read(asked)) is not None:
-                respond(partial(answer, pickle.loads(request)))
+            work: Callable[[], Any] = begin
+            while True:
+                _limit_processor(self._limit_s)
+                _send(pipe, _outcome(work))
+                work = partial(answer, pipe.recv())
+        except EOFError:  # the parent has ended or closed the session
+            pass
         finally:
             os._exit(0)
-
-    def _packed(self, outcome: object) -> bytes:
-        """Return an outcome without its arrays, which are written to the shared file."""
-        buffers: list[pickle.PickleBuffer] = []
-        head = pickle.dumps(outcome, protocol=5, buffer_callback=buffers.append)
-        raws = [buffer.raw() for buffer in buffers]
-        place = 0
-        for raw in raws:
-            part = raw
-            while part:
-                written = os.pwrite(self._room, part, place)
-                part, place = part[written:], place + written
-        return pickle.dumps((head, [raw.nbytes for raw in raws]))
 
     def _receive(self) -> Any:
         """Return the next result of the child, or raise its fault."""
         try:
-            message = _read(self._tell, CLOCK * self._limit_s)
-            if message is None:
+            if not self._pipe.poll(CLOCK * self._limit_s):
                 self._fail()
-            head, sizes = pickle.loads(message)
-            buffers, place = [], 0
-            for size in sizes:
-                buffer = np.empty(size, dtype=np.uint8)
-                done = 0
-                while done < size:
-                    count = os.preadv(self._room, [buffer[done:].data], place + done)
-                    if not count:
-                        self._fail()
-                    done += count
-                buffers.append(buffer)
-                place += size
-            if sizes:
-                os.ftruncate(self._room, 0)
-        except BaseException:  # also an interrupt: what the child sends later would answer another request
+            head, sizes = self._pipe.recv()
+            buffers = [np.empty(size, dtype=np.uint8) for size in sizes]
+            for buffer in buffers:
+                if buffer.size:
+                    self._pipe.recv_bytes_into(buffer.data)
+        except (EOFError, OSError):
+            self._fail()
+        except BaseException:  # an interrupt: what the child sends later would answer another request
             self._end()
             raise
         good, value = pickle.loads(head, buffers=buffers)
@@ -293,18 +267,18 @@ class Session(Generic[Opened]):
         raise self._error(hangs if late else "one that crashes its library") from None
 
     def _end(self) -> int:
-        """Kill the child, close what connects it, and return its exit status."""
+        """Kill the child, close the pipe to it, and return its exit status."""
         if not self._child:
             return 0
         child, self._child = self._child, 0
-        for number in (self._ask, self._tell, self._room):
-            os.close(number)
         with suppress(ProcessLookupError, ChildProcessError):
             ended, status = os.waitpid(child, os.WNOHANG)
-            if ended:
-                return status
-            os.kill(child, signal.SIGKILL)
-            return os.waitpid(child, 0)[1]
+            if not ended:
+                os.kill(child, signal.SIGKILL)
+                status = os.waitpid(child, 0)[1]
+            self._pipe.close()
+            return status
+        self._pipe.close()
         return 0
 
 
@@ -313,12 +287,15 @@ def can_fork() -> bool:
     return hasattr(os, "fork") and sys.platform != "emscripten"
 
 
-def _shared_file() -> int:
-    """Return a file in memory (elsewhere than on Linux, on disk) that has no name."""
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("stapeskit")
-    with tempfile.TemporaryFile() as file:
-        return os.dup(file.fileno())
+def _send(pipe: Connection, outcome: object) -> None:
+    """Send an outcome; its arrays follow one by one, so that nothing is copied into one message."""
+    buffers: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(outcome, protocol=5, buffer_callback=buffers.append)
+    raws = [buffer.raw() for buffer in buffers]
+    pipe.send((head, [raw.nbytes for raw in raws]))
+    for raw in raws:
+        if raw.nbytes:
+            pipe.send_bytes(raw)
 
 
 def _outcome(work: Callable[[], Any]) -> tuple[bool, Any]:
@@ -358,29 +335,3 @@ def _limit_processor(limit_s: float) -> None:
     with suppress(OSError, ValueError):
         most = resource.getrlimit(resource.RLIMIT_CPU)[1]
         resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time() + limit_s) + 1, most))
-
-
-def _write(number: int, message: bytes) -> None:
-    part = memoryview(struct.pack("<Q", len(message)) + message)
-    while part:
-        part = part[os.write(number, part) :]
-
-
-def _read(number: int, patience_s: float | None = None) -> bytes | None:
-    """Return the next message; None when the other end is closed or silent for that time."""
-
-    def exactly(count: int) -> bytes | None:
-        parts = []
-        while count:
-            waiting = select.poll()
-            waiting.register(number, select.POLLIN)
-            ready = waiting.poll(None if patience_s is None else 1e3 * patience_s)
-            part = os.read(number, min(count, 1 << 20)) if ready else b""
-            if not part:
-                return None
-            parts.append(part)
-            count -= len(part)
-        return b"".join(parts)
-
-    size = exactly(8)
-    return None if size is None else exactly(struct.unpack("<Q", size)[0])
