@@ -1,4 +1,4 @@
-"""Tables in Markdown, and the figures of version 0.2 that stand beside the new ones.
+"""Tables in Markdown, with the figures of version 0.2 next to the new ones.
 
 `benchmarks/results/before.json` holds what the scripts of version 0.2 printed. `Before` finds a figure there
 by the first words of its row and the head of its column.

@@ -1,4 +1,4 @@
-"""The stapes is cut out of the bone it stands in within its stated standard deviation: 16 hard ears.
+"""The volume of a stapes that touches other bone is true within its stated standard deviation: 16 hard ears.
 
 Simulated scans of a real stapes: blur 1.2 voxels, noise 4 % of the contrast between bone and air, voxels of
 20 um unless another size is named. "Stated" is the standard deviation given with the volume; M is the largest
