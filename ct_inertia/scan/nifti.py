@@ -1,4 +1,4 @@
-"""NIfTI and Analyze volumes: header by nibabel; the sform places the voxels, otherwise the qform.
+"""NIfTI and Analyze volumes by nibabel; the sform places the voxels, otherwise the qform.
 
 The format: https://nifti.nimh.nih.gov/pub/dist/src/niftilib/nifti1.h
 """
@@ -12,10 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from ct_inertia.scan.opened import Opened, ReadOptions, no_data_file, planes_in, several_values
+from ct_inertia.scan.opened import (
+    Opened,
+    ReadOptions,
+    check_surplus,
+    no_data_file,
+    planes_in,
+    several_values,
+)
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
-from ct_inertia.scan.streams import check_surplus, unpack, unpack_once
+from ct_inertia.scan.streams import unpack_once
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -46,17 +53,16 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
     if stored.names:
         raise several_values(path, "a colour (RGB) image")
     check_grey_values(tuple(reversed(shape)), stored, path.name)
-    opened = Opened(tuple(reversed(shape)), stored)
+    data = Path(image.file_map["image"].filename)
+    opened = Opened(tuple(reversed(shape)), stored, files=(data,))
     opened.slope, opened.intercept = float(voxels.slope), float(voxels.inter)
     _place_nifti(opened, header, path.name)
-    data = Path(image.file_map["image"].filename)
-    opened.files = tuple(dict.fromkeys([path, data]))
-    start = int(voxels.offset)
     if data.suffix.lower() == ".gz":
-        opened.read = unpack_once(lambda: unpack([(data, 0)], "deflate", start, opened.shape, stored, True))
+        opened.read = unpack_once(lambda: voxels.get_unscaled().reshape(shape, order="F").T)
         return opened
-    opened.planes = planes_in([(data, start)], opened.shape, stored, data.name)
-    check_surplus(opened, [(data, start)], attached=data == path)
+    pieces = [(data, int(voxels.offset))]
+    opened.planes = planes_in(pieces, opened.shape, stored, data.name)
+    check_surplus(opened, pieces, attached=data == path)
     return opened
 
 
@@ -82,11 +88,11 @@ def _place_nifti(opened: Opened, header: Any, name: str) -> None:
     opened.anatomical = sform is not None or qform is not None
     if sform is None:
         return
-    other, called = bare, "voxel sizes (pixdim)"
-    if qform is not None:
-        other, called = _LPS_FROM_RAS @ qform, "qform"
-    else:
+    if qform is None:
         other = np.column_stack([affine[:, :3] / np.append(spacing, 1.0)[:3] * steps, affine[:, 3]])
+    else:
+        other = _LPS_FROM_RAS @ qform
+    called = "voxel sizes (pixdim)" if qform is None else "qform"
     opened.notices += _difference(affine, other, called, opened.shape, unit, name)
 
 

@@ -138,8 +138,7 @@ def _opened(path: Path, options: ReadOptions, own_spacing: bool = False) -> Scan
     if entry is RAW and options.raw is None and (header := header_beside(path)) is not None:
         source, entry = header, format_of(header, options)
     opened, fetch = _read_header(entry, source, options)
-    if path not in opened.files:
-        opened.files = (path, *(opened.files or (source,)))
+    opened.files = tuple(dict.fromkeys((path, source, *opened.files)))
     if own_spacing and opened.spacing_mm is not None and np.all(np.isfinite(opened.spacing_mm)):
         options = replace(options, spacing_mm=None)
     return place_scan(opened, fetch, path, options, entry.carries_place)

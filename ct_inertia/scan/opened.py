@@ -30,8 +30,9 @@ _BEGINNINGS = {
 }
 """First bytes of files that are given another name."""
 
-_MOST_FILES = 100_000
 _LONGEST_NAME = 255  # bytes of a file name in common file systems
+HEADER_BYTES = 1 << 20
+"""Most bytes of a text header or log, which has some kilobytes."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class Opened:
     names : dict of int to str
         Names of labels.
     files : tuple of Path
-        All files that are read, where that is not only the one given.
+        Files that are read besides the one given.
     """
 
     shape: tuple[int, ...]
@@ -212,6 +213,33 @@ def too_short(shape: Sequence[int], claimed: int, stored: int, name: str) -> Sta
     )
 
 
+def check_surplus(opened: Opened, pieces: Sequence[tuple[Path, int]], attached: bool) -> None:
+    """Refuse raw voxels with more behind them: the header counts fewer, or another header comes first.
+
+    Raises
+    ------
+    StapeskitError
+        A separate file is longer than its voxels, or a file with a header holds at least one more slice.
+    """
+    if any(start == -1 for _, start in pieces):
+        return
+    plane = opened.dtype.itemsize * int(opened.shape[1]) * int(opened.shape[2])
+    needed = plane * int(opened.shape[0])
+    stored = sum(file.stat().st_size - start for file, start in pieces)
+    if stored - needed >= (plane if attached else 1):
+        raise surplus(needed, stored, pieces[0][0].name)
+
+
+def surplus(needed: int, stored: int, name: str) -> StapeskitError:
+    """Return the error for a file that holds more bytes of voxels than its header counts."""
+    step = (
+        "The header counts other voxels than the file holds. If the file begins with a header of its own, "
+        "let the voxels be counted from its end: byte skip: -1 in NRRD, HeaderSize = -1 in MetaImage"
+    )
+    wanted = f"as long as its header says ({needed} bytes)"
+    return StapeskitError.of("the data file", wanted, f"{stored} bytes of voxels", name, step)
+
+
 def beside(header: Path, name: str) -> Path:
     """Return the data file that a header names; it must lie in the folder of the header.
 
@@ -260,30 +288,3 @@ def several_values(path: Path, got: str) -> StapeskitError:
     """Return the error for more than one number in a voxel: colours, vectors, channels, times."""
     step = "Export grey values of one channel, at one time"
     return StapeskitError.of("the volume", "a stack of one grey value per voxel", got, path.name, step)
-
-
-def listed_files(path: Path, named: str, listed: Sequence[str]) -> list[str]:
-    """Return the data files that a header names: one, a list behind it, or ``pattern first last [step]``.
-
-    Raises
-    ------
-    StapeskitError
-        An empty list, a pattern without whole numbers, or more files than a scan can have.
-    """
-    import re
-
-    if named.upper().startswith("LIST"):
-        if not listed:
-            raise wrong_header(path, "header", "an empty list of data files")
-        return list(listed)
-    if "%" not in named:
-        return [named]
-    parts = re.fullmatch(
-        r"([^%]*%0?\d{0,2}d[^%\s]*)\s+(\d{1,7})\s+(\d{1,7})(?:\s+([1-9]\d{0,6}))?(?:\s+\d+)?", named
-    )
-    if parts is None:
-        raise wrong_header(path, "header", f"data files {named}")
-    numbers = range(int(parts[2]), int(parts[3]) + 1, int(parts[4] or 1))
-    if len(numbers) > _MOST_FILES:
-        raise wrong_header(path, "header", f"{len(numbers)} data files")
-    return [parts[1] % number for number in numbers]
