@@ -1,6 +1,7 @@
 """Formats of scanners and viewers that no library reads: Scanco ISQ and AIM, VGStudio, Amira and Avizo.
 
-The layouts of ISQ and AIM follow the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
+A header that is cut or makes no sense raises whatever it does; `open_scan` makes one sentence of it. The
+layouts of ISQ and AIM follow the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
 """
 
 from __future__ import annotations
@@ -12,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.scan.opened import Opened, ReadOptions, planes_in, several_values, wrong_header
+from ct_inertia.scan.opened import HEADER_BYTES, Opened, ReadOptions, planes_in, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
-_HEADER_BYTES = 1 << 20  # most bytes of a header or log that are read
 _BLOCK = 512  # bytes of a block of an ISQ header
 _AIM_TYPES = {
     0x00010001: "<i1",
@@ -49,21 +49,15 @@ def open_isq(path: Path, _: ReadOptions) -> Opened:
     the number of voxels.
     """
     head = _start(path)
-    if not head.startswith(b"CTDATA-HEADER_V1"):
-        raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}")
-    if len(head) < _BLOCK:
-        raise wrong_header(path, "ISQ file", f"{len(head)} bytes, less than its header of {_BLOCK}")
     size = struct.unpack_from("<3i", head, 44)
     extent = np.array(struct.unpack_from("<3i", head, 56), dtype=float) * 1e-3
     (blocks,) = struct.unpack_from("<i", head, 508)
-    shape = _shape(size, path)
-    if blocks < 0:
-        raise wrong_header(path, "ISQ file", f"data at block {blocks}")
-    dtype = np.dtype("<i2")
-    planes = planes_in([(path, (blocks + 1) * _BLOCK)], shape, dtype, path.name)
-    spacing = extent / np.array(size)
-    notices = _isq_density(head[: (blocks + 1) * _BLOCK], path.name)
-    return Opened(shape, dtype, planes, spacing_mm=_positive(spacing), notices=notices)
+    if not head.startswith(b"CTDATA-HEADER_V1") or blocks < 0:
+        raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}, data at block {blocks}")
+    opened = _raw(path, size, "<i2", (blocks + 1) * _BLOCK)
+    opened.spacing_mm = _positive(extent / np.array(size))
+    opened.notices = _isq_density(head[: (blocks + 1) * _BLOCK], path.name)
+    return opened
 
 
 def _isq_density(head: bytes, name: str) -> list[Notice]:
@@ -117,39 +111,30 @@ def open_aim(path: Path, _: ReadOptions) -> Opened:
     The voxel size is a VAX float in mm in version 020 and whole nanometres in version 030.
     """
     head = _start(path)
-    if head.startswith(b"AIMDATA_V030"):
-        if len(head) < 280:
-            raise wrong_header(path, "AIM file", f"{len(head)} bytes")
-        pre, image, log_bytes = struct.unpack_from("<3q", head, 16)
-        if pre != 40 or not 204 <= image < 4096 or log_bytes < 0:
-            raise wrong_header(path, "AIM file", f"blocks of {pre}, {image} and {log_bytes} bytes")
-        at = 16 + pre
-        kind, *values = struct.unpack_from("<i6q", head, at + 12)
-        cell = np.array(struct.unpack_from("<3q", head, at + 16 + 21 * 8), dtype=float) * 1e-6
-        log = at + image
+    newer = head.startswith(b"AIMDATA_V030")
+    begin, word, at_kind = (16, "q", 12) if newer else (0, "i", 20)
+    pre, image, log_bytes = struct.unpack_from(f"<3{word}", head, begin)
+    known = (pre, image >= 204) == (40, True) if newer else (pre, image) == (20, 140)
+    at = begin + pre
+    log, data = at + image, at + image + log_bytes
+    if not known or not log <= data <= path.stat().st_size:
+        raise wrong_header(path, "AIM file", f"blocks of {pre}, {image} and {log_bytes} bytes")
+    kind, *values = struct.unpack_from(f"<i6{word}", head, at + at_kind)
+    place = at + at_kind + 4 + 21 * struct.calcsize(f"<{word}")
+    if newer:
+        cell = np.array(struct.unpack_from("<3q", head, place), dtype=float) * 1e-6
     else:
-        if len(head) < 160 or head[:8] != struct.pack("<2i", 20, 140):
-            raise wrong_header(path, "AIM file", f"a file that begins with {head[:8]!r}")
-        pre, image, log_bytes = struct.unpack_from("<3i", head, 0)
-        kind, *values = struct.unpack_from("<7i", head, pre + 20)
-        place = pre + 24 + 21 * 4
         cell = np.array([_vax_float(head[place + 4 * k : place + 4 * k + 4]) for k in range(3)])
-        log = pre + image
-    data = log + log_bytes
-    if not 0 <= log <= data <= path.stat().st_size:
-        raise wrong_header(path, "AIM file", f"data at byte {data}")
     if kind not in _AIM_TYPES:
-        wanted, step = (
-            "8-bit, 16-bit, 32-bit or float voxels, not packed",
-            "Export it unpacked, or as ISQ or MHA",
-        )
+        wanted = "8-bit, 16-bit, 32-bit or float voxels, not packed"
+        step = "Export it unpacked, or as ISQ or MHA"
         raise StapeskitError.of("the AIM data", wanted, f"type {kind:#x}", path.name, step)
-    shape, dtype = _shape(values[3:], path), np.dtype(_AIM_TYPES[kind])
-    planes = planes_in([(path, data)], shape, dtype, path.name)
-    spacing = _positive(cell)
-    origin = np.zeros(3) if spacing is None else np.array(values[:3], dtype=float) * spacing
-    notices = _aim_density(head[log:data].decode("latin-1"), path.name)
-    return Opened(shape, dtype, planes, spacing_mm=spacing, origin_mm=origin, notices=notices)
+    opened = _raw(path, values[3:], _AIM_TYPES[kind], data)
+    opened.spacing_mm = _positive(cell)
+    if opened.spacing_mm is not None:
+        opened.origin_mm = np.array(values[:3], dtype=float) * cell
+    opened.notices = _aim_density(head[log:data].decode("latin-1"), path.name)
+    return opened
 
 
 def _aim_density(log: str, name: str) -> list[Notice]:
@@ -192,40 +177,32 @@ def open_vgi(path: Path, _: ReadOptions) -> Opened:
     Notes
     -----
     Sections ``[file1]``, ... say how the voxels are stored, which need not be how ``[representation]`` shows
-    them.
-    Several files hold the slices one after another. The place and rotation of the volume in the scene of
-    VGStudio are not scan coordinates: origin 0, identity.
+    them. Several files hold the slices one after another. The place and rotation of the volume in the scene
+    of VGStudio are not scan coordinates: origin 0, identity.
     """
-    sections = _vgi_sections(path)
-    names = sorted((name for name in sections if re.fullmatch(r"file\d*", name)), key=_file_number)
-    if not names:
-        raise wrong_header(path, "VGI header", "no section [file1]")
+    sections = _vgi_sections(_start(path).decode("utf-8", "replace"))
+    names = sorted((name for name in sections if re.fullmatch(r"file\d{0,9}", name)), key=_file_number)
     shown = sections.get("representation", {})
     parts = [shown | sections[name] for name in names]
+    first = parts[0]
     if any(part.get("fileformat", "raw").lower() != "raw" for part in parts):
         step = "Export the volume as raw, unsigned integer or float"
-        raise StapeskitError.of("FileFormat", "raw", parts[0].get("fileformat"), path.name, step)
-    sizes = [_shape(_integers(part, "size", path), path, least=1) for part in parts]
-    even = all(size[0] == sizes[0][0] for size in sizes[:-1]) and sizes[-1][0] <= sizes[0][0]
-    if not even or any(size[1:] != sizes[0][1:] for size in sizes):
+        raise StapeskitError.of("FileFormat", "raw", first.get("fileformat"), path.name, step)
+    sizes = [_shape([int(word) for word in part["size"].split()], path, least=1) for part in parts]
+    depths = [size[0] for size in sizes]
+    if {size[1:] for size in sizes} != {sizes[0][1:]} or {depths[0], *depths[:-1]} != {depths[0]}:
         raise wrong_header(path, "VGI header", f"files of different sizes {sizes}")
-    shape = (sum(size[0] for size in sizes), *sizes[0][1:])
-    kind, bits = _VGI_KINDS.get(parts[0].get("datatype", "").lower(), ""), parts[0].get("bitsperelement", "")
-    if (kind, bits) not in {("u", "8"), ("i", "8"), *((k, b) for k in "uif" for b in ("16", "32", "64"))} - {
-        ("f", "16")
-    }:
-        raise wrong_header(
-            path, "VGI header", f"Datatype = {parts[0].get('datatype')}, BitsPerElement = {bits}"
-        )
-    order = ">" if parts[0].get("byteorder", "").lower().startswith("big") else "<"
-    dtype = np.dtype(f"{order}{kind}{int(bits) // 8}")
+    shape = (sum(depths), *sizes[0][1:])
+    order = ">" if first.get("byteorder", "").lower().startswith("big") else "<"
+    dtype = np.dtype(f"{order}{_VGI_KINDS[first['datatype'].lower()]}{int(first['bitsperelement']) // 8}")
     pieces = []
     for part in parts:
         named = part.get("name") or path.with_suffix(".vol").name
         file = path.parent / named.replace("\\", "/").rsplit("/", 1)[-1]
-        pieces.append((file, _integers(part, "skipheader", path, "0")[0]))
-    opened = Opened(shape, dtype, planes_in(pieces, shape, dtype, path.name, sizes[0][0]))
-    opened.files = (path, *(file for file, _ in pieces))
+        pieces.append((file, int(part.get("skipheader", "0"))))
+    check_grey_values(shape, dtype, path.name)
+    opened = Opened(shape, dtype, planes_in(pieces, shape, dtype, path.name, depths[0]))
+    opened.files = tuple(file for file, _ in pieces)
     opened.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
     mirrored = shown.get("mirror", "0").split()
     if any(word not in ("0", "0.0") for word in mirrored):
@@ -237,34 +214,23 @@ def open_vgi(path: Path, _: ReadOptions) -> Opened:
     return opened
 
 
-def _vgi_sections(path: Path) -> dict[str, dict[str, str]]:
+def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
     """Return the sections of the first volume, names and keys in lower case."""
     sections: dict[str, dict[str, str]] = {}
     name = ""
-    for line in _start(path).decode("utf-8", "replace").splitlines():
-        line = line.strip()
+    for line in map(str.strip, text.splitlines()):
         if line.lower() == "{volume2}":
             break
         if line.startswith("["):
             name = line.strip("[] ").lower()
-            sections.setdefault(name, {})
         key, equals, value = line.partition("=")
         if equals and not line.startswith(("{", "[")):
             sections.setdefault(name, {}).setdefault(key.strip().lower(), value.strip())
-    if not sections:
-        raise wrong_header(path, "VGI header", "a text without sections")
     return sections
 
 
 def _file_number(name: str) -> int:
-    return int(re.sub(r"\D", "", name)[:9] or 0)
-
-
-def _integers(part: dict[str, str], key: str, path: Path, default: str = "") -> list[int]:
-    words = part.get(key, default).split()
-    if not words or not all(re.fullmatch(r"\d{1,12}", word) for word in words):
-        raise wrong_header(path, "VGI header", f"{key} = {' '.join(words)}")
-    return [int(word) for word in words]
+    return int(name.removeprefix("file") or 0)
 
 
 def _vgi_spacing(geometry: dict[str, str]) -> Array | None:
@@ -295,47 +261,37 @@ def open_amira(path: Path, _: ReadOptions) -> Opened:
     """
     head = _start(path)
     first = head.split(b"\n", 1)[0].decode("latin-1")
-    if "AmiraMesh" not in first and "Avizo" not in first:
-        raise wrong_header(path, "Amira lattice", "a file that does not begin as one")
     end = re.search(rb"^@1[ \t]*\r?\n", head, re.MULTILINE)
-    if end is None:
-        raise wrong_header(path, "Amira lattice", "a header without data @1")
-    text = _decoded(head[: end.start()])
+    if not ("AmiraMesh" in first or "Avizo" in first) or end is None:
+        raise wrong_header(path, "Amira lattice", "a file that does not begin as one")
+    text = head[: end.start()].decode("utf-8", "replace")
     lattice = re.search(r"define\s+Lattice\s+(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\b", text)
     if lattice is None or re.search(r'CoordType\s+"(?!uniform)', text):
         raise wrong_header(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
-    shape = _shape([int(word) for word in lattice.groups()], path)
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
     if field is None or field[1] not in _AMIRA_TYPES or field[2] not in (None, "[1]"):
         raise several_values(path, field[0] if field else "no lattice")
     if field[3] or "ASCII" in first.upper():
         got, step = field[3] or "text", "Save it as AmiraMesh binary, without compression"
         raise StapeskitError.of("the lattice", "of binary voxels that are not packed", got, path.name, step)
-    dtype = np.dtype(("<" if "LITTLE" in first.upper() else ">") + _AMIRA_TYPES[field[1]])
-    opened = Opened(shape, dtype, planes_in([(path, end.end())], shape, dtype, path.name))
+    order = "<" if "LITTLE" in first.upper() else ">"
+    size = [int(word) for word in lattice.groups()]
+    opened = _raw(path, size, order + _AMIRA_TYPES[field[1]], end.end())
     opened.names = _materials(text)
-    _place_amira(opened, text, path)
-    return opened
-
-
-def _place_amira(opened: Opened, text: str, path: Path) -> None:
     opened.known = "the lattice has no unit of length"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
+    if box is None:
+        return opened
     unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
     factor = mm_per_unit(unit[1]) if unit else None
-    if box is None or len(box[1].split()) != 6:
-        return
-    try:
-        ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
-    except ValueError as fault:
-        raise wrong_header(path, "Amira lattice", f"BoundingBox {box[1].strip()}") from fault
-    steps = (ends[:, 1] - ends[:, 0]) / (np.array(opened.shape[::-1]) - 1)
+    ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
+    steps = (ends[:, 1] - ends[:, 0]) / (np.array(size) - 1)
     if factor is None:
         opened.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
-        return
+        return opened
     opened.spacing_mm = _positive(steps * factor)
-    if opened.spacing_mm is not None:
-        opened.origin_mm = ends[:, 0] * factor
+    opened.origin_mm = ends[:, 0] * factor
+    return opened
 
 
 def _materials(text: str) -> dict[int, str]:
@@ -354,14 +310,13 @@ def _materials(text: str) -> dict[int, str]:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
-        return stream.read(_HEADER_BYTES)
+        return stream.read(HEADER_BYTES)
 
 
-def _decoded(header: bytes) -> str:
-    try:
-        return header.decode("utf-8")
-    except UnicodeDecodeError:
-        return header.decode("latin-1")
+def _raw(path: Path, size: Sequence[int], kind: str, start: int) -> Opened:
+    """Return a volume of x, y, z voxels behind a header in the same file."""
+    shape, dtype = _shape(size, path), np.dtype(kind)
+    return Opened(shape, dtype, planes_in([(path, start)], shape, dtype, path.name))
 
 
 def _positive(spacing: Array) -> Array | None:

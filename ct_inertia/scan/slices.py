@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.opened import Opened, RawPlanes, ReadOptions
+from ct_inertia.scan.opened import Opened, ReadOptions
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import Box
 from ct_inertia.scan.tiff import check_palette, listening, plane_spacing, white_is_zero
@@ -25,17 +24,12 @@ SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _TIFF = (".tif", ".tiff")
 _PREVIEW = re.compile(r"_spr$|_arc$|^\.", re.IGNORECASE)  # pictures that SkyScan's programs add
 _RIVAL = 0.5  # share of the longest series from which on another one is no side product
-_MODES = {"L": "u1", "I;16": "<u2", "I;16L": "<u2", "I;16B": ">u2", "I": "i4", "F": "f4"}
 _APART = "Put the slices of one scan into a folder of their own"
-
-
-@dataclass(frozen=True)
-class _Look:
-    """Rows and columns, type, and the byte at which the pixels begin where they are stored as they are."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    offset: int | None = None
+_LOGGED = {
+    "slices": "Sections Count",
+    "rows": r"Result Image Height \(pixels\)",
+    "columns": r"Result Image Width \(pixels\)",
+}
 
 
 def open_file(folder: Path, options: ReadOptions) -> Opened:
@@ -48,38 +42,36 @@ def open_file(folder: Path, options: ReadOptions) -> Opened:
         that describes other slices.
     """
     files, notices = slice_files(folder)
-    looks = [_look(file) for file in files]
-    first = looks[0]
-    for file, look in zip(files, looks, strict=True):
-        _check_alike(file, look.shape, look.dtype, files[0], first)
-    shape = (len(files), *first.shape)
-    opened = Opened(shape, first.dtype, notices=notices)
+    first = _pixels(files[0])
+    opened = Opened((len(files), *first.shape), first.dtype, notices=notices)
     logs = sorted(folder.glob("*.log"))
-    opened.files = (folder,)
     if options.spacing_mm is None:
-        opened.spacing_mm, opened.known = log_spacing(logs, shape)
+        opened.spacing_mm, opened.known = log_spacing(logs, opened.shape)
     if files[0].suffix.lower() in _TIFF:
         import tifffile
 
         with listening(files[0]), tifffile.TiffFile(files[0]) as tif:
+            check_palette(tif.pages[0], files[0])
             opened.white_is_zero = white_is_zero(tif.pages[0])
             if opened.spacing_mm is None and not logs:
                 opened.spacing_mm, opened.known = plane_spacing(tif.pages[0])
-    offsets = [look.offset for look in looks if look.offset is not None]
-    if len(offsets) == len(files):
-        opened.planes = RawPlanes(tuple(files), np.arange(len(files)), np.array(offsets))
-        return opened
 
     def read(box: Box) -> NDArray[Any]:
         planes = []
         for file in files[box[0]]:
             image = _pixels(file)
-            _check_alike(file, image.shape, image.dtype, files[0], first)
+            if (image.shape, image.dtype) != (first.shape, first.dtype):
+                wanted, step = f"{_look(first)} like {files[0].name}", "Remove it, or export it again"
+                raise StapeskitError.of(f"slice {file.name}", wanted, _look(image), next_step=step)
             planes.append(image[box[1:]])
-        return np.stack(planes).astype(first.dtype.newbyteorder("="), copy=False)
+        return np.stack(planes)
 
     opened.read = read
     return opened
+
+
+def _look(image: NDArray[Any]) -> str:
+    return f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
 
 
 def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
@@ -107,20 +99,16 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
         raise StapeskitError.of("the folder", "one series of numbered slices", listed, folder.name, _APART)
-    chosen = sorted(series[ranked[0]], key=lambda pair: (pair[0], pair[1].name))
+    chosen = sorted(series[ranked[0]])
     numbers = [number for number, _ in chosen]
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
-        step = "Leave one series of slices in the folder"
-        raise StapeskitError.of(
-            "the slice numbers", "unique", f"number {doubled[0]} twice", folder.name, step
-        )
+        got, step = f"number {doubled[0]} twice", "Leave one series of slices in the folder"
+        raise StapeskitError.of("the slice numbers", "unique", got, folder.name, step)
     notices = []
-    if len(images) > len(chosen):
-        text = (
-            f"{len(images) - len(chosen)} other image files in {folder.name} are not part of the series and "
-            f"were left out."
-        )
+    others = len(images) - len(chosen)
+    if others:
+        text = f"{others} other image files in {folder.name} are not part of the series and were left out."
         notices.append(Notice("files_ignored", text))
     return [path for _, path in chosen], notices + _gaps(numbers, folder.name)
 
@@ -187,35 +175,36 @@ def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | Non
     nothing says that the slices were reconstructed at it.
     """
     sizes: dict[tuple[float, float], str] = {}
-    faults = []
-    acquired = ""
+    known, fault = "slice images do not have it", None
     for log in logs:
         before, _, after = log.read_text(encoding="latin-1").partition("[Reconstruction]")
-        size = _log_length(after, "Pixel Size") or _log_length(after, r"(?:Scaled )?Image Pixel Size")
+        size, projected = _pixel_mm(after), _pixel_mm(before)
+        if size is None and projected is not None:
+            known = (
+                f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the "
+                f"pixel size of the projections; nothing says at which size the slices were reconstructed"
+            )
         if size is None:
-            projected = _log_length(before, r"(?:Scaled )?Image Pixel Size")
-            if projected is not None:
-                acquired = (
-                    f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the "
-                    f"pixel size of the projections; nothing says at which size the slices were reconstructed"
-                )
             continue
-        stated = [_log_number(after, key) for key in ("Sections Count", r"Result Image Height \(pixels\)")]
-        stated.append(_log_number(after, r"Result Image Width \(pixels\)"))
-        differing = [k for k, value in enumerate(stated) if value is not None and value != shape[k]]
+        counts = {name: _log_number(after, key) for name, key in _LOGGED.items()}
+        differing = {
+            name: (count, held)
+            for (name, count), held in zip(counts.items(), shape, strict=True)
+            if count not in (None, held)
+        }
         if differing:
-            faults.append(_other_slices(log, stated, shape, differing))
-            continue
-        sizes.setdefault((size, max(1.0, _log_number(after, "Section to Section Step") or 1.0)), log.name)
+            fault = _other_slices(log, differing)
+        else:
+            step = max(1.0, _log_number(after, "Section to Section Step") or 1.0)
+            sizes.setdefault((size, step), log.name)
     if len(sizes) > 1:
         listed = ", ".join(f"{name} {1e3 * size:.6g} um" for (size, _), name in sizes.items())
         return None, f"the reconstruction logs disagree ({listed})"
-    if sizes:
-        ((size, step),) = sizes
+    if not sizes and fault is not None:
+        raise fault
+    for size, step in sizes:
         return np.array([size, size, size * step]), ""
-    if faults:
-        raise faults[0]
-    return None, acquired or "slice images do not have it"
+    return None, known
 
 
 def _log_number(text: str, key: str) -> float | None:
@@ -226,87 +215,27 @@ def _log_number(text: str, key: str) -> float | None:
         return None
 
 
-def _log_length(text: str, key: str) -> float | None:
-    """Return a positive length in mm."""
-    for unit in ("um", "mm"):
-        value = _log_number(text, rf"{key} \({unit}\)")
-        if value:
-            return value * (mm_per_unit(unit) or 1.0)
+def _pixel_mm(text: str) -> float | None:
+    """Return the pixel size in a section of a log, mm; its own wins over that of the images it came from."""
+    for name in ("Pixel Size", r"(?:Scaled )?Image Pixel Size"):
+        for unit in ("um", "mm"):
+            value = _log_number(text, rf"{name} \({unit}\)")
+            if value:
+                return value * (mm_per_unit(unit) or 1.0)
     return None
 
 
-def _other_slices(
-    log: Path, stated: Sequence[float | None], shape: Sequence[int], differing: Sequence[int]
-) -> StapeskitError:
-    names = ("slices", "rows", "columns")
-    told = ", ".join(f"{stated[k]:g} {names[k]}" for k in differing)
-    held = ", ".join(f"{shape[k]} {names[k]}" for k in differing)
+def _other_slices(log: Path, differing: dict[str, tuple[float | None, int]]) -> StapeskitError:
+    stated = ", ".join(f"{count:g} {name}" for name, (count, _) in differing.items())
+    held = ", ".join(f"{held} {name}" for name, (_, held) in differing.items())
     return StapeskitError.of(
         "the slices",
-        f"those that their reconstruction log describes ({told})",
+        f"those that their reconstruction log describes ({stated})",
         held,
         log.name,
         "They were cropped, scaled or come from another scan: give their voxel size with --spacing, or copy "
         "the whole folder again",
     )
-
-
-def _check_alike(
-    file: Path, shape: tuple[int, ...], dtype: np.dtype[Any], other: Path, expected: _Look
-) -> None:
-    same = dtype.newbyteorder("=") == expected.dtype.newbyteorder("=")
-    if shape == expected.shape and same:
-        return
-    rows, columns = expected.shape
-    raise StapeskitError.of(
-        f"slice {file.name}",
-        f"{columns} x {rows} {expected.dtype.newbyteorder('=')} like {other.name}",
-        f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
-        next_step="Remove it from the folder or export it again",
-    )
-
-
-def _look(path: Path) -> _Look:
-    """Return size and type of a slice from its header; a picture in colours is read as a whole."""
-    look = _tiff_look(path) if path.suffix.lower() in _TIFF else _picture_look(path)
-    if look is not None:
-        return look
-    image = _pixels(path)
-    return _Look(image.shape, image.dtype)
-
-
-def _tiff_look(path: Path) -> _Look | None:
-    import tifffile
-
-    with listening(path), tifffile.TiffFile(path) as tif:
-        page: Any = tif.pages[0]
-        check_palette(page, path)
-        if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
-            return None
-        dtype = np.dtype(tif.byteorder + page.dtype.char)
-        whole = page.is_contiguous and page.bitspersample >= 8 and page.compression.name == "NONE"
-        if not whole:
-            return _Look(page.shape, dtype)
-        start = int(page.dataoffsets[0])
-        needed, stored = start + int(np.prod(page.shape)) * dtype.itemsize, path.stat().st_size
-        if needed > stored:
-            wanted = f"as long as its header says ({needed} bytes)"
-            raise StapeskitError.of(
-                "the slice", wanted, f"{stored} bytes", path.name, "Copy or export it again"
-            )
-        return _Look(page.shape, dtype, start)
-
-
-def _picture_look(path: Path) -> _Look | None:
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            if image.mode not in _MODES:
-                return None
-            return _Look((image.height, image.width), np.dtype(_MODES[image.mode]).newbyteorder("="))
-    except Exception as fault:
-        raise _damaged(path) from fault
 
 
 def _pixels(path: Path) -> NDArray[Any]:
@@ -323,21 +252,14 @@ def _pixels(path: Path) -> NDArray[Any]:
             with Image.open(path) as picture:
                 image = np.asarray(picture if picture.mode != "P" else picture.convert("RGB"))
         except Exception as fault:
-            raise _damaged(path) from fault
-    if image.dtype.kind == "b":
-        image = image.astype(np.uint8)
+            got, step = f"a truncated or damaged file of {path.stat().st_size} bytes", "Copy it again"
+            raise StapeskitError.of("the slice", "a readable image", got, path.name, step) from fault
     if image.ndim == 3 and image.shape[-1] in (2, 3, 4):
         if image.shape[-1] > 2 and np.any(image[..., 1:3] != image[..., :1]):
             got = "a colour (RGB) image"
             raise StapeskitError.of(f"slice {path.name}", "grey values", got, next_step="Export grey values")
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2:
-        step = "Give a stack as a file, not in a folder"
-        got = f"shape {' x '.join(map(str, image.shape))}"
+        got, step = f"shape {' x '.join(map(str, image.shape))}", "Give a stack as a file, not in a folder"
         raise StapeskitError.of(f"slice {path.name}", "one two-dimensional image", got, next_step=step)
-    return image
-
-
-def _damaged(path: Path) -> StapeskitError:
-    got = f"a truncated or damaged file of {path.stat().st_size} bytes"
-    return StapeskitError.of("the slice", "a readable image", got, path.name, "Copy or export it again")
+    return image.astype(np.uint8 if image.dtype.kind == "b" else image.dtype.newbyteorder("="), copy=False)
