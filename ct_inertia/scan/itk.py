@@ -74,7 +74,10 @@ class _Header:
         fields: dict[str, str] = {}
         keys: dict[str, str] = {}
         for name, sign, value in _FIELD.findall(start[:stop].decode("utf-8", "replace")):
-            (keys if sign == ":=" else fields).setdefault(name if sign == ":=" else _plain(name), value.strip())
+            if sign == ":=":
+                keys[name] = value.strip()
+            else:
+                fields.setdefault(name.lower().replace(" ", ""), value.strip())
         return cls(path, start.decode("utf-8", "replace"), fields, keys, stop)
 
     def get(self, *names: str) -> str:
@@ -117,10 +120,6 @@ class _Header:
         if missing:
             raise no_data_file(missing[0], self.path.name)
         return files
-
-
-def _plain(name: str) -> str:
-    return name.lower().replace(" ", "")
 
 
 @dataclass(frozen=True)
@@ -194,7 +193,7 @@ def open_metaimage(path: Path, _: ReadOptions) -> Opened:
     """
     header = _Header.read(path, rb"^ElementDataFile[ \t]*=[^\n]*\n?", "MetaImage volume")
     voxels = _metaimage_voxels(header)
-    opened, _ = _grid(path, voxels)
+    opened = _grid(path, voxels)[0]
     factor = mm_per_unit(header.get("distanceunits")) or 1.0
     _scale(opened, factor, header.get("elementspacing", "elementsize"))
     opened.anatomical = "?" not in (header.get("anatomicalorientation") or "?")
@@ -202,7 +201,7 @@ def open_metaimage(path: Path, _: ReadOptions) -> Opened:
 
 
 def _grid(path: Path, voxels: _Voxels, layers: bool = False) -> tuple[Opened, int]:
-    """Return what SimpleITK reads of a header, and how many values a voxel has (``layers`` allows several)."""
+    """Return what SimpleITK reads of a header, and the values in a voxel: ``layers`` allows several."""
     import SimpleITK as sitk
 
     sitk.ProcessObject.SetGlobalWarningDisplay(False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -225,7 +225,7 @@ def _pixel_mm(text: str) -> float | None:
     return None
 
 
-def _other_slices(log: Path, differing: dict[str, tuple[float | None, int]]) -> StapeskitError:
+def _other_slices(log: Path, differing: Mapping[str, tuple[float | None, int]]) -> StapeskitError:
     stated = ", ".join(f"{count:g} {name}" for name, (count, _) in differing.items())
     held = ", ".join(f"{held} {name}" for name, (_, held) in differing.items())
     return StapeskitError.of(

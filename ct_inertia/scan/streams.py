@@ -68,7 +68,7 @@ def _unpacking(packed: IO[bytes], needed: int) -> IO[bytes]:
     if begin == b"\x1f\x8b":
         return gzip.GzipFile(fileobj=packed)  # type: ignore[return-value]
     if begin == b"BZ":
-        return bz2.BZ2File(packed)  # type: ignore[return-value]
+        return bz2.BZ2File(packed)
     return io.BytesIO(zlib.decompressobj().decompress(packed.read(), needed + _PIECE))
 
 

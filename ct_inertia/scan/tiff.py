@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from ct_inertia.scan.opened import (
     wrong_header,
 )
 from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
-from ct_inertia.scan.scan import Box, check_grey_values
+from ct_inertia.scan.scan import Box, Fetch, check_grey_values
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
@@ -49,24 +49,41 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
 
     with listening(path):
         tif = tifffile.TiffFile(path)
-        stated, held = _imagej_counts(tif, path)
+        meta: dict[str, Any] = (tif.imagej_metadata or {}) if tif.is_imagej else {}
+        stated, held = int(meta.get("images") or 0), _held_slices(tif, path)
         xml = tif.ome_metadata if tif.is_ome else None
-    if stated > held:
-        raise _wrong_count(path, stated, held)
+    if max(stated, 1) > held:
+        wanted = f"as many slices as its description says ({stated})"
+        step = "A program has split it, or it is truncated: export the whole stack again"
+        raise StapeskitError.of("the TIFF", wanted, f"{held} slices", path.name, step)
     files = _ome_files(path, xml)
     with listening(path):
         series = next((one for one in tif.series if sum(n > 1 for n in one.shape) > 2), tif.series[0])
         page: Any = series.keyframe
-        _check_kind(series, page, path)
         shape = tuple(int(n) for n in series.shape if n > 1)
-        kind = "u1" if series.dtype.kind == "b" else series.dtype.str[1:]
-        dtype = np.dtype(page.parent.byteorder + kind)
+        dtype = np.dtype(page.parent.byteorder + ("u1" if series.dtype.kind == "b" else series.dtype.str[1:]))
+        _check_kind(series, page, shape, dtype, path)
         opened = Opened(shape, dtype, files=files, white_is_zero=white_is_zero(page))
-        opened.spacing_mm, opened.origin_mm, opened.known = _place(tif, series)
-        opened.notices = _notices(tif, path)
+        place = _ome_place(xml, list(tif.series).index(series), len(tif.series), shape) if xml else None
+        if place is None and meta:
+            place = _imagej_place(meta, _resolution(page))
+        if place is None:
+            spacing, known = plane_spacing(page)
+            place = spacing, np.zeros(3), known
+        opened.spacing_mm, opened.origin_mm, opened.known = place
         opened.planes = _raw_planes(series, page, shape, dtype, path)
+        several = len(tif.series) > 1 and not tif.series[0].is_pyramidal
     if opened.planes is None:
         opened.read = _decoder(series, shape, path)
+    if several:
+        text = f"{path.name} holds {len(tif.series)} images; the first stack was read."
+        opened.notices.append(Notice("first_series_read", text))
+    if float(meta.get("spacing") or 1.0) < 0.0:
+        text = (
+            f"{path.name} has a negative slice distance; its size was used and the order of slices kept. "
+            f"Reverse them with --mirror z if the ear is a mirror image."
+        )
+        opened.notices.append(Notice("negative_slice_distance", text))
     return opened
 
 
@@ -168,35 +185,24 @@ def _ome_files(path: Path, xml: str | None) -> tuple[Path, ...]:
     return tuple(dict.fromkeys([path, *(file for file in named if file.is_file())]))
 
 
-def _check_kind(series: Any, page: Any, path: Path) -> None:
+def _check_kind(series: Any, page: Any, shape: Sequence[int], dtype: np.dtype[Any], path: Path) -> None:
     check_palette(page, path)
     axes = dict(zip(series.axes, series.shape, strict=True))
     if (page.photometric is not None and page.photometric.name in _COLOURS) or axes.get("S", 1) > 1:
         raise several_values(path, "a colour (RGB) image or several samples per voxel")
     extra = [f"{n} {axis}" for axis, n in axes.items() if axis in _OTHER_AXES and n > 1]
-    sizes = tuple(n for n in series.shape if n > 1)
-    if extra and (len(sizes) > 3 or "Z" in axes):
+    if extra and (len(shape) > 3 or "Z" in axes):
         raise several_values(path, f"{', '.join(extra)} (channels or times)")
-    check_grey_values(sizes, np.dtype(np.uint8) if series.dtype.kind == "b" else series.dtype, path.name)
+    check_grey_values(tuple(shape), dtype, path.name)
 
 
-def _imagej_counts(tif: tifffile.TiffFile, path: Path) -> tuple[int, int]:
-    """Return how many slices an ImageJ description counts, and how many the file holds; 0, 0 without."""
-    meta = (tif.imagej_metadata or {}) if tif.is_imagej else {}
-    stated, pages = int(meta.get("images") or 0), len(tif.pages)
-    if stated < 2 or pages > 1:
-        return stated, max(pages, stated if stated < 2 else 0)
-    # One page describes all slices, which lie one behind the other.
+def _held_slices(tif: tifffile.TiffFile, path: Path) -> int:
+    """Return how many slices a file holds; of ImageJ one page describes those that lie behind each other."""
     page: Any = tif.pages[0]
+    if len(tif.pages) > 1 or not tif.is_imagej:
+        return len(tif.pages)
     plane = int(np.prod(page.shape)) * page.dtype.itemsize
-    return stated, (path.stat().st_size - int(page.dataoffsets[0])) // max(plane, 1)
-
-
-def _wrong_count(path: Path, stated: int, held: int) -> StapeskitError:
-    step = "A program has split it, or it is truncated: export the whole stack again"
-    return StapeskitError.of(
-        "the TIFF", f"as many slices as its description says ({stated})", f"{held} slices", path.name, step
-    )
+    return max(1, (path.stat().st_size - int(page.dataoffsets[0])) // max(plane, 1))
 
 
 def _raw_planes(
@@ -213,64 +219,57 @@ def _raw_planes(
     if page.compression.name != "NONE" or page.bitspersample < 8 or page.is_tiled or series.dtype.kind == "b":
         return None
     if series.dataoffset is not None:
-        files: tuple[Path, ...] = (Path(page.parent.filehandle.path),)
-        number, offset = np.zeros(shape[0], np.int64), series.dataoffset + plane * np.arange(shape[0])
+        home = Path(page.parent.filehandle.path)
+        every = [(home, series.dataoffset + plane * k) for k in range(shape[0])]
+    elif len(series.pages) != shape[0]:
+        return None
     else:
-        if len(series.pages) != shape[0]:
-            return None
-        every: list[tuple[Path, int]] = []
-        for one in series.pages:
-            if one is None:
-                raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
+        every = []
+        for one in _pages(series, path):
             ends = np.cumsum([one.dataoffsets[0], *one.databytecounts])
             if not np.array_equal(ends[:-1], one.dataoffsets) or ends[-1] - ends[0] != plane:
                 return None
             home = Path(one.parent.filehandle.path) if hasattr(one, "parent") else path
             every.append((home, int(one.dataoffsets[0])))
-        files = tuple(dict.fromkeys(file for file, _ in every))
-        number = np.array([files.index(file) for file, _ in every])
-        offset = np.array([start for _, start in every])
+    files = tuple(dict.fromkeys(file for file, _ in every))
+    number = np.array([files.index(file) for file, _ in every])
+    offset = np.array([start for _, start in every])
     for k, file in enumerate(files):
-        needed = int(offset[number == k].max()) + plane
-        stored = file.stat().st_size
+        needed, stored = int(offset[number == k].max()) + plane, file.stat().st_size
         if needed > stored:
             raise too_short(shape, needed, stored, file.name)
     return RawPlanes(files, number, offset)
 
 
-def _decoder(series: Any, shape: Sequence[int], path: Path) -> Any:
+def _pages(series: Any, path: Path, some: slice = slice(None)) -> list[Any]:
+    """Return pages of a series, one a plane.
+
+    Raises
+    ------
+    StapeskitError
+        One is in a file that is missing.
+    """
+    pages = [series.pages[z] for z in range(len(series.pages))[some]]
+    if any(one is None for one in pages):
+        raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
+    return pages
+
+
+def _decoder(series: Any, shape: Sequence[int], path: Path) -> Fetch:
     """Return a function that decodes planes one by one, or the whole image where its tiles have a depth."""
     held: list[NDArray[Any]] = []
 
     def read(box: Box) -> NDArray[Any]:
         with listening(path):
-            if len(series.pages) != shape[0]:
-                if not held:
-                    held.append(np.asarray(series.asarray()).reshape(shape))
-                values = held[0][box]
+            if len(series.pages) == shape[0]:
+                planes = [page.asarray().reshape(shape[1:])[box[1:]] for page in _pages(series, path, box[0])]
+                values = np.stack(planes)
             else:
-                pages = [series.pages[z] for z in range(shape[0])[box[0]]]
-                if any(one is None for one in pages):
-                    raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
-                values = np.stack([np.asarray(one.asarray()).reshape(shape[1:])[box[1:]] for one in pages])
-        if values.dtype.kind == "b":
-            return values.astype(np.uint8)
-        return values.astype(values.dtype.newbyteorder("="), copy=False)
+                held[:] = held or [np.asarray(series.asarray()).reshape(shape)]
+                values = held[0][box]
+        return values.astype(np.uint8 if values.dtype.kind == "b" else values.dtype.newbyteorder("="))
 
     return read
-
-
-def _place(tif: tifffile.TiffFile, series: Any) -> tuple[Array | None, Array, str]:
-    """Return spacing and origin (3,), mm, and what the file says of an incomplete spacing."""
-    page: Any = series.keyframe
-    if tif.is_ome and tif.ome_metadata:
-        found = _ome_place(tif.ome_metadata, list(tif.series).index(series), len(tif.series), series.shape)
-        if found is not None:
-            return found
-    if tif.is_imagej and tif.imagej_metadata is not None:
-        return _imagej_place(tif.imagej_metadata, _resolution(page))
-    spacing, known = plane_spacing(page)
-    return spacing, np.zeros(3), known
 
 
 def _imagej_place(meta: dict[str, Any], pixels: Array | None) -> tuple[Array | None, Array, str]:
@@ -340,29 +339,9 @@ def _ome_place(
 
 def _lengths(element: Any, name: str, default_unit: str) -> Array:
     """Return lengths along x, y, z (3,) in mm; NaN where one is missing or has no unit of length."""
-    keys = [f"{name}{axis}" for axis in "XYZ"]
-    return np.array([_length(element.get(key), element.get(f"{key}Unit", default_unit)) for key in keys])
-
-
-def _length(value: str | None, unit: str | None) -> float:
-    """Return a length in mm; NaN where it is none."""
-    factor = mm_per_unit(unit)
-    try:
-        return np.nan if value is None or factor is None else float(value) * factor
-    except ValueError:
-        return np.nan
-
-
-def _notices(tif: tifffile.TiffFile, path: Path) -> list[Notice]:
-    notices = []
-    if len(tif.series) > 1 and not tif.series[0].is_pyramidal:
-        text = f"{path.name} holds {len(tif.series)} images; the first stack was read."
-        notices.append(Notice("first_series_read", text))
-    meta = tif.imagej_metadata if tif.is_imagej else None
-    if meta and float(meta.get("spacing") or 1.0) < 0.0:
-        text = (
-            f"{path.name} has a negative slice distance; its size was used and the order of slices kept. "
-            f"Reverse them with --mirror z if the ear is a mirror image."
-        )
-        notices.append(Notice("negative_slice_distance", text))
-    return notices
+    found = np.full(3, np.nan)
+    for k, key in enumerate(f"{name}{axis}" for axis in "XYZ"):
+        factor = mm_per_unit(element.get(f"{key}Unit", default_unit))
+        with suppress(ValueError, TypeError):  # no number, or none given
+            found[k] = np.nan if factor is None else float(element.get(key)) * factor
+    return found

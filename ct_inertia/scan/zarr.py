@@ -102,8 +102,8 @@ def _place(
         return None, np.zeros(3), "the image has no axes x, y and z"
     if not scaled or np.any(scale[order] <= 0.0):
         return None, np.zeros(3), "the image has no scale"
-    told = [scales["axes"][k] for k in order]
-    factors = [mm_per_unit(axis.get("unit")) if isinstance(axis, dict) else None for axis in told]
+    stated = [scales["axes"][k] for k in order]
+    factors = [mm_per_unit(axis.get("unit")) if isinstance(axis, dict) else None for axis in stated]
     if any(factor is None for factor in factors):
         listed = " x ".join(f"{value:g}" for value in scale[order])
         return None, np.zeros(3), f"a scale of {listed} without a unit of length"
@@ -128,38 +128,15 @@ def _voxels(array: Any, axes: Sequence[str], folder: Path) -> Opened:
     if claimed > _MOST_CHUNK:
         size = " x ".join(map(str, array.chunks))
         raise wrong_header(folder, "OME-Zarr image", f"chunks of {size} voxels ({claimed} bytes)")
-    depth, rows = (int(array.chunks[k]) for k in order[:2])
-    sorted_order = sorted(order)
-
-    def piece(z: slice, y: slice, x: slice) -> NDArray[Any]:
-        key: list[Any] = [0] * array.ndim
-        for axis, along in zip(order, (z, y, x), strict=True):
-            key[axis] = along
-        values = np.asarray(array[tuple(key)])
-        return values.transpose([sorted_order.index(axis) for axis in order])
+    back = np.argsort(np.argsort(order))
 
     def read(box: Box) -> NDArray[Any]:
-        zs, ys, xs = (range(n)[along] for along, n in zip(box, shape, strict=True))
-        out = np.empty((len(zs), len(ys), len(xs)), dtype.newbyteorder("="))
-        across = slice(xs[0], xs[-1] + 1) if len(xs) else slice(0, 0)
-        for z, k in _pieces(zs, depth):
-            for y, j in _pieces(ys, rows):
-                out[k, j] = piece(z, y, across)[:: zs.step, :: ys.step, :: xs.step]
-        return out
+        key: list[Any] = [0] * array.ndim
+        for axis, along in zip(order, box, strict=True):
+            key[axis] = along
+        return np.asarray(array[tuple(key)]).transpose(back).astype(dtype.newbyteorder("="), copy=False)
 
-    return Opened(shape, dtype, read=read, depth=min(depth, shape[0]))
-
-
-def _pieces(asked: range, chunk: int) -> list[tuple[slice, slice]]:
-    """Split indices by chunks: what to read of the array, and its place among the indices."""
-    pieces, first = [], 0
-    while first < len(asked):
-        end = first
-        while end + 1 < len(asked) and asked[end + 1] // chunk == asked[first] // chunk:
-            end += 1
-        pieces.append((slice(asked[first], asked[end] + 1), slice(first, end + 1)))
-        first = end + 1
-    return pieces
+    return Opened(shape, dtype, read=read, depth=min(int(array.chunks[order[0]]), shape[0]))
 
 
 def _missing_chunks(array: Any, folder: Path) -> list[Notice]:
