@@ -93,9 +93,8 @@ def open_labels(
     if labels.dtype.kind == "f":
         whole = np.rint(labels)
         if np.any(whole != labels) or np.abs(whole).max() > np.iinfo(np.int32).max:
-            raise StapeskitError.of(
-                "the label volume", "whole numbers", "fractions", scan.name, "Export labels, not grey values"
-            )
+            step = "Export labels, not grey values"
+            raise StapeskitError.of("the label volume", "whole numbers", "fractions", scan.name, step)
         labels = whole.astype(np.int32)
     if labels.min() == labels.max():
         raise _constant(scan, labels.flat[0])
@@ -110,25 +109,17 @@ def check_differs(scan: Scan) -> None:
     StapeskitError
         All voxels are equal.
     """
-    middle, last = scan.shape[0] // 2, scan.shape[0]
+    middle = scan.shape[0] // 2
     plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
     first = plane.flat[0]
-    if np.any(plane != first):
-        return
-    for _, slab in scan.slabs(1, (slice(0, last), slice(None), slice(None))):
-        if np.any(slab != first):
-            return
-    raise _constant(scan, first)
+    if np.all(plane == first) and all(np.all(slab == first) for _, slab in scan.slabs()):
+        raise _constant(scan, first)
 
 
 def _constant(scan: Scan, value: object) -> StapeskitError:
-    return StapeskitError.of(
-        "the volume",
-        "a picture with differing grey values",
-        f"{value} in every voxel",
-        scan.name,
-        "Check that this is the reconstructed volume, and export it again",
-    )
+    wanted, got = "a picture with differing grey values", f"{value} in every voxel"
+    step = "Check that this is the reconstructed volume, and export it again"
+    return StapeskitError.of("the volume", wanted, got, scan.name, step)
 
 
 def _opened(path: Path, options: ReadOptions, own_spacing: bool = False) -> Scan:

@@ -101,27 +101,17 @@ def choose_spacing(
     stated, unset = believed_spacing(stated, 1.0)
     known = unset or known
     if from_user is None:
-        if not np.all(np.isfinite(stated)):
-            raise StapeskitError.of(
-                "the voxel spacing",
-                "in the file or given",
-                f"none{': ' + known if known else ''}",
-                name,
-                "Give it in mm with --spacing H or --spacing DX,DY,DZ",
-            )
-        if np.any(stated <= 0.0):
-            raise StapeskitError.of(
-                "the voxel spacing", "positive", _times(stated), name, "Give it in mm with --spacing"
-            )
+        if not np.all(stated > 0.0):
+            known = known if np.any(np.isnan(stated)) else _times(stated)
+            wanted, got = "in the file or given", f"none{': ' + known if known else ''}"
+            step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
+            raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
         return stated, []
     values = np.asarray(from_user, dtype=float).ravel()
     if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
-        raise StapeskitError.of(
-            "--spacing",
-            "one or three positive numbers in mm (H or DX,DY,DZ)",
-            values.tolist(),
-            next_step="Give it in mm, for example --spacing 0.018",
-        )
+        wanted = "one or three positive numbers in mm (H or DX,DY,DZ)"
+        step = "Give it in mm, for example --spacing 0.018"
+        raise StapeskitError.of("--spacing", wanted, values.tolist(), next_step=step)
     spacing = np.broadcast_to(values, 3).copy()
     known_axes = np.isfinite(stated) & (stated != 0.0)
     if not np.any(np.abs(spacing[known_axes] / stated[known_axes] - 1.0) > _NOTED_CHANGE):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -81,10 +82,8 @@ def _open(path: Path) -> BinaryIO:
     try:
         return path.open("rb", buffering=0)
     except OSError as fault:
-        step = "Check its name, permissions and disk"
-        raise StapeskitError.of(
-            "the scan", "a file that can be read", fault.strerror, path.name, step
-        ) from fault
+        wanted, step = "a file that can be read", "Check its name, permissions and disk"
+        raise StapeskitError.of("the scan", wanted, fault.strerror, path.name, step) from fault
 
 
 def _fill(stream: BinaryIO, out: NDArray[Any], place: int) -> None:
@@ -101,13 +100,8 @@ def _fill(stream: BinaryIO, out: NDArray[Any], place: int) -> None:
     while done < len(view):
         count = stream.readinto(view[done:])  # type: ignore[attr-defined]
         if not count:
-            raise StapeskitError.of(
-                "the scan",
-                "complete",
-                f"a file that ends at byte {place + done}",
-                Path(stream.name).name,
-                "Copy or export it again",
-            )
+            got, name = f"a file that ends at byte {place + done}", Path(stream.name).name
+            raise StapeskitError.of("the scan", "complete", got, name, "Copy or export it again")
         done += count
 
 
@@ -121,54 +115,36 @@ def open_file(path: Path, options: ReadOptions) -> Opened:
     """
     layout = options.raw
     if layout is None:
-        raise StapeskitError.of(
-            "raw voxels",
-            f"in the folder of their header ({', '.join(HEADERS)}) or described by --shape and --dtype",
-            "neither",
-            path.name,
-            "Give --shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H",
-        )
-    if len(layout.shape) != 3 or min(layout.shape) < 2:
-        raise StapeskitError.of(
-            "--shape", "three whole numbers NX,NY,NZ of at least 2", layout.shape, next_step="x runs fastest"
-        )
-    if layout.dtype not in VOXEL_TYPES:
-        raise StapeskitError.of("--dtype", f"one of {', '.join(VOXEL_TYPES)}", layout.dtype)
-    if layout.byte_order not in ("little", "big"):
-        raise StapeskitError.of("--byte-order", "little or big", layout.byte_order)
-    if layout.header_bytes < 0:
-        raise StapeskitError.of("--header-bytes", "0 or more", layout.header_bytes)
+        wanted = f"in the folder of their header ({', '.join(HEADERS)}) or described by --shape and --dtype"
+        step = "Give --shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H"
+        raise StapeskitError.of("raw voxels", wanted, "neither", path.name, step)
+    sound = len(layout.shape) == 3 and min(layout.shape) >= 2
+    for option, good, wanted, got in (
+        ("--shape", sound, "three whole numbers NX,NY,NZ of at least 2, x fastest", layout.shape),
+        ("--dtype", layout.dtype in VOXEL_TYPES, f"one of {', '.join(VOXEL_TYPES)}", layout.dtype),
+        ("--byte-order", layout.byte_order in ("little", "big"), "little or big", layout.byte_order),
+        ("--header-bytes", layout.header_bytes >= 0, "0 or more", layout.header_bytes),
+    ):
+        if not good:
+            raise StapeskitError.of(option, wanted, got)
     dtype = np.dtype(layout.dtype).newbyteorder("<" if layout.byte_order == "little" else ">")
     shape = tuple(int(n) for n in reversed(layout.shape))
-    needed = dtype.itemsize
-    for n in shape:
-        needed *= n
-    stored = path.stat().st_size - layout.header_bytes
+    needed, stored = dtype.itemsize * prod(shape), path.stat().st_size - layout.header_bytes
     if stored != needed:
-        raise _wrong_length(path, options, needed, stored)
+        size = " x ".join(map(str, layout.shape))
+        wanted = f"as long as {size} voxels of {layout.dtype} ({needed} bytes)"
+        got = f"{stored} bytes after the header"
+        raise StapeskitError.of("the raw file", wanted, got, path.name, _length_step(path, needed))
     planes = planes_in([(path, layout.header_bytes)], shape, dtype, path.name)
     return Opened(shape, dtype, planes, known="raw voxels do not have it")
 
 
-def _wrong_length(path: Path, options: ReadOptions, needed: int, stored: int) -> StapeskitError:
-    layout = options.raw
-    assert layout is not None  # noqa: S101 (checked by the caller)
-    step = "Check --shape, --dtype and --header-bytes"
+def _length_step(path: Path, needed: int) -> str:
     with path.open("rb") as stream:
-        packed = stream.read(2) == b"\x1f\x8b"
-    if packed:
-        step = "The file is packed (gzip): unpack it first"
-    elif stored > needed:
-        surplus = layout.header_bytes + stored - needed
-        step += f"; --header-bytes {surplus} would fit if the surplus is a header"
-    size = " x ".join(str(int(n)) for n in layout.shape)
-    return StapeskitError.of(
-        "the raw file",
-        f"as long as {size} voxels of {layout.dtype} ({needed} bytes)",
-        f"{stored} bytes after the header",
-        path.name,
-        step,
-    )
+        if stream.read(2) == b"\x1f\x8b":
+            return "The file is packed (gzip): unpack it first"
+    step, rest = "Check --shape, --dtype and --header-bytes", path.stat().st_size - needed
+    return f"{step}; --header-bytes {rest} would fit if the surplus is a header" if rest > 0 else step
 
 
 def header_beside(path: Path) -> Path | None:

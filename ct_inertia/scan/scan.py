@@ -25,9 +25,7 @@ Fetch = Callable[[Box], NDArray[Any]]
 LARGEST_GREY = 1e15
 """Squares of larger grey values, summed over a scan, overflow in single precision."""
 
-_ORTHONORMAL = (
-    1e-4  # of the products of directions: headers round cosines to four digits; .3 um over a stapes
-)
+_ORTHONORMAL = 1e-4  # of products of directions: headers round cosines to four digits; .3 um over a stapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +91,12 @@ class Scan:
         check_grey_values(self.shape, self.dtype, self.name)
         spacing = np.array(self.spacing_mm, dtype=float)
         if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
-            raise StapeskitError.of(
-                "the voxel spacing",
-                "three positive numbers in mm",
-                spacing,
-                self.name,
-                "Give it with --spacing",
-            )
+            wanted, step = "three positive numbers in mm", "Give it with --spacing"
+            raise StapeskitError.of("the voxel spacing", wanted, spacing, self.name, step)
         origin = np.array(self.origin_mm, dtype=float)
         if origin.shape != (3,) or not np.all(np.isfinite(origin)):
-            raise StapeskitError.of(
-                "the origin of the scan", "three finite numbers in mm", origin, self.name, "Export it again"
-            )
+            wanted, step = "three finite numbers in mm", "Export it again"
+            raise StapeskitError.of("the origin of the scan", wanted, origin, self.name, step)
         direction = nearest_rotation(np.array(self.direction, dtype=float), self.name)
         for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
             value.setflags(write=False)
@@ -270,21 +262,12 @@ class Scan:
         bad = ~np.isfinite(values)
         largest = float(np.max(np.abs(values), where=~bad, initial=0.0))
         if largest > LARGEST_GREY:
-            raise StapeskitError.of(
-                "the grey values",
-                f"smaller than {LARGEST_GREY:g}",
-                f"{largest:.3g}",
-                self.name,
-                "Scale them where the volume is exported",
-            )
+            wanted, step = f"smaller than {LARGEST_GREY:g}", "Scale them where the volume is exported"
+            raise StapeskitError.of("the grey values", wanted, f"{largest:.3g}", self.name, step)
         if not self.nan_as_air:
-            raise StapeskitError.of(
-                "the grey values",
-                "finite",
-                f"{int(bad.sum())} voxels of NaN or infinity",
-                self.name,
-                "Replace them, or let them count as air with --nan-as-air",
-            )
+            got = f"{int(bad.sum())} voxels of NaN or infinity"
+            step = "Replace them, or let them count as air with --nan-as-air"
+            raise StapeskitError.of("the grey values", "finite", got, self.name, step)
         values[bad] = self.fill
         return values
 
@@ -297,22 +280,17 @@ def check_grey_values(shape: tuple[int, ...], dtype: np.dtype[Any], name: str) -
     StapeskitError
         Not three-dimensional, or neither integers nor floating point numbers.
     """
+    thing, expected, got, step = "the volume", "", "", ""
     if dtype.kind == "c":
-        raise StapeskitError.of(
-            "the volume", "real grey values", "complex numbers", name, "Export the magnitude"
-        )
-    if len(shape) != 3 or min(shape) < 2:
-        raise StapeskitError.of(
-            "the volume",
-            "three-dimensional",
-            f"an image of {' x '.join(str(n) for n in reversed(shape))}",
-            name,
-            "Give the whole stack, or the folder of slices",
-        )
-    if dtype.kind not in "uif" or dtype.itemsize > 8:
-        raise StapeskitError.of(
-            "the grey values", "integers or floating point numbers", dtype, name, "Export it as grey values"
-        )
+        expected, got, step = "real grey values", "complex numbers", "Export the magnitude"
+    elif len(shape) != 3 or min(shape) < 2:
+        expected, got = "three-dimensional", f"an image of {' x '.join(str(n) for n in reversed(shape))}"
+        step = "Give the whole stack, or the folder of slices"
+    elif dtype.kind not in "uif" or dtype.itemsize > 8:
+        thing, expected, got = "the grey values", "integers or floating point numbers", str(dtype)
+        step = "Export it as grey values"
+    if expected:
+        raise StapeskitError.of(thing, expected, got, name, step)
 
 
 def nearest_rotation(direction: Array, name: str) -> Array:
@@ -323,26 +301,16 @@ def nearest_rotation(direction: Array, name: str) -> Array:
     StapeskitError
         It is not finite, sheared or left-handed.
     """
+    expected, step = "", ""
     if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
-        raise StapeskitError.of(
-            "the direction matrix", "a finite 3x3 matrix", direction.tolist(), name, "Export it again"
-        )
-    if np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
-        raise StapeskitError.of(
-            "the direction matrix",
-            "orthonormal (no shear)",
-            np.round(direction, 6).tolist(),
-            name,
-            "Resample the volume onto a rectangular grid",
-        )
-    if np.linalg.det(direction) < 0.0:
-        raise StapeskitError.of(
-            "the direction matrix",
-            "right-handed (determinant +1)",
-            np.round(direction, 6).tolist(),
-            name,
-            "Turn one axis of the grid",
-        )
+        expected, step = "a finite 3x3 matrix", "Export it again"
+    elif np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
+        expected, step = "orthonormal (no shear)", "Resample the volume onto a rectangular grid"
+    elif np.linalg.det(direction) < 0.0:
+        expected, step = "right-handed (determinant +1)", "Turn one axis of the grid"
+    if expected:
+        got = np.round(direction, 6).tolist()
+        raise StapeskitError.of("the direction matrix", expected, got, name, step)
     left, _, right = np.linalg.svd(direction)
     return np.asarray(left @ right)
 
