@@ -127,7 +127,7 @@ def unusual_notice(sizes: Mapping[str, float]) -> list[Notice]:
         if abs(z) > _OUTSIDE:
             name, unit = NAMES[quantity]
             unusual.append(
-                f"{name} {value:.3g} {unit} (published {nearest.mean:g} +- {nearest.sd:g}, z {z:+.1f}; "
+                f"{name} {value:.3g} {unit} (published {nearest.mean:g} ± {nearest.sd:g}, z {z:+.1f}; "
                 f"{nearest.reference})"
             )
     if not unusual:

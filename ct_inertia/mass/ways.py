@@ -150,7 +150,7 @@ def assumed_notice() -> Notice:
     """Return the warning that the density was assumed, with what it moves and how to state one's own."""
     value, sd = ASSUMED_DENSITY.value, ASSUMED_DENSITY.sd
     text = (
-        f"Nothing says what the stapes weighs: a density of bone of {value:g} +- {sd:g} kg/m3 is assumed, "
+        f"Nothing says what the stapes weighs: a density of bone of {value:g} ± {sd:g} kg/m3 is assumed, "
         "and its "
         "standard deviation is in every interval. M, K and D scale with it, frequencies and mode shapes do "
         "not. "

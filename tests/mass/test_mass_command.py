@@ -7,7 +7,6 @@ import json
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -21,50 +20,74 @@ from ct_inertia.options import MassOptions
 from ct_inertia.report.sections import page_from
 from ct_inertia.results import MassResult
 from ct_inertia.surface.surface import Surface
-from simulate import Ear, Scan, Stapes, Truth, simulate_study, stapes_solid
+from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass import read_mass_json
 from stapeskit.records.measured_mass import measured_mass
 from stapeskit.registration import displacement
+from stapeskit.sandbox import Session
 from stapeskit.warnings import table
 from tests.mass.population import measure, write_labels
 
 
-@functools.cache
-def study() -> tuple[Path, Truth]:
-    """Return the folder of a simulated scan with noise that neighbours share, and its truth."""
-    folder = Path(tempfile.mkdtemp(prefix="stapes"))
-    scan = Scan(voxel_um=32.0, noise=0.06, noise_correlation_voxels=0.8, samples=4, seed=11)
-    truth = simulate_study(Ear(gap_mm=0.15), scan, None, folder)
-    write_labels(folder / "truth.seg.nrrd", truth)
-    return folder, truth
+class Study:
+    """A simulated scan with noise that neighbours share, its truth, and what ct2mass makes of them.
+
+    Attributes
+    ----------
+    opened, asked : list of str
+        Names of the files that `labelled` opened, and of those that it asked for voxels, in a child process.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        scan = Scan(voxel_um=32.0, noise=0.06, noise_correlation_voxels=0.8, samples=4, seed=11)
+        self.truth = simulate_study(Ear(gap_mm=0.15), scan, None, folder)
+        self.labels = folder / "truth.seg.nrrd"
+        write_labels(self.labels, self.truth)
+        self.opened: list[str] = []
+        self.asked: list[str] = []
+
+    def measured(self, **more: object) -> MassResult:
+        anterior = tuple(float(v) for v in self.truth.scan_from_footplate.rotation[:, 0])
+        given = {"scan": str(self.folder / "scan.tif"), "anterior": anterior, "coat": 0, "side": "left"}
+        return ct2mass(**given, density=(1900.0, 60.0), **more)
+
+    @functools.cached_property
+    def scanned(self) -> MassResult:
+        return self.measured()
+
+    @functools.cached_property
+    def labelled(self) -> MassResult:
+        study = self
+
+        class Counted(Session):  # type: ignore[type-arg]
+            def __init__(self, source: object, path: Path, *rest: object) -> None:
+                study.opened.append(path.name)
+                super().__init__(source, path, *rest)  # type: ignore[arg-type]
+
+            def ask(self, request: object) -> np.ndarray:  # type: ignore[type-arg]
+                study.asked.append(self._name)
+                return super().ask(request)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ct_inertia.scan.open_scan.Session", Counted)
+            return self.measured(labels=str(self.labels))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _tidy() -> object:
-    yield
-    if study.cache_info().currsize:
-        shutil.rmtree(study()[0])
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    return Study(tmp_path_factory.mktemp("study"))
 
 
-def options(**more: object) -> dict[str, object]:
-    folder, truth = study()
-    anterior = tuple(float(v) for v in truth.scan_from_footplate.rotation[:, 0])
-    return {"scan": str(folder / "scan.tif"), "anterior": anterior, "coat": 0, "side": "left", **more}
+def test_every_header_is_read_once_and_a_label_volume_once(study: Study) -> None:
+    assert study.labelled
+    assert sorted(study.opened) == ["scan.tif", "truth.seg.nrrd"]
+    assert study.asked == ["truth.seg.nrrd"]
 
 
-@functools.cache
-def scanned() -> MassResult:
-    return ct2mass(**options(density=(1900.0, 60.0)))
-
-
-@functools.cache
-def labelled() -> MassResult:
-    return ct2mass(**options(density=(1900.0, 60.0), labels=str(study()[0] / "truth.seg.nrrd")))
-
-
-def test_a_scan_is_measured_within_its_stated_sd() -> None:
-    result, truth = scanned(), study()[1]
+def test_a_scan_is_measured_within_its_stated_sd(study: Study) -> None:
+    result, truth = study.scanned, study.truth
     step = displacement(result.footplate.scan_from_footplate, truth.scan_from_footplate)
     assert np.all(np.abs(step) < 4.0 * np.sqrt(np.diag(result.footplate.covariance)))
     volume = result.moments
@@ -76,18 +99,18 @@ def test_a_scan_is_measured_within_its_stated_sd() -> None:
     assert np.all(np.abs(result.matrix.parameters - exact) < 4.5 * sd)
 
 
-def test_labels_state_no_smaller_sd_than_the_scan_alone() -> None:
-    by_scan, by_labels = scanned(), labelled()
+def test_labels_state_no_smaller_sd_than_the_scan_alone(study: Study) -> None:
+    by_scan, by_labels = study.scanned, study.labelled
     ratio = np.sqrt(np.diag(by_labels.footplate.covariance) / np.diag(by_scan.footplate.covariance))
     assert np.all(ratio > 0.7)  # the surface is another one by less than its noise
     assert by_labels.moments.volume_sd_mm3 > 0.7 * by_scan.moments.volume_sd_mm3
     assert {"noise", "rim", "resolution"} <= set(by_labels.footplate.contributions)
 
 
-def test_own_labels_given_back_weigh_the_same(tmp_path: Path) -> None:
-    first = labelled()
+def test_own_labels_given_back_weigh_the_same(study: Study, tmp_path: Path) -> None:
+    first = study.labelled
     first.write(tmp_path / "out", report=False)
-    again = ct2mass(**options(density=(1900.0, 60.0), labels=str(tmp_path / "out" / "labels.seg.nrrd")))
+    again = study.measured(labels=str(tmp_path / "out" / "labels.seg.nrrd"))
     parts = dict(first.matrix.contributions)
     parts.pop("density")
     sd = np.sqrt(np.diag(sum(parts.values())))
@@ -95,8 +118,8 @@ def test_own_labels_given_back_weigh_the_same(tmp_path: Path) -> None:
     assert again.moments.volume_mm3 == pytest.approx(first.moments.volume_mm3, rel=1e-5)
 
 
-def test_labels_alone_are_the_solid_of_their_voxels() -> None:
-    folder, truth = study()
+def test_labels_alone_are_the_solid_of_their_voxels(study: Study) -> None:
+    folder, truth = study.folder, study.truth
     result = ct2mass(labels=str(folder / "truth.seg.nrrd"), density=1900.0, anterior=(1.0, 0.0, 0.0))
     voxels = result.body.labelled.stapes.sum() * result.scan.voxel_mm3
     assert result.moments.volume_mm3 == pytest.approx(voxels, rel=1e-9)
@@ -109,8 +132,8 @@ def test_labels_alone_are_the_solid_of_their_voxels() -> None:
     assert np.all(np.minimum(np.abs(step), np.abs(step[3:].max())) < 5.0 * sd + 1.0)
 
 
-def test_what_is_written_is_what_was_measured(tmp_path: Path) -> None:
-    result = scanned()
+def test_what_is_written_is_what_was_measured(study: Study, tmp_path: Path) -> None:
+    result = study.scanned
     files = result.write(tmp_path / "out")
     names = {path.name for path in files}
     assert names == {
@@ -132,10 +155,10 @@ def test_what_is_written_is_what_was_measured(tmp_path: Path) -> None:
     assert set(np.unique(labels.array)) == {0, 1, 2, 3}
 
 
-def test_the_page_is_drawn_again_from_the_folder_and_the_scan(tmp_path: Path) -> None:
-    result = scanned()
+def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study, tmp_path: Path) -> None:
+    result = study.scanned
     result.write(tmp_path / "out")
-    page = page_from(tmp_path / "out", study()[0] / "scan.tif")
+    page = page_from(tmp_path / "out", study.folder / "scan.tif")
     first = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert [section.name for section in page.sections][:2] == ["What was measured", "Mass matrix M"]
     assert all(f'id="{section.id}"' in first for section in (*page.sections, *page.appendix))
@@ -143,8 +166,8 @@ def test_the_page_is_drawn_again_from_the_folder_and_the_scan(tmp_path: Path) ->
     assert without.sections[0].name == "Mass matrix M"
 
 
-def test_the_result_prints_draws_and_tabulates_itself() -> None:
-    result = scanned()
+def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
+    result = study.scanned
     names = [name for name, _ in result.summary()]
     assert names[:2] == ["volume", "mass"]
     assert "anterior" in names
@@ -157,19 +180,18 @@ def test_the_result_prints_draws_and_tabulates_itself() -> None:
     assert "<table>" in result._repr_html_()
 
 
-def test_every_warning_of_a_result_is_in_the_table() -> None:
+def test_every_warning_of_a_result_is_in_the_table(study: Study) -> None:
     known = table()
-    for result in (scanned(), labelled()):
+    for result in (study.scanned, study.labelled):
         assert {notice.code for notice in result.notices} <= set(known)
 
 
-def test_without_density_one_is_assumed_and_reported_first() -> None:
+def test_without_density_one_is_assumed_and_reported_first(tmp_path: Path) -> None:
     solid = stapes_solid(Stapes())
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name) / "stapes.ply"
-        Surface(solid.vertices_mm, solid.faces).write(path)
-        result = ct2mass(str(path), anterior=(1.0, 0.0, 0.0))
-        assert result.summary()[0][0] == "density"
+    path = tmp_path / "stapes.ply"
+    Surface(solid.vertices_mm, solid.faces).write(path)
+    result = ct2mass(str(path), anterior=(1.0, 0.0, 0.0))
+    assert result.summary()[0][0] == "density"
     assert result.notices[0].code == "density_assumed"
     share = result.matrix.standard_deviation[0, 0] / result.matrix.matrix[0, 0]
     assert share == pytest.approx(200.0 / 1900.0, rel=1e-9)
@@ -215,10 +237,10 @@ def test_files_of_the_user_are_not_written_over(mesh: Path, tmp_path: Path) -> N
     assert json.loads((out / "mass.json").read_text())["schema"] == "stapeskit.mass/1"
 
 
-def test_labels_that_were_corrected_in_place_stay(tmp_path: Path) -> None:
+def test_labels_that_were_corrected_in_place_stay(study: Study, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
-    shutil.copy(study()[0] / "truth.seg.nrrd", folder / "labels.seg.nrrd")
+    shutil.copy(study.labels, folder / "labels.seg.nrrd")
     before = (folder / "labels.seg.nrrd").read_bytes()
     labels = str(folder / "labels.seg.nrrd")
     outcome = work(["--labels", labels, "--density", "1900", "--no-report", "--out", str(folder)])
