@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from kinematics.fit.reference import parse_reference
@@ -14,7 +14,7 @@ from kinematics.place.on_surface import SurfacePoints, lay_on_surface, read_surf
 from kinematics.place.placement import Placement, check_frames, place
 from kinematics.place.surfaces import surfaces_of
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.facts import FileFacts
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.registration import fit_rigid
@@ -114,7 +114,7 @@ def check_inputs(options: MotionOptions) -> None:
     facts = file_facts(options)
     small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
     size = sum(path.stat().st_size for path in small)
-    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.series is None:
+    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.channels is None:
         with collect_faults(faults):
             measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
             without_channels(measurement, options.leave_out)
@@ -134,24 +134,4 @@ def check_inputs(options: MotionOptions) -> None:
 
 def file_facts(options: MotionOptions) -> FileFacts:
     """Return what the options say about the files."""
-    series = None
-    if options.channels is not None:
-        series = SeriesFacts(
-            options.channels,
-            options.reference_channel,
-            options.averages,
-            options.period_s,
-            options.steps,
-            options.settle,
-            options.frf_band_hz,
-        )
-    return FileFacts(
-        options.body,
-        options.run,
-        options.beam,
-        options.amplitude or "",
-        options.length_unit or "",
-        options.n_avg,
-        options.mapping,
-        series,
-    )
+    return FileFacts(**{entry.name: getattr(options, entry.name) for entry in fields(FileFacts)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
 from kinematics.readers.identify import with_facts
 from kinematics.readers.noise import with_noise
@@ -45,6 +45,9 @@ def read_vibrometer(
     StapeskitError
         The file is missing, damaged, of no known format, or holds no motion with a phase.
     """
-    series = None if channels is None else SeriesFacts(Path(channels))
-    facts = FileFacts(mapping=None if mapping is None else Path(mapping), n_avg=n_avg, series=series)
+    facts = FileFacts(
+        n_avg=n_avg,
+        mapping=None if mapping is None else Path(mapping),
+        channels=None if channels is None else Path(channels),
+    )
     return with_noise(with_facts(read_file(Path(path), facts), facts))

@@ -70,8 +70,8 @@ def read_measurement(
     if facts.mapping is not None and not faults and not any(format_of(path, True).mapped for path in paths):
         want = "left out: no MATLAB or HDF5 file and no wide table is read"
         faults.append(Fault("--mapping", want, facts.mapping.name))
-    if facts.series is not None and not faults and not any(recording.from_series for recording in recordings):
-        faults.append(Fault("--channels", "left out: no file holds time series", facts.series.channels.name))
+    if facts.channels is not None and not faults and not any(one.from_series for one in recordings):
+        faults.append(Fault("--channels", "left out: no file holds time series", facts.channels.name))
     raise_all(faults)
     inputs = {"ldv" if number == 1 else f"ldv {number}": path for number, path in enumerate(paths, 1)}
     for path in paths:

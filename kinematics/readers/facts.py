@@ -16,37 +16,8 @@ from stapeskit.frames import axis_vector
 
 
 @dataclass(frozen=True)
-class SeriesFacts:
-    """How time series are turned into frequency responses.
-
-    Attributes
-    ----------
-    channels : Path
-        Table with the beam, point and unit of each channel; see `kinematics.readers.series`.
-    reference_channel : str
-        The reference among several.
-    averages : int
-        Segments of a record of random excitation.
-    period_s : float, optional
-        Period of a periodic excitation.
-    steps, settle : Path, float
-        Table of the steps of a stepped sine (start_s, stop_s, freq_hz); share left out at the start of each.
-    band_hz : (float, float), optional
-        Frequencies to keep.
-    """
-
-    channels: Path
-    reference_channel: str = ""
-    averages: int = 30
-    period_s: float | None = None
-    steps: Path | None = None
-    settle: float = 0.2
-    band_hz: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
 class FileFacts:
-    """What the user states where files are silent: options of the command.
+    """What the user states where files are silent: options of the command, by their names.
 
     Attributes
     ----------
@@ -64,18 +35,28 @@ class FileFacts:
         Number of averages behind each value.
     mapping : Path, optional
         Which variable or column is what; see `kinematics.readers.mapping`.
-    series : SeriesFacts, optional
-        With it, files hold time series.
+    channels : Path, optional
+        With it, files hold time series: table with the beam, point and unit of each channel.
+    reference_channel, averages, period_s, steps, settle, frf_band_hz
+        How responses are estimated from time series: the reference among several channels; segments of random
+        excitation; period of a periodic one; table of the steps of a stepped sine, and the share left out at
+        the start of each; frequencies to keep.
     """
 
     body: tuple[str, ...] = ()
     run: tuple[str, ...] = ()
     beam: str = ""
-    amplitude: str = ""
-    length_unit: str = ""
+    amplitude: str | None = ""
+    length_unit: str | None = ""
     n_avg: float | None = None
     mapping: Path | None = None
-    series: SeriesFacts | None = None
+    channels: Path | None = None
+    reference_channel: str = ""
+    averages: int = 30
+    period_s: float | None = None
+    steps: Path | None = None
+    settle: float = 0.2
+    frf_band_hz: tuple[float, float] | None = None
 
     @cached_property
     def direction(self) -> Array | None:
@@ -84,30 +65,14 @@ class FileFacts:
 
     @cached_property
     def bodies(self) -> tuple[tuple[str, tuple[Chosen, ...]], ...]:
-        """The rules of ``body``: a name and the points that it has.
-
-        Raises
-        ------
-        StapeskitError
-            A rule cannot be read.
-        """
+        """The rules of ``body``: a name and the points that it has; refused where one cannot be read."""
         return tuple(_rule(text) for text in self.body)
 
     @cached_property
     def runs(self) -> tuple[tuple[str, str], ...]:
-        """Names and files of ``run``.
-
-        Raises
-        ------
-        StapeskitError
-            A rule is no NAME=FILE.
-        """
-        rules = [[part.strip() for part in text.partition("=")[::2]] for text in self.run]
-        raise_all(
-            Fault("--run", "NAME=FILE", text)
-            for text, rule in zip(self.run, rules, strict=True)
-            if not all(rule)
-        )
+        """Names and files of ``run``; refused where one is no NAME=FILE."""
+        rules = [tuple(part.strip() for part in text.partition("=")[::2]) for text in self.run]
+        raise_all(Fault("--run", "NAME=FILE", "=".join(rule)) for rule in rules if not all(rule))
         return tuple((name, file) for name, file in rules)
 
 

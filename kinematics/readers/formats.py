@@ -44,10 +44,16 @@ class Head:
     suffix: str
     mapped: bool = False
 
+    def is_archive_of(self, ending: bytes) -> bool:
+        """Return whether the file is an archive that begins with a file of an ending."""
+        return self.content.startswith(_ZIP) and ending in self.content
+
     @cached_property
-    def text(self) -> str:
-        """The first bytes as text; empty for archives and sound."""
-        return "" if self.content.startswith((_ZIP, _COMPOUND, *_SOUND)) else decoded(self.content)
+    def kind(self) -> str:
+        """As what table of numbers its text begins; see `kinematics.readers.wide.kind_of`."""
+        from kinematics.readers.wide import kind_of
+
+        return "" if self.content.startswith((_ZIP, _COMPOUND, *_SOUND)) else kind_of(decoded(self.content))
 
 
 @dataclass(frozen=True)
@@ -83,26 +89,6 @@ class Format:
     mapped: bool = False
 
 
-def _begins_as(kind: str) -> Callable[[Head], bool]:
-    """Return a test of what the table is with which a text begins."""
-
-    def holds(head: Head) -> bool:
-        from kinematics.readers.wide import kind_of
-
-        return kind_of(head.text) == kind
-
-    return holds
-
-
-def _is_series(head: Head) -> bool:
-    """Return whether a file is an archive of arrays, sound, or a table with a column of times."""
-    if head.content.startswith(_SOUND) or (head.content.startswith(_ZIP) and b".npy" in head.content):
-        return True
-    lines = [line for line in head.text.split("\n")[:20] if line.strip() and not line.startswith("#")]
-    cells = re.split(r"[,;\t]", lines[0]) if lines else []
-    return "time_s" in [cell.strip().strip('"').lower() for cell in cells]
-
-
 FORMATS = (
     Format(
         "svd", "a scan file of Polytec (.svd)", lambda head: head.content.startswith(_COMPOUND), "svd",
@@ -130,22 +116,24 @@ FORMATS = (
     ),
     Format(
         "fastscan", "text exports of a scanning vibrometer (a folder, or .txt)",
-        _begins_as("fastscan"), "wide",
+        lambda head: head.kind == "fastscan", "wide",
         "Polytec PSV: FastScan folders (one file a frequency)", in_folders=True,
     ),
     Format(
         "points", "per-point text exports of a scanning vibrometer",
-        _begins_as("points"), "wide",
+        lambda head: head.kind == "points", "wide",
         "Polytec PSV: a file, or a block of one file, for each point", in_folders=True,
     ),
     Format(
-        "time", "time series (.csv, .npz, .wav)", _is_series, "series",
+        "time", "time series (.csv, .npz, .wav)",
+        lambda head: head.content.startswith(_SOUND) or head.is_archive_of(b".npy") or head.kind == "time",
+        "series",
         "with a channel table, also .mat and .h5: H1 with its noise, periodic excitation, stepped sine by "
         "lock-in",
         libraries=("numpy", "scipy.io"), series=True,
     ),
     Format(
-        "wide", "a wide table (.csv)", lambda head: head.mapped or _begins_as("wide")(head), "wide",
+        "wide", "a wide table (.csv)", lambda head: head.mapped or head.kind == "wide", "wide",
         "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
         "...`); "
         "other names by `--mapping`", mapped=True,
@@ -171,7 +159,7 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     path = Path(path)
     path = path if path.name else path.resolve()  # the folder "." has no name
     entry = format_of(path, facts.mapping is not None)
-    series = entry.series and facts.series is not None
+    series = entry.series and facts.channels is not None
     read: Callable[[Path, FileFacts], Recording]
     read = import_module(f"kinematics.readers.{'series' if series else entry.module}").read
     try:
@@ -200,24 +188,26 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     if not path.is_file():
         step = "Check its name and folder"
         raise StapeskitError.of("the vibrometer file", "an existing file", path.name, "", step)
-    head = replace(head_of(path), mapped=mapped) if mapped else head_of(path)
+    head = head_of(path)
+    head = replace(head, mapped=head.mapped or mapped)
     for entry in FORMATS:
         if entry.holds(head):
             return entry
     by_name = next((entry for entry in FORMATS if head.suffix in entry.suffixes), None)
+    archive, scan = head.content.startswith(_ZIP), head.suffix in (".svd", ".pvd", ".set")
+    if by_name is not None and not archive and (head.content or by_name.name == TIDY):
+        return by_name
     want, got, step = f"one of {', '.join(entry.words for entry in FORMATS)}", path.suffix or path.name, ""
-    if head.content.startswith(_ZIP):
+    if archive:
         got = "a workbook" if head.suffix in WORKBOOKS else "a ZIP archive"
         step = "Save its sheet as CSV, or unpack it, and give the files in it"
-    elif head.suffix in (".svd", ".pvd", ".set"):
+    elif scan:
         want, got, step = "a compound file of PSV 10", "another scan file, or a damaged one", _EXPORT_STEP
-    elif not head.content and by_name is not None and by_name.name != TIDY:
-        want, got, step = "one with content", "0 bytes", "Export it again"
-    elif by_name is not None:
-        return by_name
-    else:
-        step = "See points2dof --help for the layouts"
-    raise StapeskitError.of("the vibrometer file", want, got, path.name, step)
+    elif not head.content:
+        got, step = "0 bytes", "Export it again"
+    raise StapeskitError.of(
+        "the vibrometer file", want, got, path.name, step or "See points2dof --help for the layouts"
+    )
 
 
 def head_of(path: Path) -> Head:
@@ -231,24 +221,27 @@ def head_of(path: Path) -> Head:
 def _format_of_folder(path: Path) -> Format:
     """Return the format of the first text export in a folder."""
     files = export_files(path)
-    for head in map(head_of, files):
-        for entry in FORMATS:
-            if entry.in_folders and entry.holds(head):
-                return entry
-    step, got = "Give the files themselves, or the folder of a text export", f"{len(files)} other text files"
-    want = "one with text exports of a scanning vibrometer"
-    raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
+    found = (entry for head in map(head_of, files) for entry in FORMATS if entry.holds(head))
+    entry = next((entry for entry in found if entry.in_folders), None)
+    if entry is None:
+        step, got = (
+            "Give the files themselves, or the folder of a text export",
+            f"{len(files)} other text files",
+        )
+        want = "one with text exports of a scanning vibrometer"
+        raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
+    return entry
 
 
 def companion_files(path: Path, facts: FileFacts) -> dict[str, Path]:
     """Return the files that are read with a vibrometer file by role: mapping, channels, steps."""
     from kinematics.readers.mapping import mapping_beside
 
-    beside, series = mapping_beside(Path(path), facts.mapping), facts.series
+    beside = mapping_beside(Path(path), facts.mapping)
     mapped = beside is not None and format_of(Path(path), facts.mapping is not None).mapped
     files = {
         "mapping" if facts.mapping else f"mapping of {path.name}": beside if mapped else None,
-        "channels": series.channels if series else None,
-        "steps": series.steps if series else None,
+        "channels": facts.channels,
+        "steps": facts.steps,
     }
     return {role: file for role, file in files.items() if file is not None}

@@ -197,9 +197,9 @@ class Recording:
 
     def plot(self) -> Figure:
         """Draw amplitude and phase of every row over frequency."""
-        from matplotlib.figure import Figure
+        from stapeskit.report.shown_figure import ShownFigure
 
-        figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+        figure = ShownFigure(figsize=(7.0, 5.0), layout="constrained")
         above, below = figure.subplots(2, 1, sharex=True)
         above.loglog(self.freq_hz, np.abs(self.value).T, lw=0.6)
         below.semilogx(self.freq_hz, np.angle(self.value, deg=True).T, lw=0.6)

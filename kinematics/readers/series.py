@@ -1,8 +1,8 @@
 """Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
 
-Files: a CSV with a column ``time_s`` and one column a channel; arrays of samples, or of rows x samples, with
-``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels are named 1, 2, ... and scaled to full
-scale = 1.
+Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped
+sine); arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV,
+whose channels are named 1, 2, ... and scaled to full scale = 1.
 
 The table of channels, one row a channel::
 
@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts, SeriesFacts, is_file
+from kinematics.readers.facts import FileFacts, is_file
 from kinematics.readers.gather import Row, recording_of
 from kinematics.readers.recording import Recording
 from kinematics.readers.series_tables import Listed, read_channels, read_steps, reference_of, table_of
@@ -48,12 +48,13 @@ Record = tuple[Array | None, Array]
 
 @dataclass(frozen=True)
 class Series:
-    """The samples of a file by channel, (record, sample) each."""
+    """The samples of a file by channel, (record, sample) each; set frequencies (sample,) of its steps."""
 
     file: str
     sample_rate_hz: float
     start_s: float
     channels: Mapping[str, Array]
+    set_hz: Array | None = None
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -65,24 +66,24 @@ def read(path: Path, facts: FileFacts) -> Recording:
         No table of channels, a channel that is missing, no or several references, or what is wrong with the
         samples.
     """
-    path, how = Path(path), facts.series
-    if how is None:
+    path = Path(path)
+    if facts.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
-    listed = [row for row in read_channels(how.channels) if not row.file or is_file(row.file, path.name)]
+    listed = [row for row in read_channels(facts.channels) if not row.file or is_file(row.file, path.name)]
     responses = [row for row in listed if row.role == "response"]
     if not responses:
         want, step = f"with a response of {path.name}", "Add a row, or leave the column file empty"
-        raise StapeskitError.of("the table of channels", want, "none", how.channels.name, step)
-    reference = reference_of(listed, how)
+        raise StapeskitError.of("the table of channels", want, "none", facts.channels.name, step)
+    reference = reference_of(listed, facts.reference_channel, facts.channels.name)
     names = [row.name for row in responses] + ([] if reference is None else [reference.name])
     series = read_series(path, list(dict.fromkeys(names)))
     rows: list[Row] = []
     groups, notices = _groups(series, responses, reference)
     spread = 1.0
     for group, records in groups:
-        frf = _estimate(records, series, how)
-        low, high = how.band_hz or (0.0, np.inf)
+        frf = _estimate(records, series, facts)
+        low, high = facts.frf_band_hz or (0.0, np.inf)
         lines = (frf.freq_hz >= low) & (frf.freq_hz <= high)
         if not np.any(lines):
             want, step = "wide enough for at least one line", "Widen --frf-band, or record longer"
@@ -136,7 +137,8 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
         with collect_faults(faults):
             channels[name] = _samples(array, f"{path.name}, {name}")
     raise_all(faults)
-    return Series(path.name, rate, 0.0 if time is None else float(time[0]), channels)
+    start = 0.0 if time is None else float(time[0])
+    return Series(path.name, rate, start, channels, low["freq_hz"].reshape(-1) if "freq_hz" in low else None)
 
 
 def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
@@ -153,7 +155,7 @@ def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
 
         return read_variables(path)
     wanted = ["time_s", *(name.lower() for name in names)]
-    table = table_of(path, wanted, wanted)
+    table = table_of(path, wanted, [*wanted, "freq_hz"])
     raise_all(table.faults)
     return table.numbers
 
@@ -269,22 +271,31 @@ def _moves(row: Array) -> bool:
     return bool(np.all(np.isfinite(row)) and np.any(row != row[0]))
 
 
-def _estimate(records: Sequence[Record], series: Series, how: SeriesFacts) -> Frf:
+def _estimate(records: Sequence[Record], series: Series, facts: FileFacts) -> Frf:
     """Estimate responses as the excitation is: steps, a period, or segments of anything else."""
     rate = series.sample_rate_hz
-    if how.steps is not None:
-        stretches = read_steps(how.steps)
+    if facts.steps is not None or series.set_hz is not None:
+        stretches = _set_frequencies(series) if facts.steps is None else read_steps(facts.steps)
         steps = [step for record in records for step in _steps(record, stretches, series)]
-        return stepped_frf(steps, rate, how.settle, series.file)
+        return stepped_frf(steps, rate, facts.settle, series.file)
     pairs = [(lead, signals) for lead, signals in records if lead is not None]
     if not pairs:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
         raise StapeskitError.of("the table of channels", "with a reference", "none", series.file, step)
-    if how.period_s is not None:
-        return periodic_frf(pairs, rate, how.period_s, series.file)
+    if facts.period_s is not None:
+        return periodic_frf(pairs, rate, facts.period_s, series.file)
     shortest = min(len(lead) for lead, _ in pairs)
-    segment = segment_for(shortest, max(3, -(-how.averages // len(pairs))))
+    segment = segment_for(shortest, max(3, -(-facts.averages // len(pairs))))
     return welch_frf(pairs, rate, segment, series.file)
+
+
+def _set_frequencies(series: Series) -> list[tuple[float, float, float]]:
+    """Return start and stop, s, and frequency, Hz, of the steps at which the generator was set."""
+    set_hz = np.zeros(0) if series.set_hz is None else series.set_hz.astype(float)
+    edges = [0, *(np.flatnonzero(np.diff(set_hz)) + 1).tolist(), len(set_hz)]
+    seconds = series.start_s + np.array(edges) / series.sample_rate_hz
+    stretches = zip(seconds[:-1].tolist(), seconds[1:].tolist(), edges[:-1], strict=True)
+    return [(start, stop, float(set_hz[at])) for start, stop, at in stretches if set_hz[at] > 0.0]
 
 
 def _steps(record: Record, stretches: Sequence[tuple[float, float, float]], series: Series) -> list[Step]:

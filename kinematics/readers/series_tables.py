@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinematics.readers.facts import SeriesFacts, direction_of
+from kinematics.readers.facts import direction_of
 from kinematics.readers.points import require, text_of
 from kinematics.readers.recording import SI_UNITS, Channel, unknown_vector
 from kinematics.readers.text import plain_name, shown
@@ -98,7 +98,7 @@ def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
     return Listed(texts["channel"], role, texts["file"], scale, per, channel)
 
 
-def reference_of(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
+def reference_of(listed: Sequence[Listed], wanted: str, table: str) -> Listed | None:
     """Return the reference that the table or the user names; None without one.
 
     Raises
@@ -106,13 +106,14 @@ def reference_of(listed: Sequence[Listed], how: SeriesFacts) -> Listed | None:
     StapeskitError
         There are several, or not the one that is asked for.
     """
-    wanted = how.reference_channel.lower()
-    references = [r for r in listed if (r.name.lower() == wanted if wanted else r.role == "reference")]
+    references = [
+        row for row in listed if (row.name.lower() == wanted.lower() if wanted else row.role == "reference")
+    ]
     names = list(dict.fromkeys(row.name for row in references))
     if len(names) > 1 or (wanted and not names):
         got = ", ".join(names) or wanted
         step = "Choose one by --reference-channel, or ignore the others"
-        raise StapeskitError.of("the reference", "one channel of the table", got, how.channels.name, step)
+        raise StapeskitError.of("the reference", "one channel of the table", got, table, step)
     return references[0] if references else None
 
 

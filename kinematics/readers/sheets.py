@@ -43,6 +43,20 @@ class Sheet:
         """Return the value of the first ``Name: value`` line that is there; empty without one."""
         return next((self.fields[name] for name in names if name in self.fields), "")
 
+    def column_of(self, name: str) -> int:
+        """Return the column of a name, which may have its unit behind it.
+
+        Raises
+        ------
+        StapeskitError
+            It is not in the table once.
+        """
+        plain = name_and_unit(name)[0]
+        if self.names.count(plain) != 1:
+            step, got = f"It has {', '.join(self.names[:12])}", f"{self.names.count(plain)} of that name"
+            raise refuse(self, f"the column {plain}", "in the table once", got, step)
+        return self.names.index(plain)
+
 
 @dataclass(frozen=True)
 class _Region:

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from kinematics.readers.recording import unknown_vector
-from kinematics.readers.text import CUT
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place
 from stapeskit.warnings import Notice
 
-_FARTHEST_M = 1e3  # a point farther away is a wrong unit or a damaged number
-
 System = tuple[Array, Array]
 """Axes in rows (3, 3) and origin (3,) of a coordinate system."""
+
+_GLOBAL: System = (np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -47,62 +46,52 @@ def read_geometry(
     dataset 2411 in the global one. Measured directions are those of the displacement system of a node.
     """
     factor: float | None = None
-    systems: dict[int, System] = {}
-    nodes: dict[int, tuple[Array, int, int, Place]] = {}
+    systems: dict[int, System] = {0: _GLOBAL}
+    nodes: dict[int, tuple[Array, int, int]] = {}
     for one in sets:
         where = Place(file, "dataset", (one["place"],))
         if one["type"] == 164:
             factor = float(one["length"])
-            if not 0.0 < factor < np.inf:
-                faults.append(Fault("the length factor of dataset 164", "positive", f"{factor:g}", where))
         elif one["type"] in (18, 2420):
             systems |= _systems(one, where, faults)
         elif one["type"] in (15, 2411):
-            _read_nodes(one, where, nodes, faults)
-    positions: dict[int, Array] = {}
-    axes: dict[int, Array] = {}
-    missing: set[int] = set()
-    nowhere = (np.eye(3), np.zeros(3))
-    for label in sorted(used & set(nodes)):
-        position, defined, measured, where = nodes[label]
-        missing |= {defined, measured} - {0, *systems}
-        turn, origin = systems.get(defined, nowhere)
-        positions[label] = (position @ turn + origin) / (factor or 1.0)
-        axes[label] = systems.get(measured, nowhere)[0]
-        if not np.all(np.abs(positions[label]) < _FARTHEST_M):
-            got, thing = f"{positions[label].tolist()} m", f"the position of node {label}"
-            faults.append(Fault(thing, f"within {_FARTHEST_M:g} m", got, where, "Export it again"))
-    notices: tuple[Notice, ...] = ()
-    listed = ", ".join(map(str, sorted(missing)))
-    if missing and systems:
+            for label, node in _nodes(one).items():
+                if label in nodes and not np.allclose(nodes[label][0], node[0], rtol=1e-5, atol=1e-12):
+                    got = f"{nodes[label][0].tolist()} and {node[0].tolist()}"
+                    thing, step = f"the position of node {label}", "Remove the wrong one"
+                    faults.append(Fault(thing, "one", got, where, step))
+                nodes[label] = node
+    if factor is not None and not 0.0 < factor < np.inf:
+        faults.append(Fault("the length factor of dataset 164", "positive", f"{factor:g}", file))
+        factor = None
+    known = {label: node for label, node in nodes.items() if label in used}
+    missing = {system for node in known.values() for system in node[1:]} - set(systems)
+    listed, notices = ", ".join(map(str, sorted(missing))), []
+    if missing and len(systems) > 1:
         step = "Export the coordinate systems too, or the geometry in global coordinates"
-        thing = f"coordinate system {listed}"
-        faults.append(Fault(thing, "described in dataset 18 or 2420", "nodes that refer to it", file, step))
+        thing, want = f"coordinate system {listed}", "described in dataset 18 or 2420"
+        faults.append(Fault(thing, want, "nodes that refer to it", file, step))
     elif missing:
         text = (
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
             "for the global one."
         )
-        notices = (Notice("coordinate_system_missing", text),)
-    return Geometry(positions, axes, factor, notices)
+        notices.append(Notice("coordinate_system_missing", text))
+    positions = {}
+    for label, (position, defined, _) in known.items():
+        turn, origin = systems.get(defined, _GLOBAL)
+        positions[label] = (position @ turn + origin) / (factor or 1.0)
+    axes = {label: systems.get(measured, _GLOBAL)[0] for label, (_, _, measured) in known.items()}
+    return Geometry(positions, axes, factor, tuple(notices))
 
 
-def _read_nodes(
-    one: Mapping[str, Any], where: Place, nodes: dict[int, tuple[Array, int, int, Place]], faults: list[Fault]
-) -> None:
-    """Add the nodes of a dataset: position, definition and displacement system by their labels."""
+def _nodes(one: Mapping[str, Any]) -> dict[int, tuple[Array, int, int]]:
+    """Return position, definition and displacement system of the nodes of a dataset by their labels."""
     columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
-    if len({len(column) for column in columns}) > 1:
-        faults.append(Fault("the nodes", "given by label and three coordinates", "others", where, CUT))
-        return
+    labels, defined, displaced = (column.astype(int).tolist() for column in columns[:3])
+    defined = defined if one["type"] == 15 else [0] * len(labels)
     xyz = np.column_stack(columns[3:]).astype(float)
-    numbers = zip(*(column.astype(int).tolist() for column in columns[:3]), strict=True)
-    for (label, defined, displaced), place in zip(numbers, xyz, strict=True):
-        known = nodes.get(label)
-        if known is not None and not np.allclose(known[0], place, rtol=1e-5, atol=1e-12):
-            got = f"{known[0].tolist()} and {place.tolist()}"
-            faults.append(Fault(f"the position of node {label}", "one", got, where, "Remove the wrong one"))
-        nodes[label] = (place, defined if one["type"] == 15 else 0, displaced, where)
+    return dict(zip(labels, zip(xyz, defined, displaced, strict=True), strict=True))
 
 
 def _systems(one: Mapping[str, Any], where: Place, faults: list[Fault]) -> dict[int, System]:

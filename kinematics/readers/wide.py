@@ -40,7 +40,7 @@ _TIDY = {"body", "dir", "dir_x", "freq_hz"}
 
 
 def kind_of(text: str) -> str:
-    """Return what a text begins as: ``fastscan``, ``points``, ``wide`` or nothing of these."""
+    """Return what a text begins as: ``fastscan``, ``points``, ``wide``, ``time`` or none of these."""
     sheet = first_header(text)
     if sheet is None:
         return ""
@@ -48,8 +48,9 @@ def kind_of(text: str) -> str:
         return "points"
     if is_fastscan(sheet):
         return "fastscan"
-    if not _TIDY.isdisjoint(name.lower() for name in sheet.names):
-        return ""
+    low = {name.strip('"').lower() for name in sheet.names}
+    if "time_s" in low or not _TIDY.isdisjoint(low):
+        return "time" if "time_s" in low else ""
     parts = {meant[0] for name in sheet.names if (meant := meaning(name))}
     complete = {"re", "im"} <= parts or {"amp", "phase"} <= parts
     return "wide" if complete and any(map(is_frequency, sheet.names)) else ""
@@ -84,9 +85,9 @@ def read(path: Path, facts: FileFacts) -> Recording:
     for table in tables:
         with collect_faults(faults):
             signals, unknown = signals_of(table.sheet.names)
-            signals = [_checked(signal, table.sheet) for signal in mapping.signal or signals]
             unused += [] if mapping.signal or fastscan else unknown
-            rows += [(row, table.source) for row in _rows(table, signals, mapping, path.stem)]
+            found = _rows(table, mapping.signal or signals, mapping, path.stem)
+            rows += [(row, table.source) for row in found]
     raise_all(faults)
     unused = [name for name in dict.fromkeys(unused) if name and not is_frequency(name)]
     if unused:
@@ -98,39 +99,15 @@ def read(path: Path, facts: FileFacts) -> Recording:
         units = "positions in stated units" if stated else "positions without unit, as metres"
         statement = f"coordinates of the scan, {units}"
         notices += _beam_notices([row for row, _ in rows], path.name)
-    found, about_runs = _with_runs(rows, path.name)
     return recording_of(
         path.name,
-        found,
+        _with_runs(rows),
         mapping.amplitude,
         twice=APART,
-        notices=(*notices, *about_runs),
+        notices=tuple(notices),
         statement=statement,
         length_stated=stated,
     )
-
-
-def _checked(signal: Signal, sheet: Sheet) -> Signal:
-    """Return a signal whose columns, named without units, are each in the table once.
-
-    Raises
-    ------
-    StapeskitError
-    """
-    keys = ("value_re", "value_im", "magnitude", "phase", "coherence", "sd")
-    names = {key: name_and_unit(getattr(signal, key))[0] for key in keys}
-    raise_all(
-        Fault(
-            f"the column {name}",
-            "in the table once",
-            f"{sheet.names.count(name)} of that name",
-            sheet.where,
-            f"It has {', '.join(sheet.names[:12])}",
-        )
-        for name in names.values()
-        if name and sheet.names.count(name) != 1
-    )
-    return replace(signal, **names)
 
 
 def _rows(table: PointTable, signals: Sequence[Signal], mapping: Mapping, stem: str) -> list[Row]:
@@ -154,10 +131,10 @@ def _row(table: PointTable, signal: Signal, freq: Array, mapping: Mapping, stem:
     sheet = table.sheet
 
     def numbers(name: str) -> Array:
-        return np.asarray(sheet.numbers[:, sheet.names.index(name)])
+        return np.asarray(sheet.numbers[:, sheet.column_of(name)])
 
     def unit_of(name: str) -> str:
-        return sheet.units[sheet.names.index(name)] if name else ""
+        return sheet.units[sheet.column_of(name)] if name else ""
 
     value = signal.values(numbers, signal.phase_unit or unit_of(signal.phase) or "deg", sheet.where)
     if signal.value_re and unit_of(signal.value_re) != unit_of(signal.value_im):
@@ -210,7 +187,7 @@ def _frequencies(sheet: Sheet, mapping: Mapping) -> Array:
 
 def _phase_faults(sheet: Sheet, signals: Sequence[Signal]) -> list[Fault]:
     """Refuse phases without a unit that may be radians as well as degrees."""
-    columns = [sheet.names.index(one.phase) for one in signals if one.phase and not one.phase_unit]
+    columns = [sheet.column_of(one.phase) for one in signals if one.phase and not one.phase_unit]
     silent = [column for column in columns if not sheet.units[column]]
     largest = float(np.max(np.nan_to_num(np.abs(sheet.numbers[:, silent])), initial=0.0))
     if not 0.0 < largest <= np.pi + 1e-3:
@@ -220,7 +197,7 @@ def _phase_faults(sheet: Sheet, signals: Sequence[Signal]) -> list[Fault]:
     return [Fault("the unit of the phases", "stated", got, sheet.where, step)]
 
 
-def _with_runs(rows: Sequence[tuple[Row, str]], file: str) -> tuple[list[Row], list[Notice]]:
+def _with_runs(rows: Sequence[tuple[Row, str]]) -> list[Row]:
     """Name runs after the sources of the tables where these repeat points of each other."""
     sources = list(dict.fromkeys(source for _, source in rows if source))
     keys = [(row.channel.key, row.unit) for row, _ in rows]
@@ -228,14 +205,8 @@ def _with_runs(rows: Sequence[tuple[Row, str]], file: str) -> tuple[list[Row], l
         return [
             replace(row, channel=replace(row.channel, run=Path(source.replace("\\", "/")).stem))
             for row, source in rows
-        ], []
-    notices = []
-    if 1 < len(sources) < len(rows):
-        text = (
-            f"{file} holds points of {len(sources)} measurements ({list_some(sources, 4)}), taken as one run."
-        )
-        notices.append(Notice("runs_by_file", text))
-    return [row for row, _ in rows], notices
+        ]
+    return [row for row, _ in rows]
 
 
 def _beam_notices(rows: Sequence[Row], file: str) -> list[Notice]:

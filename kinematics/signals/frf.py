@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
@@ -121,15 +122,12 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     """
     from scipy.signal import get_window, stft
 
-    check_reference(records, where)
+    _check_reference(records, where)
     hop = max(1, round(segment * (1.0 - OVERLAP)))
     counts = [1 + (len(x) - segment) // hop if len(x) >= segment else 0 for x, _ in records]
     if sum(counts) < _FEWEST or segment < _SHORTEST:
+        want, got = f"{_FEWEST} segments of {_SHORTEST} samples or longer", f"{sum(counts)} of {segment}"
         step = "Ask for fewer averages, or record longer"
-        want, got = (
-            f"{_FEWEST} segments of {_SHORTEST} samples or longer",
-            f"{sum(counts)} of {segment} samples",
-        )
         raise StapeskitError.of("the records", want, got, where, step)
     taper = np.asarray(get_window("hann", segment), dtype=float)
 
@@ -142,27 +140,23 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
         return np.asarray(lines[..., 2 : (segment + 1) // 2, :])
 
     blocks = [(spectra(x), spectra(y)) for (x, y), count in zip(records, counts, strict=True) if count]
-    total = sum(counts)
-    gxx = sum(np.sum(np.abs(x) ** 2, axis=-1) for x, _ in blocks) / total
-    gyy = sum(np.sum(np.abs(y) ** 2, axis=-1) for _, y in blocks) / total
-    gxy = sum(np.sum(x.conj() * y, axis=-1) for x, y in blocks) / total
-    if not np.all(gxx > 0.0):
+    power, cross, coherence = _sums(blocks)
+    if not np.all(power > 0.0):
         step = "Restrict the band to where the reference has power"
         raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
-    averages = sum(effective_averages(taper, hop, count) for count in counts if count)
-    value = np.asarray(gxy / gxx)
-    tiny = np.finfo(float).tiny
-    coherence = np.clip(np.abs(gxy) ** 2 / np.maximum(gxx * gyy, tiny), 0.0, 1.0)
+    value = np.asarray(cross / power)
     for x, y in blocks:
         for channel, response in zip(y, value, strict=True):  # in place: records may fill half of the memory
             channel -= response[:, None] * x
     parts = [y for _, y in blocks]
     own, common = split_noise(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), value)
+    averages = sum(effective_averages(taper, hop, count) for count in counts if count)
     spread = float(segment * np.sum(taper**4) / np.sum(taper**2) ** 2)
     scale = averages / max(averages - 1.0, 1e-3)
     width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
-    own = smoothed(own / gxx, width, (averages - 1.0) / spread)
-    common_sd = np.sqrt(smoothed(common[None], width)[0] * scale / (2.0 * averages * gxx))
+    mean_power = power / sum(counts)
+    own = smoothed(own / mean_power, width, (averages - 1.0) / spread)
+    common_sd = np.sqrt(smoothed(common[None], width)[0] * scale / (2.0 * averages * mean_power))
     freq = np.arange(2, (segment + 1) // 2) * sample_rate_hz / segment
     sd = np.sqrt(own * scale / (2.0 * averages))
     return Frf(freq, value, sd, coherence, averages, common_sd, spread, _notices(common_sd, averages))
@@ -183,7 +177,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     signals and its correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is
     averaged over lines.
     """
-    check_reference(records, where)
+    _check_reference(records, where)
     blocks = period_s * sample_rate_hz * np.arange(1, _MOST_PERIODS + 1)
     whole = blocks[(np.abs(blocks - np.round(blocks)) < 1e-3) & (blocks >= 2.0)]
     if not len(whole):
@@ -191,51 +185,60 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
         raise StapeskitError.of("the period", "whole samples", f"{blocks[0]:.6g} samples", where, step)
     samples = round(float(whole[0]))
     stacks = [(_periods(x[samples:], samples), _periods(y[:, samples:], samples)) for x, y in records]
-    counts = [len(x) for x, _ in stacks]
+    counts = [x.shape[-1] for x, _ in stacks]
     if min(counts) < 2:
         want, got = f"at least two blocks of {samples} samples long", f"{min(counts)} after the first"
         raise StapeskitError.of("a record", want, got, where, "Record more periods")
-    means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
-    good = np.ones(stacks[0][0].shape[1], dtype=bool)
-    for (x, _), (mean, _) in zip(stacks, means, strict=True):
-        noise = np.sum(np.abs(x - mean) ** 2, axis=0) / (len(x) - 1) / len(x)
-        noise = np.maximum(smoothed(noise[None], 41)[0], noise)
-        size = np.abs(mean)
-        good &= (size > _LEAST_REFERENCE * np.max(size, initial=0.0)) & (size**2 > 25.0 * noise)
-    lines = np.flatnonzero(good)
-    if not len(lines):
-        step = "Check the period and the reference; random excitation has no period"
-        raise StapeskitError.of("the reference", "periodic, with lines above its noise", "none", where, step)
-    power = sum(n * np.abs(x[lines]) ** 2 for n, (x, _) in zip(counts, means, strict=True))
-    cross = sum(n * x[lines].conj() * y[:, lines] for n, (x, y) in zip(counts, means, strict=True))
+    lines = _excited_lines([x for x, _ in stacks], where)
+    stacks = [(x[lines], y[:, lines]) for x, y in stacks]
+    means = [(x.mean(axis=-1, keepdims=True), y.mean(axis=-1, keepdims=True)) for x, y in stacks]
+    weighted = [(np.sqrt(n) * x, np.sqrt(n) * y) for n, (x, y) in zip(counts, means, strict=True)]
+    power, cross, _ = _sums(weighted)
     value = np.asarray(cross / power)
-    residuals = np.concatenate(
-        [
-            np.moveaxis((y - ym)[:, :, lines] - value * (x - xm)[:, None, lines], 0, -1)
-            for (x, y), (xm, ym) in zip(stacks, means, strict=True)
-        ],
-        axis=-1,
-    )
+    deviations = [
+        (y - ym) - value[:, :, None] * (x - xm) for (x, y), (xm, ym) in zip(stacks, means, strict=True)
+    ]
     freedom = float(sum(counts) - len(counts))
-    own, common = split_noise(residuals, value)
-    scale = sum(counts) / freedom
-    width = max(1, int(np.ceil(60.0 / freedom)))  # sd known to 9 %
+    scale, width = sum(counts) / freedom, max(1, int(np.ceil(60.0 / freedom)))  # sd known to 9 %
+    own, common = split_noise(np.concatenate(deviations, axis=-1), value)
     own, common = smoothed(own * scale, width, freedom), smoothed(common[None] * scale, width)[0]
     common_sd = np.sqrt(common / (2.0 * power))
-    xx = sum(np.sum(np.abs(x[:, lines]) ** 2, axis=0) for x, _ in stacks)
-    yy = sum(np.sum(np.abs(y[:, :, lines]) ** 2, axis=0) for _, y in stacks)
-    xy = sum(np.sum(x[:, None, lines].conj() * y[:, :, lines], axis=0) for x, y in stacks)
-    coherence = np.clip(np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny), 0.0, 1.0)
     freq = (lines + 1) * sample_rate_hz / samples
     sd, notices = np.sqrt(own / (2.0 * power)), _notices(common_sd, freedom)
-    return Frf(freq, value, sd, coherence, float(sum(counts)), common_sd, 1.0, notices)
+    return Frf(freq, value, sd, _sums(stacks)[2], float(sum(counts)), common_sd, 1.0, notices)
 
 
 def _periods(signal: Array, samples: int) -> ComplexArray:
-    """Return the lines above 0 Hz of every block, (block, ..., line)."""
+    """Return the lines above 0 Hz of every block, (..., line, block)."""
     count = signal.shape[-1] // samples
     cut = signal[..., : count * samples].reshape(*signal.shape[:-1], count, samples)
-    return np.asarray(np.fft.rfft(np.moveaxis(cut, -2, 0), axis=-1)[..., 1 : (samples + 1) // 2])
+    return np.asarray(np.fft.rfft(cut, axis=-1)[..., 1 : (samples + 1) // 2]).swapaxes(-1, -2)
+
+
+def _excited_lines(references: Sequence[ComplexArray], where: str) -> NDArray[np.intp]:
+    """Return the lines at which every reference (line, block) rises above its noise and is no leakage."""
+    good = np.ones(references[0].shape[0], dtype=bool)
+    for x in references:
+        count, size = x.shape[-1], np.abs(x.mean(axis=-1))
+        noise = np.sum(np.abs(x - x.mean(axis=-1, keepdims=True)) ** 2, axis=-1) / (count - 1) / count
+        noise = np.maximum(smoothed(noise[None], 41)[0], noise)
+        good &= (size > _LEAST_REFERENCE * np.max(size, initial=0.0)) & (size**2 > 25.0 * noise)
+    if not np.any(good):
+        step = "Check the period and the reference; random excitation has no period"
+        raise StapeskitError.of("the reference", "periodic, with lines above its noise", "none", where, step)
+    return np.flatnonzero(good)
+
+
+def _sums(blocks: Sequence[tuple[ComplexArray, ComplexArray]]) -> tuple[Array, ComplexArray, Array]:
+    """Return sums over blocks of references (line, block) and responses (channel, line, block).
+
+    Power of the reference (line,), cross spectrum (channel, line) and coherence (channel, line).
+    """
+    xx = sum(np.sum(np.abs(x) ** 2, axis=-1) for x, _ in blocks)
+    yy = sum(np.sum(np.abs(y) ** 2, axis=-1) for _, y in blocks)
+    xy = np.asarray(sum(np.sum(x.conj() * y, axis=-1) for x, y in blocks))
+    coherence = np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny)
+    return np.asarray(xx), xy, np.clip(coherence, 0.0, 1.0)
 
 
 def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array, Array]:
@@ -299,13 +302,8 @@ def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     return np.asarray(mean / (1.0 - 1.0 / np.maximum(freedom * (stop - start), 2.0)))
 
 
-def check_reference(records: Records, where: str) -> None:
-    """Refuse records without a signal in the reference.
-
-    Raises
-    ------
-    StapeskitError
-    """
+def _check_reference(records: Records, where: str) -> None:
+    """Refuse records without a signal in the reference."""
     if not records or any(not np.any(x != x[0]) for x, _ in records):
         step = "Check that the reference was connected, or name another one"
         raise StapeskitError.of("the reference", "a signal", "one value in all samples", where, step)

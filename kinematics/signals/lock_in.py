@@ -15,7 +15,7 @@ import numpy as np
 
 from kinematics.signals.frf import Frf
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 
 OFFSETS = 32
 """Frequencies on each side of the line at which the noise is read, from the third bin on."""
@@ -49,51 +49,38 @@ def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, whe
         reference without its line; of all steps.
     """
     faults: list[Fault] = []
-    freq: list[float] = []
-    values: list[ComplexArray] = []
-    spreads: list[Array] = []
-    common: list[float] = []
+    found: list[tuple[float, ComplexArray, Array, float]] = []
     for step in sorted(steps, key=lambda one: one.freq_hz):
         place = f"{where}, step of {step.freq_hz:g} Hz"
-        begin = round(settle * step.responses.shape[1])
-        signals = step.responses[:, begin:]
-        if step.reference is not None:
-            signals = np.vstack([step.reference[begin:], signals])
-        try:
-            amplitude, sd = fit_sine(signals, sample_rate_hz, step.freq_hz, place)
-        except StapeskitError as error:
-            faults += error.faults
-            continue
-        if freq and np.isclose(step.freq_hz, freq[-1], rtol=1e-9):
-            next_step = "Give repeats as records of their own, or leave one out"
-            faults.append(
-                Fault("a step", "of another frequency than the others", "it again", place, next_step)
-            )
-        relative = 0.0
-        if step.reference is not None:
-            if not abs(amplitude[0]) > 5.0 * sd[0]:
-                got = f"{abs(amplitude[0]):.3g} with a noise of {sd[0]:.3g}"
-                faults.append(
-                    Fault("the line of the reference", "above its noise", got, place, "Check its channel")
-                )
-                continue
-            relative = float(sd[0] / abs(amplitude[0]))
-            amplitude, sd = amplitude[1:] / amplitude[0], sd[1:] / abs(amplitude[0])
-        freq.append(step.freq_hz)
-        values.append(amplitude)
-        spreads.append(sd)
-        common.append(relative)
+        with collect_faults(faults):
+            if found and np.isclose(step.freq_hz, found[-1][0], rtol=1e-9):
+                want, advice = "of another frequency than the others", "Give repeats as records of their own"
+                raise StapeskitError.of("a step", want, "it again", place, advice)
+            found.append((step.freq_hz, *_response(step, sample_rate_hz, settle, place)))
     raise_all(faults)
-    if not freq:
+    if not found:
         raise StapeskitError.of("the steps", "at least one", "none", where)
-    return Frf(
-        np.array(freq),
-        np.array(values).T,
-        np.array(spreads).T,
-        None,
-        float("nan"),
-        np.array(common, dtype=float),
-    )
+    freq, values, spreads, common = (np.array(part) for part in zip(*found, strict=True))
+    return Frf(freq, values.T, spreads.T, None, float("nan"), common)
+
+
+def _response(
+    step: Step, sample_rate_hz: float, settle: float, where: str
+) -> tuple[ComplexArray, Array, float]:
+    """Return responses (channel,), their sd (channel,) and the relative sd of the reference."""
+    begin = round(settle * step.responses.shape[1])
+    signals = step.responses[:, begin:]
+    if step.reference is None:
+        return *fit_sine(signals, sample_rate_hz, step.freq_hz, where), 0.0
+    signals = np.vstack([step.reference[begin:], signals])
+    amplitude, sd = fit_sine(signals, sample_rate_hz, step.freq_hz, where)
+    size = abs(amplitude[0])
+    if not size > 5.0 * sd[0]:
+        got = f"{size:.3g} with a noise of {sd[0]:.3g}"
+        raise StapeskitError.of(
+            "the line of the reference", "above its noise", got, where, "Check its channel"
+        )
+    return amplitude[1:] / amplitude[0], sd[1:] / size, float(sd[0] / size)
 
 
 def fit_sine(

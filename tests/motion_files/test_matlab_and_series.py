@@ -6,7 +6,7 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, matlab_variables, v73
@@ -160,7 +160,7 @@ def test_series_of_every_kind_of_file(kind, tmp_path):
     else:
         rows = [",".join(f"{v:.15g}" for v in row) for row in zip(time, *responses, drive, strict=True)]
         path.write_text("\n".join(["time_s,a,b,d", *rows]) + "\n", encoding="utf-8")
-    facts = FileFacts(series=SeriesFacts(channels(tmp_path, listed), period_s=0.1))
+    facts = FileFacts(channels=channels(tmp_path, listed), period_s=0.1)
     recording = read_file(path, facts)
     assert np.allclose(recording.freq_hz, freq)
     assert np.allclose(recording.value, 2e-3 * truth, atol=tolerance)
@@ -177,9 +177,7 @@ def test_noise_of_the_reference_is_shared_by_the_run(tmp_path):
         f"c{k}": row for k, row in enumerate(responses)
     })  # fmt: skip
     rows = [*(f"c{k},response,stapes,{k},z,m/s," for k in range(4)), "d,reference,,,,V,"]
-    measured = read_measurement(
-        [tmp_path / "a.npz"], facts=FileFacts(series=SeriesFacts(channels(tmp_path, rows)))
-    )
+    measured = read_measurement([tmp_path / "a.npz"], facts=FileFacts(channels=channels(tmp_path, rows)))
     body = measured.bodies[0]
     error = body.value[0] - gains[:, None] / 1.01
     shared = np.mean((error.real / gains[:, None]), axis=0)
@@ -217,7 +215,7 @@ def test_mistakes_of_series(name, tmp_path):
     _, drive, responses, _, _ = multisine()
     np.savez(tmp_path / "a.npz", fs=8000.0, a=responses[0], b=responses[1], d=drive)
     with pytest.raises(StapeskitError) as caught:
-        read_file(tmp_path / "a.npz", FileFacts(series=SeriesFacts(channels(tmp_path, rows))))
+        read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, rows)))
     assert [fault.thing for fault in caught.value.faults] == [thing]
 
 
@@ -231,6 +229,9 @@ def test_a_stepped_sine_by_its_table_of_steps(tmp_path):
     steps = tmp_path / "steps.csv"
     steps.write_text("start_s,stop_s,freq_hz\n0,0.4,300\n0.4,0.8,500\n", encoding="utf-8")
     rows = ["a,response,stapes,1,z,m/s,", "d,reference,,,,V,"]
-    facts = FileFacts(series=SeriesFacts(channels(tmp_path, rows), steps=steps))
+    facts = FileFacts(channels=channels(tmp_path, rows), steps=steps)
     recording = read_file(tmp_path / "a.npz", facts)
     assert np.allclose(recording.value[0], gain, atol=1e-9)
+    np.savez(tmp_path / "b.npz", fs=rate, a=response, d=drive, freq_hz=np.repeat(freq, len(time)))
+    by_column = read_file(tmp_path / "b.npz", FileFacts(channels=facts.channels))
+    assert np.array_equal(by_column.value, recording.value)

@@ -1,8 +1,13 @@
 """Universal files: forms of numbers, geometry, units, coherence, runs, and what is refused."""
 
+import gzip
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import kinematics
+from kinematics.api import points2dof
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
@@ -23,6 +28,8 @@ from tests.motion_files.written_files import (
     universal_file,
 )
 
+DATA = Path(__file__).parent / "data"
+SHARED = Path(kinematics.__file__).parents[2] / "shared" / "data" / "uff"
 VALUE = VELOCITY[0, 0]
 PLACE = {1: (0.5, 0.0, 0.0)}
 
@@ -175,3 +182,25 @@ def test_directions_that_stand_in_the_text_alone_are_named(tmp_path):
     found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
     assert len(found) == 1
     assert "Vib X, Vib Y, Vib Z" in found[0].next_step
+
+
+def test_a_genuine_export_is_fitted_as_by_plain_least_squares(tmp_path):
+    """x, beta, gamma of 25 points with one head along -x, against numpy's least squares a line."""
+    path = tmp_path / "surface.unv"
+    path.write_bytes(gzip.decompress((DATA / "surface_h1_receptance.unv.gz").read_bytes()))
+    result = points2dof(path, body=("probe=1-25",), dof="x,beta,gamma")
+    recording = read_file(path, FileFacts())
+    _, y, z = recording.points_m.T
+    base = recording.directions[:, :1] * np.column_stack([np.ones(25), z, -y])
+    expected = np.linalg.lstsq(base, recording.value, rcond=None)[0]
+    found = result.motion.q[0, 0].T
+    assert np.max(np.abs(found - expected)) < 1e-12 * np.max(np.abs(expected))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("path", sorted(SHARED.glob("*")), ids=lambda path: path.name)
+def test_universal_files_without_motion_are_refused_with_what_they_hold(path):
+    """Files of pyuff and TestLab: time responses, geometry alone, and one that is no universal file."""
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, FileFacts())
+    assert caught.value.faults[0].thing in {"a universal file", "the table", "the first line"}

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from kinematics.readers.facts import FileFacts, SeriesFacts
+from kinematics.readers.facts import FileFacts
 
 FREQ_HZ = np.array([400.0, 650.0, 900.0, 1150.0])
 PLACES_M = 1e-3 * np.array([[1.2, 0.1, 0.0], [-1.1, 0.2, 0.3], [0.4, 3.0, -0.5]])
@@ -242,7 +242,7 @@ def _series(folder):
         place = ",".join(f"{1e3 * v:g}" for v in PLACES_M[k // 3])
         rows.append(f"c{k},response,stapes,{1 + k // 3},{numbers},m/s,{place}")
     (folder / "channels.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return folder / "a.npz", FileFacts(series=SeriesFacts(folder / "channels.csv", period_s=0.02))
+    return folder / "a.npz", FileFacts(channels=folder / "channels.csv", period_s=0.02)
 
 
 def _scan_file(folder):
