@@ -33,7 +33,7 @@ It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.jso
   least squares with the reported positions: what a fit of K and D starts from, without a scan or files.
 * ``ring_ligament(Ring(...))`` and ``draw_ring(rng)``: K and D in six degrees of freedom of a ring of springs
   whose plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
-* ``multisine``, ``stepped_sine``: time series of a recording. ``cohort``: many ears with a planted law.
+* ``cohort``: many ears with a planted law.
 * ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
   ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study; ``ply`` is the exact
   surface of the stapes in place of a volume). ``write_labels(path, placed)``: the true segmentation.
@@ -63,7 +63,6 @@ from simulate.ligament import (
     Ring,
     damped_alike,
     draw_ring,
-    reaction,
     ring_ligament,
     stapes_motion,
 )
@@ -71,7 +70,6 @@ from simulate.mass import MassProperties, displaced, graded_mass, point_mass, un
 from simulate.motion import motion_of
 from simulate.points import scattered_points
 from simulate.scanner import Renderer, Scan, render
-from simulate.series import TimeSeries, multisine, stepped_sine
 from simulate.shaker import base_motion, resonant_motion
 from simulate.solids import Moments, Solid, box, ellipsoid, joined, ring, rod, solid_of_field
 from simulate.stapes import STAPES, Stapes, stapes_solid
@@ -106,7 +104,6 @@ __all__ = [
     "Scan",
     "Solid",
     "Stapes",
-    "TimeSeries",
     "TrueState",
     "Truth",
     "apply_fault",
@@ -126,9 +123,7 @@ __all__ = [
     "measure",
     "measure_motion",
     "motion_of",
-    "multisine",
     "point_mass",
-    "reaction",
     "render",
     "resonant_motion",
     "ring",
@@ -141,7 +136,6 @@ __all__ = [
     "solid_of_field",
     "stapes_motion",
     "stapes_solid",
-    "stepped_sine",
     "uniform_mass",
     "write_labels",
     "write_recording",

@@ -17,6 +17,7 @@ from stapeskit.spatial import matrix_from_parameters
 
 WINDOW_TOP_MM = 0.45
 _BONE_LOW_MM = -0.15
+_MARGIN_MM = 0.25  # of air around everything
 _PLATE_LOW, _PLATE_HIGH = np.array([-2.2, -0.5, -1.5]), np.array([2.2, 0.0, 1.5])
 _PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))
 FIDUCIALS_MM = {
@@ -52,8 +53,8 @@ class Ear:
         Bony bridges across the gap, of radius ``bridge_radius_mm``.
     bone, bone_reach : bool, float
         Bone around the window; a reach above 1 runs out of the field of view.
-    plate, plate_reach : bool, float
-        The plastic plate below; a reach above 1 runs out of the field of view.
+    plate : bool
+        The plastic plate below.
     plate_distance_mm, plate_tilt_deg, plate_turn_deg
         From the footplate centre, about x and z, and about y of the footplate.
     plate_gap_mm : float or None
@@ -82,7 +83,6 @@ class Ear:
     bone: bool = True
     bone_reach: float = 1.0
     plate: bool = True
-    plate_reach: float = 1.0
     plate_distance_mm: float = 0.8
     plate_gap_mm: float | None = None
     plate_tilt_deg: tuple[float, float] = (4.0, -3.0)
@@ -136,9 +136,7 @@ class Ear:
         if self.bone:
             made += [(solid, "bone") for solid in _bone_around(self)]
         if self.plate:
-            made += [
-                (solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate(self.plate_reach)
-            ]
+            made += [(solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate()]
         if self.incus_gap_mm is not None:
             made += [(solid, "bone") for solid in _incus(self.solid, self.incus_gap_mm)]
         rng = np.random.default_rng(self.seed + 1000)
@@ -222,11 +220,10 @@ def _bone_around(ear: Ear) -> list[Solid]:
     return parts
 
 
-def _plate(reach: float) -> list[Solid]:
+def _plate() -> list[Solid]:
     """Return the slab and its two pins of other heights, in the frame it is built in."""
-    wide = np.array([reach, 1.0, reach])
     pins = [box([x - 0.12, -0.1, z - 0.12], [x + 0.12, height, z + 0.12]) for x, z, height in _PINS]
-    return [box(_PLATE_LOW * wide, _PLATE_HIGH * wide), *pins]
+    return [box(_PLATE_LOW, _PLATE_HIGH), *pins]
 
 
 def _incus(solid: Solid, gap_mm: float, thick: float = 0.22) -> list[Solid]:
@@ -288,7 +285,6 @@ def place(
     rotation: Array,
     rng: np.random.Generator,
     shape: tuple[int, int, int] | None = None,
-    margin_mm: float = 0.25,
     shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Placed:
     """Place an ear in the middle of a scan, off by a random part of a voxel.
@@ -302,16 +298,15 @@ def place(
     rng : Generator
     shape : tuple of int, optional
         Voxels x, y, z; the smallest box that holds everything with a margin when not given.
-    margin_mm : float
     shift_mm : tuple of float
         Moves the ear in its volume.
     """
     turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
-    seen = replace(ear, bone_reach=min(ear.bone_reach, 1.0), plate_reach=min(ear.plate_reach, 1.0))
+    seen = replace(ear, bone_reach=min(ear.bone_reach, 1.0))
     points = np.concatenate([turned.points(solid.vertices_mm) for solid, _ in seen.solids()])
     low, high = points.min(axis=0), points.max(axis=0)
     count = (
-        np.ceil((high - low + 2.0 * margin_mm) / voxel_mm).astype(int) if shape is None else np.array(shape)
+        np.ceil((high - low + 2.0 * _MARGIN_MM) / voxel_mm).astype(int) if shape is None else np.array(shape)
     )
     centre = 0.5 * (count - 1) * voxel_mm + np.asarray(shift_mm)
     offset = centre - 0.5 * (low + high) + rng.uniform(-0.5, 0.5, 3) * voxel_mm

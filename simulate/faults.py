@@ -1,12 +1,13 @@
 """A table of what goes wrong at a vibrometer: each fault changes the true state and nothing that is reported.
 
-A fault is put in by its kind; new kinds are one function with a decorator.
+A fault is a line of `KINDS`: which channels it takes, and what it does to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -55,8 +56,6 @@ class TrueState:
         Multiplies the signal.
     loud : ndarray, (C,)
         Multiplies the noise, not what is stated of it.
-    unit : ndarray, (C,)
-        Multiplies the noise and what is stated of it.
     added : ndarray, (R, C, L), complex
         Velocity that no rigid motion makes, m/s.
     order : ndarray, (C,)
@@ -76,7 +75,6 @@ class TrueState:
     runs: int
     factor: ComplexArray = field(init=False)
     loud: Array = field(init=False)
-    unit: Array = field(init=False)
     added: ComplexArray = field(init=False)
     order: NDArray[np.int64] = field(init=False)
     conjugated: bool = False
@@ -86,7 +84,6 @@ class TrueState:
         channels, lines = len(self.body), len(self.freq_hz)
         self.factor = np.ones((channels, lines), dtype=complex)
         self.loud = np.ones(channels)
-        self.unit = np.ones(channels)
         self.added = np.zeros((self.runs, channels, lines), dtype=complex)
         self.order = np.arange(channels)
 
@@ -129,23 +126,39 @@ class TrueState:
         """Return the names of a body's points."""
         return list(dict.fromkeys(self.point[c] for c in self.of(body)))
 
-    def level(self) -> float:
-        """Return the root mean square of all readings, m/s."""
-        return float(np.sqrt(np.mean(np.abs(self.readings()) ** 2)))
+    def unit_vector(self) -> Array:
+        """Draw a direction (3,)."""
+        vector = self.rng.standard_normal(3)
+        return np.asarray(vector / np.linalg.norm(vector))
 
 
-Factor = Callable[[Array, float], Any]
-Maker = Callable[[TrueState, MeasurementFault, float], tuple[Sequence[int], str]]
-KINDS: dict[str, tuple[Maker, float, str]] = {}
-"""Faults by kind: what puts one in and returns channels and verdict; the usual size; what a size is."""
+Where = Callable[[TrueState, MeasurementFault], list[int]]
+Change = Callable[[TrueState, list[int], float], None]
 
 
-def _kind(name: str, usual: float = 0.0, unit: str = "") -> Callable[[Maker], Maker]:
-    def enter(maker: Maker) -> Maker:
-        KINDS[name] = (maker, usual, unit)
-        return maker
+@dataclass(frozen=True)
+class FaultKind:
+    """A kind of fault.
 
-    return enter
+    Attributes
+    ----------
+    verdict : str
+        What its channels must be called.
+    where : callable
+        Which channels it takes.
+    change : callable
+        What it does to them.
+    usual : float
+        Its usual size.
+    unit : str
+        Of the size.
+    """
+
+    verdict: str
+    where: Where
+    change: Change
+    usual: float = 0.0
+    unit: str = ""
 
 
 def apply_fault(state: TrueState, fault: MeasurementFault) -> None:
@@ -158,18 +171,18 @@ def apply_fault(state: TrueState, fault: MeasurementFault) -> None:
     """
     if fault.kind not in KINDS:
         raise ValueError(f"the fault must be one of {', '.join(KINDS)}; got {fault.kind}.")
-    maker, usual, _ = KINDS[fault.kind]
-    channels, verdict = maker(state, fault, usual if fault.size is None else fault.size)
-    state.culprits |= dict.fromkeys((int(channel) for channel in channels), verdict)
+    kind = KINDS[fault.kind]
+    channels = kind.where(state, fault)
+    kind.change(state, channels, kind.usual if fault.size is None else fault.size)
+    state.culprits |= dict.fromkeys(channels, kind.verdict)
 
 
-def _channel(state: TrueState, fault: MeasurementFault) -> int:
-    return int(state.rng.choice(state.of(fault.body, fault.point, fault.laser)))
+def _channel(state: TrueState, fault: MeasurementFault) -> list[int]:
+    return [int(state.rng.choice(state.of(fault.body, fault.point, fault.laser)))]
 
 
 def _point(state: TrueState, fault: MeasurementFault) -> list[int]:
-    point = fault.point or str(state.rng.choice(state.points_of(fault.body)))
-    return state.of(fault.body, point)
+    return state.of(fault.body, fault.point or str(state.rng.choice(state.points_of(fault.body))))
 
 
 def _laser(state: TrueState, fault: MeasurementFault) -> list[int]:
@@ -177,220 +190,126 @@ def _laser(state: TrueState, fault: MeasurementFault) -> list[int]:
     return state.of("", "", laser)
 
 
-def _unit(rng: np.random.Generator) -> Array:
-    vector = rng.standard_normal(3)
-    return np.asarray(vector / np.linalg.norm(vector))
+def _body(state: TrueState, fault: MeasurementFault) -> list[int]:
+    return state.of(fault.body)
 
 
-def _tilt(state: TrueState, channels: list[int], angle_deg: float) -> None:
-    across = np.cross(state.beam[channels[0]], _unit(state.rng))
-    turn = rotation_from_vector(np.radians(angle_deg) * across / np.linalg.norm(across))
-    state.beam[channels] = state.beam[channels] @ turn.T
+def _all(state: TrueState, _: MeasurementFault) -> list[int]:
+    return state.of()
 
 
-_FACTORS: dict[str, tuple[float, str, str, Factor]] = {
-    "gain": (0.05, "relative", "gain", lambda _, size: 1.0 + size),
-    "phase": (3.0, "degrees", "gain", lambda _, size: np.exp(1j * np.radians(size)) + 0.0),
-    "delay": (1e-5, "s", "gain", lambda freq, size: np.exp(-2j * np.pi * freq * size)),
-    "sign": (0.0, "", "sign", lambda _, __: -1.0),
-    "drift": (
-        0.06,
-        "relative, first to last line",
-        "drift",
-        lambda f, s: 1.0 + s * np.linspace(0, 1, len(f)),
-    ),
-    "zeros": (0.0, "", "zeros", lambda _, __: 0.0),
-}
-_WHERE: dict[str, Callable[[TrueState, MeasurementFault], list[int]]] = {
-    "": lambda state, fault: [_channel(state, fault)],
-    "point_": _point,
-    "laser_": _laser,
-    "body_": lambda state, fault: state.of(fault.body),
-}
-
-
-def _enter_factors() -> None:
-    """Enter each factor for a channel, a point, a laser and a body."""
-    for name, (usual, unit, verdict, factor) in _FACTORS.items():
-        for prefix, where in _WHERE.items():
-
-            def make(
-                state: TrueState,
-                fault: MeasurementFault,
-                size: float,
-                where: Callable[[TrueState, MeasurementFault], list[int]] = where,
-                factor: Factor = factor,
-                verdict: str = verdict,
-            ) -> tuple[Sequence[int], str]:
-                channels = where(state, fault)
-                state.factor[channels] *= factor(state.freq_hz, size)
-                return channels, verdict
-
-            KINDS[prefix + name] = (make, usual, unit)
-
-
-_enter_factors()
-
-
-@_kind("noise", 4.0, "times the stated standard deviation")
-def _loud(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channel = _channel(state, fault)
-    state.loud[channel] *= size
-    return [channel], "noise"
-
-
-@_kind("direction", 4.0, "degrees")
-def _direction(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channel = _channel(state, fault)
-    _tilt(state, [channel], size)
-    return [channel], "direction"
-
-
-@_kind("laser_direction", 3.0, "degrees")
-def _laser_direction(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channels = _laser(state, fault)
-    _tilt(state, channels, size)
-    return channels, "direction"
-
-
-@_kind("axes", 2.0, "degrees that all beams are turned")
-def _axes(state: TrueState, _: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channels = state.of()
-    state.beam = state.beam @ rotation_from_vector(np.radians(size) * _unit(state.rng)).T
-    return channels, "direction"
-
-
-@_kind("position", 0.2, "mm")
-def _position(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channels = _point(state, fault)
-    state.place_mm[channels] += size * _unit(state.rng)
-    return channels, "position"
-
-
-@_kind("coordinates")
-def _coordinates(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
-    """Exchange x and z of a point."""
-    channels = _point(state, fault)
-    state.place_mm[channels] = state.place_mm[channels][:, [2, 1, 0]]
-    return channels, "position"
-
-
-def _exchange(state: TrueState, groups: Sequence[list[int]]) -> tuple[list[int], str]:
-    """Let the signal of each group of channels stand in the group before it."""
-    into = np.concatenate(groups)
-    state.order[into] = state.order[np.concatenate([*groups[1:], groups[0]])]
-    return [int(channel) for channel in into], "label_swap"
-
-
-def _some_points(state: TrueState, fault: MeasurementFault, count: int) -> list[list[int]]:
-    """Return channels of named points, and of drawn ones up to a count."""
+def _points(count: int, state: TrueState, fault: MeasurementFault) -> list[int]:
+    """Return the channels of named points, and of drawn ones up to a count."""
     names = [name for name in (fault.point, fault.other) if name][:count]
     rest = [name for name in state.points_of(fault.body) if name not in names]
     drawn = state.rng.permutation(rest)[: count - len(names)]
-    return [state.of(fault.body, str(name)) for name in (*names, *drawn)]
+    return [channel for name in (*names, *drawn) for channel in state.of(fault.body, str(name))]
 
 
-@_kind("label_swap")
-def _label_swap(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
-    return _exchange(state, _some_points(state, fault, 2))
-
-
-@_kind("label_cycle")
-def _label_cycle(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
-    return _exchange(state, _some_points(state, fault, 3))
-
-
-@_kind("beams_swap")
-def _beams_swap(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
-    """Exchange two beams of a point."""
-    one, two = state.rng.choice(_point(state, fault), 2, replace=False)
-    return _exchange(state, [[int(one)], [int(two)]])
-
-
-@_kind("body_exchange")
-def _body_exchange(state: TrueState, fault: MeasurementFault, _: float) -> tuple[Sequence[int], str]:
-    """Exchange a point of the body with one (``other``) of another body."""
-    other = next(body for body in dict.fromkeys(state.body) if body != fault.body)
-    second = fault.other or str(state.rng.choice(state.points_of(other)))
-    return _exchange(state, [_point(state, fault), state.of(other, second)])
-
-
-@_kind("bodies_exchanged")
-def _bodies_exchanged(state: TrueState, _: MeasurementFault, __: float) -> tuple[Sequence[int], str]:
-    """Let each body move as the other does: their names are exchanged."""
-    one, two = list(dict.fromkeys(state.body))[:2]
-    state.motion_m[one], state.motion_m[two] = state.motion_m[two], state.motion_m[one]
-    return state.of(), "label_swap"
-
-
-@_kind("range", 2.0, "factor of the points")
-def _range(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    """Read a few points of a body, noise and all, in another range."""
+def _some_points(state: TrueState, fault: MeasurementFault) -> list[int]:
+    """Return the channels of a few points of a body, less than half of them."""
     names = state.points_of(fault.body)
     few = state.rng.permutation(names)[: int(state.rng.integers(2, max((len(names) - 1) // 2, 2) + 1))]
-    channels = [channel for name in few for channel in state.of(fault.body, str(name))]
-    state.factor[channels] *= size
-    state.loud[channels] *= abs(size)
-    return channels, "gain"
+    return [channel for name in few for channel in state.of(fault.body, str(name))]
 
 
-@_kind("body_unit", 1e3, "factor of a body: 1000 for mm/s, 0.7071 for rms, 5 for another range")
-def _body_unit(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    channels = state.of(fault.body)
-    state.factor[channels] *= size
-    state.unit[channels] *= abs(size)
-    return channels, "gain"
+def _two_beams(state: TrueState, fault: MeasurementFault) -> list[int]:
+    one, two = state.rng.choice(_point(state, fault), 2, replace=False)
+    return [int(one), int(two)]
 
 
-@_kind("line_shift", 1.0, "lines that the signals of a body are too late")
-def _line_shift(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    late = np.clip(np.arange(len(state.freq_hz)) - round(size), 0, len(state.freq_hz) - 1)
-    ratio = (state.freq_hz[late] / state.freq_hz)[:, None]
-    state.motion_m[fault.body] = state.motion_m[fault.body][:, late] * ratio
-    return state.of(fault.body), "drift"
+def _multiply(factor: Callable[[Array, float], Any], state: TrueState, at: list[int], size: float) -> None:
+    state.factor[at] *= factor(state.freq_hz, size)
 
 
-@_kind("conjugate")
-def _conjugate(state: TrueState, _: MeasurementFault, __: float) -> tuple[Sequence[int], str]:
+def _louden(state: TrueState, at: list[int], size: float) -> None:
+    state.loud[at] *= size
+
+
+def _tilt(state: TrueState, at: list[int], size: float) -> None:
+    across = np.cross(state.beam[at[0]], state.unit_vector())
+    turn = rotation_from_vector(np.radians(size) * across / np.linalg.norm(across))
+    state.beam[at] = state.beam[at] @ turn.T
+
+
+def _turn_axes(state: TrueState, _: list[int], size: float) -> None:
+    state.beam = state.beam @ rotation_from_vector(np.radians(size) * state.unit_vector()).T
+
+
+def _shift(state: TrueState, at: list[int], size: float) -> None:
+    state.place_mm[at] += size * state.unit_vector()
+
+
+def _exchange(groups: int, state: TrueState, at: list[int], _: float) -> None:
+    """Let the signal of each group of channels stand in the group before it."""
+    state.order[at] = state.order[np.roll(at, -len(at) // groups)]
+
+
+def _exchange_bodies(state: TrueState, _: list[int], __: float) -> None:
+    one, two = list(dict.fromkeys(state.body))[:2]
+    state.motion_m[one], state.motion_m[two] = state.motion_m[two], state.motion_m[one]
+
+
+def _other_range(state: TrueState, at: list[int], size: float) -> None:
+    """Read noise and all in another range."""
+    state.factor[at] *= size
+    state.loud[at] *= abs(size)
+
+
+def _conjugate(state: TrueState, _: list[int], __: float) -> None:
     """Write all channels in the e^{-i w t} convention."""
     state.conjugated = not state.conjugated
-    return state.of(), "sign"
 
 
-@_kind("flexible", 0.06, "bending over the root mean square of all readings")
-def _flexible(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
+def _bend(state: TrueState, at: list[int], size: float) -> None:
     """Add the first bending of a free bar along the longest axis of a body, with its own resonance."""
-    channels = state.of(fault.body)
-    places = state.place_mm[channels]
+    places = state.place_mm[at]
     along = places[:, int(np.argmax(np.ptp(places, axis=0)))]
     away = along - along.mean()
-    bend = ((away / np.abs(away).max()) ** 2 - 0.3) * (state.beam[channels] @ _unit(state.rng))
+    bend = ((away / np.abs(away).max()) ** 2 - 0.3) * (state.beam[at] @ state.unit_vector())
     ratio = state.freq_hz / 5200.0
     added = np.outer(bend, 1.0 / (1.0 - ratio**2 + 0.1j * ratio))
-    state.added[:, channels] += size * state.level() * added / np.sqrt(np.mean(np.abs(added) ** 2))
-    return channels, "flexible"
+    level = np.sqrt(np.mean(np.abs(state.readings()) ** 2))
+    state.added[:, at] += size * level * added / np.sqrt(np.mean(np.abs(added) ** 2))
 
 
-@_kind("drying", 0.03, "relative change of the motion of a body over its points")
-def _drying(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    """Let resonances rise while the points are measured one after the other: q(f) becomes q(f / s)."""
-    names, freq = state.points_of(fault.body), state.freq_hz
-    clean = state.readings()
-    for number, name in enumerate(names):
-        stretch = 1.0 / np.sqrt(1.0 + size * number / max(len(names) - 1, 1))
-        for channel in state.of(fault.body, name):
-            for run in range(state.runs):
-                moved = np.interp(freq * stretch, freq, clean[run, channel])
-                state.added[run, channel] += moved - clean[run, channel]
-    return state.of(fault.body), "drift"
+def _holder(freq_hz: Array, size: float) -> ComplexArray:
+    """Return the factor of a holder that resonates at 2600 Hz: all channels of its body read too much."""
+    ratio = freq_hz / 2600.0
+    return np.asarray(1.0 + size / (1.0 - ratio**2 + 0.1j * ratio))
 
 
-@_kind(
-    "holder", 0.02, "relative size at low frequencies of a resonance that the body reads but does not have"
-)
-def _holder(state: TrueState, fault: MeasurementFault, size: float) -> tuple[Sequence[int], str]:
-    """Let the holder of a body resonate at 2600 Hz: all its channels read a little too much."""
-    channels = state.of(fault.body)
-    ratio = state.freq_hz / 2600.0
-    state.factor[channels] *= 1.0 + size / (1.0 - ratio**2 + 0.1j * ratio)
-    return channels, "gain"
+_SCOPES: dict[str, Where] = {"": _channel, "point_": _point, "laser_": _laser, "body_": _body}
+_FACTORS: dict[str, tuple[str, Callable[[Array, float], Any], float, str]] = {
+    "gain": ("gain", lambda _, size: 1.0 + size, 0.05, "relative"),
+    "phase": ("gain", lambda _, size: np.exp(1j * np.radians(size)), 3.0, "degrees"),
+    "delay": ("gain", lambda freq, size: np.exp(-2j * np.pi * freq * size), 1e-5, "s"),
+    "sign": ("sign", lambda _, __: -1.0, 0.0, ""),
+    "drift": (
+        "drift",
+        lambda f, size: 1.0 + size * np.linspace(0, 1, len(f)),
+        0.06,
+        "relative, to the last line",
+    ),
+    "zeros": ("zeros", lambda _, __: 0.0, 0.0, ""),
+}
+KINDS: dict[str, FaultKind] = {
+    f"{scope}{name}": FaultKind(verdict, where, partial(_multiply, factor), usual, unit)
+    for name, (verdict, factor, usual, unit) in _FACTORS.items()
+    for scope, where in _SCOPES.items()
+} | {
+    "noise": FaultKind("noise", _channel, _louden, 4.0, "times the stated standard deviation"),
+    "direction": FaultKind("direction", _channel, _tilt, 4.0, "degrees"),
+    "laser_direction": FaultKind("direction", _laser, _tilt, 3.0, "degrees"),
+    "axes": FaultKind("direction", _all, _turn_axes, 2.0, "degrees that all beams are turned"),
+    "position": FaultKind("position", _point, _shift, 0.2, "mm"),
+    "label_swap": FaultKind("label_swap", partial(_points, 2), partial(_exchange, 2)),
+    "label_cycle": FaultKind("label_swap", partial(_points, 3), partial(_exchange, 3)),
+    "beams_swap": FaultKind("label_swap", _two_beams, partial(_exchange, 2)),
+    "bodies_exchanged": FaultKind("label_swap", _all, _exchange_bodies),
+    "range": FaultKind("gain", _some_points, _other_range, 2.0, "factor of the points"),
+    "conjugate": FaultKind("sign", _all, _conjugate),
+    "flexible": FaultKind("flexible", _body, _bend, 0.06, "bending over the rms of all readings"),
+    "holder": FaultKind("gain", _body, partial(_multiply, _holder), 0.02, "relative, at low frequencies"),
+}
+"""Faults by kind."""

@@ -98,13 +98,6 @@ def anatomy_field(anatomy: Anatomy, points: Array) -> Array:
     return np.asarray(solid)
 
 
-def window_field(anatomy: Anatomy, points: Array, gap_mm: float) -> Array:
-    """Return the field of the bone around the oval window: a slab with the footplate's outline and a gap."""
-    x, y, z = _bent(anatomy, points)
-    slab = np.maximum.reduce([np.abs(y - 0.12) - 0.3, np.abs(x) - 2.2, np.abs(z) - 1.5])
-    return np.asarray(np.maximum(slab, gap_mm - _outline(anatomy, x, z)))
-
-
 def _nodes(a: Anatomy, side: float, top: float, reach: float) -> tuple[Array, Array, Array]:
     """Return foot, knee and neck of a crus."""
     foot = np.array([side * reach, 0.7 * a.thickness + a.curl * 0.5, 0.0])

@@ -27,16 +27,11 @@ ALIKE_HZ = 2200.0
 """Where the laws of `damped_alike` dissipate as much as a viscous one."""
 
 
-def _relaxing(omega: Array, *times_s: float) -> ComplexArray:
-    return np.asarray(np.mean([1j * omega / (1.0 + 1j * omega * time) for time in times_s], axis=0))
-
-
 LAWS: dict[str, tuple[Callable[[Array, float], Any], float, Callable[[float], float]]] = {
     "viscous": (lambda omega, _: 1j * omega, 1.0, lambda _: 1.0),
     "hysteretic": (lambda omega, _: np.full(omega.shape, 1j), 0.0, lambda _: 0.0),
     "fractional": (lambda omega, power: (1j * omega) ** power, 0.5, lambda power: power),
-    "relaxation": (lambda omega, time: _relaxing(omega, time), 30e-6, lambda _: 1.0),
-    "two_relaxations": (lambda omega, time: _relaxing(omega, time, 10.0 * time), 20e-6, lambda _: 1.0),
+    "relaxation": (lambda omega, time: 1j * omega / (1.0 + 1j * omega * time), 30e-6, lambda _: 1.0),
 }
 """Damping laws: s(w, exponent) in K + s(w) D, the usual exponent, and the power of time in the unit of D."""
 
@@ -221,14 +216,3 @@ def stapes_motion(
     motion = base.astype(complex).copy()
     motion[:, r] = np.linalg.solve(dynamic - square * mass_si[np.ix_(r, r)], load)[..., 0]
     return motion
-
-
-def reaction(
-    freq_hz: Array, motion: ComplexArray, base: ComplexArray, mass_si: Array, ligament: Ligament
-) -> ComplexArray:
-    """Return what is left (L, n) of the equation of motion in the degrees of freedom of the ligament, SI."""
-    r = dof_indices(ligament.dof)
-    square = (2.0 * np.pi * freq_hz)[:, None] ** 2
-    strain = motion[:, r] - base[:, r]
-    pull = np.einsum("lij,lj->li", ligament.dynamic_stiffness(freq_hz), strain)
-    return np.asarray(square * (motion @ mass_si[r].T) - pull)

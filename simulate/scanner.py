@@ -23,7 +23,6 @@ from stapeskit.frames import rotation_from_vector
 Floats = NDArray[np.float32]
 STORED = {"uint8": (1.0 / 257.0, 0.0), "int16": (1.0, -32768.0), "uint16": (1.0, 0.0), "float32": (1.0, 0.0)}
 """Numbers of a file by type: factor and offset of grey values 0 to 65535."""
-MATERIALS = ("bone", "plastic", "soft")
 _TRUNCATE = 5.0
 _SLICE_OF_SEED = 1 << 20
 
@@ -37,9 +36,9 @@ class Scan:
     voxel_um : float or tuple of float
         One number, or x, y, z.
     shape : tuple of int or None
-        Voxels x, y, z; None: the smallest box with ``margin_mm`` around everything.
-    margin_mm, shift_mm
-        Air around everything; shift of the ear in its volume (out of the field of view on purpose).
+        Voxels x, y, z; None: the smallest box with 0.25 mm around everything.
+    shift_mm : tuple of float
+        Shift of the ear in its volume (out of the field of view on purpose).
     upright : str
         Scan axis near the lateral direction.
     tilt_deg : float
@@ -76,13 +75,12 @@ class Scan:
         Sub-columns along each side of a voxel; None: 3 um apart, from 2 to 16.
     format : str
         One of simulate.files.volumes.WRITERS; empty: no scan is written.
-    seed, noise_seed : int, int or None
-        Of the pose, and of noise, rings and stated density (that of the pose when None).
+    seed : int
+        Of the pose, noise, rings and stated density.
     """
 
     voxel_um: float | tuple[float, float, float] = 25.0
     shape: tuple[int, int, int] | None = None
-    margin_mm: float = 0.25
     shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     upright: str = "z"
     tilt_deg: float = 18.0
@@ -107,17 +105,11 @@ class Scan:
     samples: int | None = None
     format: str = "tif"
     seed: int = 1
-    noise_seed: int | None = None
 
     @property
     def voxel_mm(self) -> Array:
         """Voxel size x, y, z, mm."""
         return np.broadcast_to(np.asarray(self.voxel_um, dtype=float) * 1e-3, 3).copy()
-
-    @property
-    def noises(self) -> int:
-        """The seed of the noise."""
-        return self.seed if self.noise_seed is None else self.noise_seed
 
     def placed(self, ear: Ear) -> Placed:
         """Return the ear placed in the scan."""
@@ -126,7 +118,7 @@ class Scan:
             rotation = _UPRIGHT[self.upright] @ _random_tilt(rng, self.tilt_deg)
         else:
             rotation = rotation_from_vector(np.radians(self.rotation_vector_deg))
-        return place(ear, self.voxel_mm, rotation, rng, self.shape, self.margin_mm, self.shift_mm)
+        return place(ear, self.voxel_mm, rotation, rng, self.shape, self.shift_mm)
 
     def stored_levels(self) -> list[float]:
         """Return the grey values of air, plastic and bone as they stand in the file, before rounding."""
@@ -302,7 +294,7 @@ class Renderer:
 
 def _copies(placed: Placed, scan: Scan) -> Iterator[tuple[Solid, str]]:
     """Yield the bodies; both places of each when the ear moves half way through the scan."""
-    step = np.random.default_rng([scan.noises, 29]).normal(size=3)
+    step = np.random.default_rng([scan.seed, 29]).normal(size=3)
     step *= 0.5 * scan.jump_voxels / np.linalg.norm(step) * placed.voxel_mm
     for solid, material in placed.solids:
         if scan.jump_voxels:
@@ -335,7 +327,7 @@ def cup(grey: Floats, cupping: float) -> None:
 
 def _rings(shape: tuple[int, ...], scan: Scan) -> Floats:
     """Return the heights (y, x) of rings one voxel wide about the middle of the slices."""
-    rng = np.random.default_rng([scan.noises, 31])
+    rng = np.random.default_rng([scan.seed, 31])
     radius = np.hypot(*np.meshgrid(*(np.arange(n) - 0.5 * (n - 1) for n in shape[:0:-1])))
     count = int(radius.max()) + 2
     height = np.interp(radius, np.arange(count), rng.normal(0.0, scan.rings, count))
@@ -351,7 +343,7 @@ def add_noise(grey: Floats, first: int, scan: Scan) -> None:
     sigma = scan.noise_correlation_voxels
     if sigma <= 0.0:
         for k in range(count):
-            rng = np.random.default_rng([scan.noises, first + k])
+            rng = np.random.default_rng([scan.seed, first + k])
             grey[k] += np.float32(scan.noise) * rng.standard_normal((ny, nx), dtype=np.float32)
         return
     from scipy.ndimage import correlate1d
@@ -361,7 +353,7 @@ def add_noise(grey: Floats, first: int, scan: Scan) -> None:
     kernel = (kernel / np.sqrt((kernel**2).sum())).astype(np.float32)
     white = np.empty((count + 2 * reach, ny, nx), dtype=np.float32)
     for k in range(len(white)):
-        rng = np.random.default_rng([scan.noises, _SLICE_OF_SEED + first + k - reach])
+        rng = np.random.default_rng([scan.seed, _SLICE_OF_SEED + first + k - reach])
         rng.standard_normal(out=white[k], dtype=np.float32)
         for axis in (0, 1):
             white[k] = correlate1d(white[k], kernel, axis=axis, mode="wrap")

@@ -18,6 +18,7 @@ from simulate.scanner import Scan
 from simulate.vibrometer import Experiment, Recording, measure
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform
+from stapeskit.options import toml
 
 _SIMULATED = (
     "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
@@ -125,7 +126,7 @@ def simulate_truth(ear: Ear, scan: Scan | None = None) -> Truth:
     scan = scan or Scan()
     placed, body = scan.placed(ear), ear.mass()
     pose = placed.scan_from_footplate
-    draw = np.random.default_rng([scan.noises, 11]).standard_normal()
+    draw = np.random.default_rng([scan.seed, 11]).standard_normal()
     sd = ear.density_sd * ear.density_kg_m3
     return Truth(
         ear=ear,
@@ -200,8 +201,6 @@ def simulate_study(
         tables["ldv"] = {"file": write_recording(folder, recording, experiment.format).name}
         if (folder / "points.csv").exists():
             tables["ldv"] |= {"points": "points.csv"}
-        if (folder / "channels.csv").exists():
-            tables["ldv"] |= {"channels": "channels.csv"}
         if recording.fiducials:
             tables["ldv"] |= {"fiducials": "fiducials.csv"}
         if experiment.mirror:
@@ -237,15 +236,7 @@ def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
 def study_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
     """Return tables of words, numbers and lists as TOML."""
     parts = [
-        "\n".join([f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())])
+        "\n".join([f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())])
         for name, table in tables.items()
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(part) for part in value)}]"
-    return json.dumps(value) if isinstance(value, str) else f"{value}"

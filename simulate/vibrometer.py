@@ -46,8 +46,6 @@ class Experiment:
     noise : float
         Standard deviation of a channel's real part over its root mean square; each channel has its own,
         between ``noise_spread`` times this.
-    noise_course : float
-        Power of frequency that the noise follows (0: white in velocity, -1: white in displacement).
     common_noise : float
         Relative noise that all channels of a line share: that of the signal they refer to.
     stated : str
@@ -82,7 +80,6 @@ class Experiment:
     in_footplate: bool = False
     noise: float = 0.01
     noise_spread: tuple[float, float] = (0.6, 1.6)
-    noise_course: float = 0.0
     common_noise: float = 0.0
     stated: str = "sd"
     averages: int = 16
@@ -264,9 +261,7 @@ def measure_motion(
         apply_fault(state, fault)
     size = np.sqrt(np.mean(np.abs(faultless) ** 2, axis=2))
     sd = experiment.noise * size * rng.uniform(*experiment.noise_spread, size.shape)
-    course = (experiment.freq_hz / np.sqrt(np.prod(experiment.band_hz))) ** experiment.noise_course
-    sd = np.broadcast_to(sd[:, :, None] * course, faultless.shape).copy()
-    sd = sd[:, state.order] * state.unit[:, None]
+    sd = np.broadcast_to(sd[:, :, None], faultless.shape)[:, state.order]
     noise = rng.standard_normal((*faultless.shape, 2)) @ np.array([1.0, 1j])
     velocity = state.faulty()
     if not experiment.exact:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simulate.files import spectra
-from simulate.files.series import write_multisine
 from simulate.files.tables import write_fiducials, write_tables
 from simulate.vibrometer import Recording
 
@@ -14,12 +13,8 @@ WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
     "csv": write_tables,
     "wide": spectra.write_wide,
     "uff": spectra.write_uff_binary,
-    "uff_text": spectra.write_uff_text,
     "fastscan": spectra.write_fastscan,
-    "psv": spectra.write_psv_points,
     "mat": spectra.write_matlab,
-    "h5": spectra.write_hdf5,
-    "series": write_multisine,
 }
 """Writers by format: they write into a folder, points included, and return the main file or folder."""
 

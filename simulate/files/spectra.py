@@ -1,13 +1,12 @@
 """Write a recording as other programs export it: velocities along x, y, z of points, first run.
 
-They are computed from three beams of each point, as a 3D scanning vibrometer does; HDF5 holds the beams.
+They are computed from three beams of each point, as a 3D scanning vibrometer does.
 Points are numbered through all bodies, in points.csv too.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,64 +96,6 @@ def _spectrum(freq_hz: Array, values: ComplexArray, node: int, direction: int) -
     return "\n".join(["    -1", first, *head, ""]).encode("ascii") + data + b"    -1\n"
 
 
-def write_uff_text(folder: Path, recording: Recording) -> Path:
-    """Write the same as text by pyuff, double precision; velocities are responses (type 4) to the drive."""
-    import pyuff
-
-    export = _exported(recording, folder)
-    path = folder / "scan_text.uff"
-    path.unlink(missing_ok=True)
-    count = len(export.places_mm)
-    x, y, z = export.places_mm.T
-    colours = np.full(count, 11)
-    zeros = np.zeros(count, dtype=int)
-    nodes = pyuff.prepare_15(
-        node_nums=np.arange(1, count + 1), def_cs=zeros, disp_cs=zeros, color=colours, x=x, y=y, z=z
-    )
-    units = pyuff.prepare_164(
-        units_code=5,
-        units_description="mm",
-        temp_mode=2,
-        length=1000.0,
-        force=1.0,
-        temp=1.0,
-        temp_offset=273.15,
-    )
-    sets = [units, nodes]
-    for number, point in enumerate(export.velocity, 1):
-        for axis, values in enumerate(point, 1):
-            sets.append(
-                pyuff.prepare_58(
-                    func_type=4,
-                    rsp_node=number,
-                    rsp_dir=axis,
-                    ref_node=0,
-                    ref_dir=0,
-                    data=values,
-                    x=export.freq_hz,
-                    id1="Response",
-                    id2="Vib Velocity",
-                    id3=_DATE,
-                    id4="NONE",
-                    id5="NONE",
-                    rsp_ent_name="NONE",
-                    ref_ent_name="NONE",
-                    abscissa_spacing=1,
-                    abscissa_spec_data_type=18,
-                    abscissa_axis_units_lab="Hz",
-                    ordinate_spec_data_type=11,
-                    ordinate_axis_units_lab="m/s",
-                    orddenom_spec_data_type=0,
-                    orddenom_axis_units_lab="V",
-                    z_axis_spec_data_type=0,
-                    z_axis_axis_units_lab="NONE",
-                    binary=0,
-                )
-            )
-    pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
-    return path
-
-
 def write_fastscan(folder: Path, recording: Recording) -> Path:
     """Write a PSV FastScan text export, one block a frequency; positions in metres, without their unit."""
     export = _exported(recording, folder)
@@ -181,28 +122,6 @@ def write_fastscan(folder: Path, recording: Recording) -> Path:
     path = folder / "fastscan.txt"
     path.write_bytes("\r\n".join(blocks).encode("ascii"))
     return path
-
-
-def write_psv_points(folder: Path, recording: Recording) -> Path:
-    """Write a folder of PSV text exports, one file a point and axis."""
-    export = _exported(recording, folder)
-    target = folder / "psv"
-    target.mkdir(exist_ok=True)
-    for number, (place, values) in enumerate(zip(export.places_mm * 1e-3, export.velocity, strict=True), 1):
-        where = "  ".join(f"{axis} = {v:.7f}" for axis, v in zip("xyz", place, strict=True))
-        for axis, row in zip("XYZ", values, strict=True):
-            lines = [
-                "Source File Name:\tear.svd",
-                f"Point Index:\t{number}  {where}",
-                f"Component:\t{axis}",
-                "Signal:\tFFT - Vib Velocity - Real & Imag.",
-                "",
-                "Frequency\tReal\tImaginary",
-                "[ Hz ]\t[ m/s ]\t[ m/s ]",
-                *(f"{f:.10g}\t{v.real:.7e}\t{v.imag:.7e}" for f, v in zip(export.freq_hz, row, strict=True)),
-            ]
-            (target / f"point{number:02d}_{axis}.txt").write_bytes(("\r\n".join(lines) + "\r\n").encode())
-    return target
 
 
 def write_matlab(folder: Path, recording: Recording) -> Path:
@@ -237,36 +156,3 @@ def write_wide(folder: Path, recording: Recording) -> Path:
     path = folder / "wide.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
-
-
-def write_hdf5(folder: Path, recording: Recording) -> Path:
-    """Write the layout ``stapeskit.ldv/1``: all runs and beams with their directions, positions and noise."""
-    import h5py
-
-    from simulate.files.tables import write_points
-
-    write_points(folder / "points.csv", recording)
-    path = folder / "ldv.h5"
-    with h5py.File(path, "w") as file:
-        file.attrs.update(
-            {"schema": "stapeskit.ldv/1", "unit": "m/s", "amplitude": "peak", "convention": "+"}
-        )
-        file.attrs["dims"] = "run,channel,freq"
-        file["freq_hz"] = recording.freq_hz
-        file["re"], file["im"] = recording.velocity_m_s.real, recording.velocity_m_s.imag
-        file["direction"], file["position_mm"] = recording.direction, recording.position_mm
-        if recording.stated == "sd":
-            file["sd"] = recording.sd_m_s
-        if recording.stated == "coherence":
-            file["coherence"] = recording.coherence()
-        if recording.stated in ("coherence", "n_avg"):
-            file["n_avg"] = np.full(len(recording.body), float(recording.averages))
-        for name, words in (("body", recording.body), ("point", recording.point), ("run", recording.runs)):
-            _write_words(file, name, words)
-    return path
-
-
-def _write_words(file: object, name: str, words: Sequence[str]) -> None:
-    import h5py
-
-    file.create_dataset(name, data=list(words), dtype=h5py.string_dtype())  # type: ignore[attr-defined]

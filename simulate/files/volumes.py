@@ -128,7 +128,7 @@ def _dicom(folder: Path, placed: Placed, scan: Scan) -> Path:
     for number, picture in enumerate(volume):
         meta = FileMetaDataset()
         meta.MediaStorageSOPClassUID = CTImageStorage
-        meta.MediaStorageSOPInstanceUID = UID(f"{_ROOT}.{scan.noises + 1}.{number + 1}")
+        meta.MediaStorageSOPInstanceUID = UID(f"{_ROOT}.{scan.seed + 1}.{number + 1}")
         meta.TransferSyntaxUID = ExplicitVRLittleEndian
         path = target / f"slice_{number:04d}.dcm"
         slice_set = FileDataset(str(path), {}, file_meta=meta, preamble=bytes(128))
@@ -273,7 +273,6 @@ WRITERS: dict[str, Writer] = {
     "nhdr": _by_itk("scan.nhdr"),
     "nii.gz": _by_itk("scan.nii.gz", packed=True),
     "mha": _by_itk("scan.mha"),
-    "mhd": _by_itk("scan.mhd"),
     "slices": _slices,
     "dicom": _dicom,
     "isq": _isq,
