@@ -33,7 +33,7 @@ from simulate.points import bone_points, visible_points
 from simulate.vibrometer import laser_directions, vibrometer_pose
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
-from stapeskit.records.mass import MassMatrix
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 

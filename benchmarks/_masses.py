@@ -13,7 +13,7 @@ from simulate import Ear, MassProperties, Scan, Truth, simulate_truth, write_sca
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform
-from stapeskit.records.mass import MassMatrix
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.registration import displacement
 from stapeskit.spatial import central_tensor

@@ -32,7 +32,7 @@ from simulate import (
     simulate_truth,
 )
 from stapeskit.arrays import Array
-from stapeskit.records.mass import MassMatrix
+from stapeskit.records.mass_matrix import MassMatrix
 
 UPPER = np.triu_indices(3)
 REGISTRATION_SD = (1e-5, 2e-3)

@@ -22,14 +22,15 @@ from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
 from stapeskit.options import with_options
 from stapeskit.provenance import document_hash, frames_hash, record
-from stapeskit.records.mass import MassRecord, read_mass_json
+from stapeskit.records.mass import read_mass_json
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion, read_motion
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from stapeskit.command import Progress
-    from stapeskit.records.mass import MassMatrix
+    from stapeskit.records.mass_matrix import MassMatrix
 
 
 _HASH = "sha256:"  # of hashes that can be compared; earlier versions wrote others

@@ -110,49 +110,47 @@ def _each_left_out(pairs: Pairs) -> list[Wrong]:
     ]
 
 
-def _refuse_certain(pairs: Pairs, suspects: Sequence[Wrong]) -> None:
-    """Refuse fiducials that one explanation without a free parameter explains down to the noise.
+@dataclass(frozen=True)
+class Explanation:
+    """A cause without a free parameter, the sum of squares that it leaves, and what is said of it.
 
-    Each explanation is one of many, whose number it must outweigh: 1 mirror image, n! orders, 47 axes for
-    each of 2^n sets of points.
+    It is one of many alike, whose number (its logarithm) it must outweigh: 1 mirror image, n! orders, 47 axes
+    for each of 2^n sets of points.
     """
-    from scipy.special import gammaln
 
-    axes_chi2, members, axes = _other_axes(pairs)
-    order_chi2, order = _other_order(pairs)
-    flipped = float(misfits(pairs.source_mm * [1.0, 1.0, -1.0], pairs.target_mm, pairs.weights)[0])
-    mirror_chi2 = flipped if pairs.mirrored and not pairs.coplanar else np.inf
-    count = len(pairs)
-    left = {"mirror": (mirror_chi2, 0.0), "order": (order_chi2, float(gammaln(count + 1)))}
-    left["axes"] = (axes_chi2, np.log(47.0) + count * np.log(2.0))
-    sound = {
-        cause: chi2 + 2.0 * log_number
-        for cause, (chi2, log_number) in left.items()
-        if _explains(pairs, chi2, suspects[0], log_number)
-    }
-    if not sound:
-        return
-    cause = min(sound, key=lambda name: sound[name])
-    best = left[cause][0]
-    listed = [pairs.names[place] for place in members]
-    sizes = f"(residual {pairs.rms_mm(pairs.chi2):.3g} mm as given, {pairs.rms_mm(best):.3g} mm so)"
-    if cause == "order":
-        want, step = (
-            "those of the same points in both frames",
-            "Correct the names, or the order of the references",
-        )
-        got = f"{'; '.join(_cycle_words(cycle, pairs.names) for cycle in _cycles(order))} {sizes}"
-        raise StapeskitError.of("the names of the fiducials", want, got, "", step)
-    if cause == "axes":
-        want = f"in the axes of the {pairs.to} frame, as the others"
-        got = f"coordinates that fit with {_axes_words(axes)} {sizes}"
-        step = "Correct these coordinates, or export all of them from one program"
-        raise StapeskitError.of(f"the references of the fiducials {', '.join(listed)}", want, got, "", step)
+    chi2: float
+    log_number: float
+    thing: str
+    expected: str
+    got: str
+    next_step: str
+
+    @property
+    def weight(self) -> float:
+        """Twice the negative logarithm of the likelihood, the choice among so many included."""
+        return self.chi2 + 2.0 * self.log_number
+
+
+def _refuse_certain(pairs: Pairs, suspects: Sequence[Wrong]) -> None:
+    """Refuse fiducials that one explanation without a free parameter explains down to the noise."""
+    tried = (_other_axes(pairs), _other_order(pairs), _mirror_image(pairs, suspects))
+    sound = [one for one in tried if one and _explains(pairs, one.chi2, suspects[0], one.log_number)]
+    if sound:
+        best = min(sound, key=lambda one: one.weight)
+        given, left = pairs.rms_mm(pairs.chi2), pairs.rms_mm(best.chi2)
+        got = f"{best.got} (residual {given:.3g} mm as given, {left:.3g} mm so)"
+        raise StapeskitError.of(best.thing, best.expected, got, "", best.next_step)
+
+
+def _mirror_image(pairs: Pairs, suspects: Sequence[Wrong]) -> Explanation | None:
+    if pairs.coplanar or not pairs.mirrored:
+        return None
+    chi2 = float(misfits(pairs.source_mm * [1.0, 1.0, -1.0], pairs.target_mm, pairs.weights)[0])
     rivals = [pairs.names[wrong.place] for wrong in suspects if _explains(pairs, wrong.chi2, suspects[0])]
     also = f"; or correct fiducial {rivals[0]}, the only one that shows it" if len(rivals) == 1 else ""
+    thing, got = f"the coordinates of the {pairs.source} frame", "points that fit only as a mirror image"
     step = f"{undo_mirror(pairs.to, pairs.source)}{also}"
-    got = f"points that fit only as a mirror image {sizes}"
-    raise StapeskitError.of(f"the coordinates of the {pairs.source} frame", "right-handed", got, "", step)
+    return Explanation(chi2, 0.0, thing, "right-handed", got, step)
 
 
 def _explains(pairs: Pairs, chi2: float, suspect: Wrong, log_number: float = 0.0) -> bool:
@@ -175,11 +173,11 @@ def _signed_axes() -> Array:
     return np.array(ways[1:])
 
 
-def _other_axes(pairs: Pairs) -> tuple[float, list[int], Array]:
-    """Return what is left when some targets are read in other axes: sum of squares, which, and the axes."""
+def _other_axes(pairs: Pairs) -> Explanation | None:
+    """Read some targets in other axes: every triple gives a pose, by which each target takes its axes."""
     count, ways = len(pairs), _signed_axes()
     if count > _MOST_POINTS:
-        return np.inf, [], ways[0]
+        return None
     triples = np.array(list(combinations(range(count), 3)))
     rotation, shift, _ = kabsch(pairs.source_mm[triples], pairs.target_mm[triples], pairs.weights[triples])
     mapped = pairs.source_mm @ rotation.swapaxes(-1, -2) + shift[:, None, :]
@@ -191,9 +189,18 @@ def _other_axes(pairs: Pairs) -> tuple[float, list[int], Array]:
     which, axes = otherwise[triple, way] < as_given[triple], ways[way]
     if 2 * np.sum(which) > count:  # the other points read in the inverse axes are the same, but for the pose
         which, axes = ~which, axes.T
+    if not np.any(which):
+        return None
     target = np.where(which[:, None], pairs.target_mm @ axes.T, pairs.target_mm)
-    chi2 = float(misfits(pairs.source_mm, target, pairs.weights)[0]) if np.any(which) else np.inf
-    return chi2, np.flatnonzero(which).tolist(), axes
+    listed = ", ".join(pairs.names[place] for place in np.flatnonzero(which))
+    return Explanation(
+        float(misfits(pairs.source_mm, target, pairs.weights)[0]),
+        float(np.log(47.0) + count * np.log(2.0)),
+        f"the references of the fiducials {listed}",
+        f"in the axes of the {pairs.to} frame, as the others",
+        f"coordinates that fit with {_axes_words(axes)}",
+        "Correct these coordinates, or export all of them from one program",
+    )
 
 
 def _axes_words(axes: Array) -> str:
@@ -214,18 +221,19 @@ def _axes_words(axes: Array) -> str:
     return f"x, y, z read as {read}"
 
 
-def _other_order(pairs: Pairs) -> tuple[float, tuple[int, ...]]:
-    """Return the sum of squares and the order of the targets that fits best; target order[k] is that of k.
+def _other_order(pairs: Pairs) -> Explanation | None:
+    """Exchange names: every triple of targets gives a pose for the three sources that span most.
 
-    Every triple of targets gives a pose for the three sources that span most; the others follow by
-    assignment. Of orders that fit alike the one that moves fewest points counts: symmetric sets have several.
+    The others follow by assignment. Of orders that fit alike the one that moves fewest points counts:
+    symmetric sets have several.
     """
     from scipy.optimize import linear_sum_assignment
     from scipy.spatial.distance import cdist
+    from scipy.special import gammaln
 
     count, same = len(pairs), tuple(range(len(pairs)))
     if count > _MOST_POINTS:
-        return np.inf, same
+        return None
     source, target, weights = pairs.source_mm, pairs.target_mm, pairs.weights
     corners = list(max(combinations(range(count), 3), key=lambda triple: _area(source[list(triple)])))
     triples = np.array(list(permutations(range(count), 3)))
@@ -238,37 +246,31 @@ def _other_order(pairs: Pairs) -> tuple[float, tuple[int, ...]]:
     }
     orders.discard(same)
     if not orders:
-        return np.inf, same
+        return None
     listed = sorted(orders)
     chi2 = misfits(source, target[np.array(listed)], weights)[0]
     alike = np.flatnonzero(chi2 < chi2.min() + _ALIKE)
     best = min(alike, key=lambda k: (sum(a != b for a, b in zip(listed[k], same, strict=True)), chi2[k]))
-    return float(chi2[best]), listed[best]
+    return Explanation(
+        float(chi2[best]),
+        float(gammaln(count + 1)),
+        "the names of the fiducials",
+        "those of the same points in both frames",
+        _order_words(listed[best], pairs.names),
+        "Correct the names, or the order of the references",
+    )
 
 
 def _area(corners: Array) -> float:
     return float(np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0])))
 
 
-def _cycles(order: Sequence[int]) -> list[list[int]]:
-    """Return the cycles of an order, points in their place left out."""
-    remaining, cycles = set(range(len(order))), []
-    while remaining:
-        cycle = [min(remaining)]
-        remaining.discard(cycle[0])
-        while (following := order[cycle[-1]]) in remaining:
-            cycle.append(following)
-            remaining.discard(following)
-        if len(cycle) > 1:
-            cycles.append(cycle)
-    return cycles
-
-
-def _cycle_words(cycle: Sequence[int], names: Sequence[str]) -> str:
-    if len(cycle) == 2:
-        return f"{names[cycle[0]]} and {names[cycle[1]]} exchanged"
-    steps = zip(cycle, (*cycle[1:], cycle[0]), strict=True)
-    return "a cycle: " + ", ".join(f"{names[first]} is {names[second]}" for first, second in steps)
+def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
+    """Say which names stand for which points; target order[k] is that of k."""
+    exchanged = [(k, o) for k, o in enumerate(order) if k < o and order[o] == k]
+    moved = [(k, o) for k, o in enumerate(order) if k != o and order[o] != k]
+    words = [f"{names[one]} and {names[other]} exchanged" for one, other in exchanged]
+    return "; ".join([*words, *(f"{names[one]} is {names[other]}" for one, other in moved)])
 
 
 def undo_mirror(target: str, source: str) -> str:

@@ -336,7 +336,7 @@ def _identifiability(fit: KDFit) -> dict[str, Any]:
 
 def shown_sources(budget: Mapping[str, Any]) -> dict[str, str]:
     """Return the words for the sources of a budget."""
-    from stapeskit.records.mass import source_words
+    from stapeskit.records.mass_matrix import source_words
 
     words = {
         "channel_noise": "channel noise",

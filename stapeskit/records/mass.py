@@ -11,29 +11,8 @@ import numpy as np
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.records.json_files import as_json, read_json
 from stapeskit.records.mass_checks import MADE_BY, REDUCED, MassReader
-from stapeskit.records.mass_matrix import (
-    FRAME_SOURCE,
-    SOURCE_WORDS,
-    MassMatrix,
-    frame_derivative,
-    parameter_transfer,
-    source_words,
-)
 from stapeskit.records.mass_record import MassRecord, statements
 from stapeskit.spatial import DOF_NAMES
-
-__all__ = [
-    "FRAME_SOURCE",
-    "SOURCE_WORDS",
-    "MassMatrix",
-    "MassRecord",
-    "frame_derivative",
-    "mass_json",
-    "mass_record",
-    "parameter_transfer",
-    "read_mass_json",
-    "source_words",
-]
 
 SCHEMA = "stapeskit.mass/1"
 
@@ -85,7 +64,11 @@ def mass_json(
         "warnings": [notice.as_json() for notice in record.notices],
         "provenance": dict(provenance or {}),
     }
-    follows = _values(statements(record, REDUCED))
+    follows: dict[str, Any] = {}
+    for path, stated in statements(record, REDUCED).items():
+        parent, _, key = path.rpartition(".")
+        inner: dict[str, Any] = follows.setdefault(parent, {}) if parent else follows
+        inner[key] = stated.value
     content: dict[str, Any] = as_json(_joined(further or {}, _joined(defining, follows)))
     order = dict.fromkeys([*follows, *defining, *content])
     content = {key: content[key] for key in ("schema", *order)}
@@ -100,13 +83,6 @@ def _joined(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, An
         both = isinstance(value, Mapping) and isinstance(joined.get(key), Mapping)
         joined[key] = _joined(joined[key], value) if both else value
     return joined
-
-
-def _values(tree: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: _values(entry) if isinstance(entry, Mapping) else getattr(entry, "value", entry)
-        for key, entry in tree.items()
-    }
 
 
 def read_mass_json(path: Path) -> MassRecord:

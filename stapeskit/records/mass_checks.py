@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -182,26 +182,25 @@ class MassReader:
             names if names and isinstance(names, list) and set(map(str, names)) <= set(DOF_NAMES) else REDUCED
         )
 
-    def compare(self, statements: Mapping[str, Any]) -> None:
+    def compare(self, statements: Mapping[str, Stated]) -> None:
         """Compare what the file states with what follows."""
         for block in ("mass_matrix_plate_axes", "frames.plate_from_footplate"):
             given = self.get(block, optional=True) is not None
-            if given and "mass_matrix_plate_axes" not in statements:
+            if given and "frames.plate_from_footplate" not in statements:
                 self.fault(block, "null in a file without frames.scan_from_plate", "a matrix")
-        for path, wanted in _leaves(statements):
-            block, _, key = path.partition(".")
-            may_lack = block in ("mass_matrix_plate_axes", "mass_matrix_reduced")
-            if may_lack and not self.mapping(block):
+        for path, wanted in statements.items():
+            block = path.partition(".")[0]
+            if block in ("mass_matrix_plate_axes", "mass_matrix_reduced") and not self.mapping(block):
                 continue
-            needed = key in ("matrix_si", "dof", "plate_from_footplate") or (
-                key != "standard_deviation_si" and not may_lack and not block.startswith("inertia_about")
-            )
-            if not isinstance(wanted, Stated):
-                stated = self.get(path, optional=not needed)
-                if stated is not None and stated != wanted:
-                    self.fault(path, ", ".join(wanted) if isinstance(wanted, list) else f'"{wanted}"', stated)
+            if wanted.scale is None:
+                stated = self.get(path, optional=not wanted.needed)
+                if stated is not None and stated != wanted.value:
+                    expected = (
+                        ", ".join(wanted.value) if isinstance(wanted.value, list) else f'"{wanted.value}"'
+                    )
+                    self.fault(path, expected, stated)
                 continue
-            array = self.numbers(path, np.shape(wanted.value), optional=not needed)
+            array = self.numbers(path, np.shape(wanted.value), optional=not wanted.needed)
             if array is not None and np.max(np.abs(array - wanted.value) / wanted.scale) > SAME:
                 self.fault(path, "what inertial_parameters and frames give", array.tolist())
 
@@ -226,11 +225,3 @@ def _array(value: Any) -> Array | None:
         return np.array(value, dtype=float) if plain(value) else None
     except (ValueError, OverflowError):
         return None
-
-
-def _leaves(tree: Mapping[str, Any], at: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{at}{key}.")
-        else:
-            yield f"{at}{key}", value

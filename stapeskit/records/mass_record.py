@@ -24,8 +24,6 @@ SAME = 1e-6
 FLOOR = 1e-5
 """Rounding of standard deviations, correlations and eigenvalues."""
 
-_FOOTPLATE = {"about": "footplate_centre", "axes": "footplate"}
-
 
 @dataclass(frozen=True)
 class MassRecord:
@@ -90,43 +88,59 @@ class MassRecord:
 
 @dataclass(frozen=True)
 class Stated:
-    """A number or array that follows, and the size (of each entry) that its rounding is measured by."""
+    """What a mass.json says at one of its keys, and how it is compared.
+
+    Attributes
+    ----------
+    value : number, array, text or list of texts
+    scale : number or array, or None
+        Size (of each entry) that rounding is measured by; None: the value itself must be there.
+    needed : bool
+        Whether a file must have it.
+    """
 
     value: Any
-    scale: Any
+    scale: Any = None
+    needed: bool = True
 
 
-def statements(record: MassRecord, reduced: Sequence[str]) -> dict[str, Any]:
-    """Return everything in a mass.json that follows from parameters, covariance and frames."""
+def statements(record: MassRecord, reduced: Sequence[str]) -> dict[str, Stated]:
+    """Return, by dotted key, what in a mass.json follows from parameters, covariance and frames."""
     matrix, parameters = record.mass_matrix, record.mass_matrix.parameters
     mass, tensor = central_tensor(parameters)
     scan = record.scan_from_footplate
     centre_mm = scan.points(parameters[1:4] / mass * 1e3)
     turned = scan.rotation @ tensor @ scan.rotation.T
-    places = np.ix_(*[dof_indices(tuple(reduced))] * 2)
-    found: dict[str, Any] = {
+    found = {
         "mass_kg": Stated(mass, mass),
         "center_of_mass_in_scan_mm": Stated(centre_mm, max(100.0, float(np.max(np.abs(centre_mm))))),
-        "inertia_about_center_of_mass_in_scan_axes_kg_m2": Stated(turned, np.trace(turned)),
-        "inertial_parameters": {"names": list(PARAMETER_NAMES), **_FOOTPLATE},
-        "mass_matrix": {**_FOOTPLATE, "dof": list(DOF_NAMES), **_entries(matrix)},
-        "mass_matrix_reduced": {**_FOOTPLATE, "dof": list(reduced), **_entries(matrix, places)},
+        "inertia_about_center_of_mass_in_scan_axes_kg_m2": Stated(turned, np.trace(turned), needed=False),
+        "inertial_parameters.names": Stated(list(PARAMETER_NAMES)),
+        "inertial_parameters.about": Stated("footplate_centre"),
+        "inertial_parameters.axes": Stated("footplate"),
+        **_block("mass_matrix", matrix, DOF_NAMES),
+        **_block("mass_matrix_reduced", matrix, reduced),
     }
     plate, in_plate_axes = record.plate_from_footplate, record.plate_mass_matrix
     if plate is not None and in_plate_axes is not None:
-        size = max(
-            1.0, float(np.linalg.norm(plate.translation_mm)), float(np.linalg.norm(scan.translation_mm))
-        )
-        found["frames"] = {"plate_from_footplate": Stated(plate.matrix, np.array([1.0, 1.0, 1.0, size]))}
-        axes = {"about": "footplate_centre", "axes": "plate"}
-        found["mass_matrix_plate_axes"] = {**axes, "dof": list(DOF_NAMES), **_entries(in_plate_axes)}
+        lengths = [float(np.linalg.norm(pose.translation_mm)) for pose in (plate, scan)]
+        size = np.array([1.0, 1.0, 1.0, max(1.0, *lengths)])
+        found["frames.plate_from_footplate"] = Stated(plate.matrix, size)
+        found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES)
     return found
 
 
-def _entries(mass: MassMatrix, places: tuple[Any, ...] = ()) -> dict[str, Stated]:
+def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, Stated]:
+    """Return what a block of one mass matrix says; only that of the footplate must name point and axes."""
+    places = np.ix_(*[dof_indices(tuple(dof))] * 2)
     root = np.sqrt(np.diag(mass.matrix))
     scale = np.outer(root, root)[places]
+    sd = mass.standard_deviation[places]
+    named = path == "mass_matrix"
     return {
-        "matrix_si": Stated(mass.matrix[places], scale),
-        "standard_deviation_si": Stated(mass.standard_deviation[places], scale * (FLOOR / SAME)),
+        f"{path}.about": Stated(mass.about, needed=named),
+        f"{path}.axes": Stated(mass.axes, needed=named),
+        f"{path}.dof": Stated(list(dof)),
+        f"{path}.matrix_si": Stated(mass.matrix[places], scale),
+        f"{path}.standard_deviation_si": Stated(sd, scale * (FLOOR / SAME), needed=False),
     }

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
-from stapeskit.records.mass import MassRecord, read_mass_json
+from stapeskit.records.mass import read_mass_json
+from stapeskit.records.mass_record import MassRecord
 
 Mesh = tuple[Array, NDArray[np.int64]]
 """Vertices (n, 3) in scan coordinates, mm, and faces (m, 3)."""

@@ -13,16 +13,10 @@ import pytest
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.provenance import document_hash, frames_hash
-from stapeskit.records.mass import (
-    MassMatrix,
-    MassRecord,
-    frame_derivative,
-    mass_json,
-    mass_record,
-    parameter_transfer,
-    read_mass_json,
-)
+from stapeskit.records.mass import mass_json, mass_record, read_mass_json
 from stapeskit.records.mass_checks import MassReader
+from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import MeasuredMass, measured_mass
 from stapeskit.spatial import matrix_from_parameters, twist_transfer
 from stapeskit.warnings import Notice

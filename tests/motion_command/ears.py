@@ -12,7 +12,9 @@ from kinematics.options import MotionOptions
 from kinematics.points2dof import measure_motion
 from simulate import Ear, Experiment, Truth, simulate_study
 from stapeskit.frames import RigidTransform
-from stapeskit.records.mass import MassMatrix, MassRecord, mass_json
+from stapeskit.records.mass import mass_json
+from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.spatial import dof_indices
 
