@@ -46,6 +46,14 @@ class Slices:
         return np.asarray(points_mm @ back[:3, :3].T + back[:3, 3])
 
     @property
+    def scan_from_voxel(self) -> Array:
+        """Affine (4, 4) from an index x, y, z of the scan to scan coordinates, mm."""
+        from_voxel = np.eye(4)
+        from_voxel[:3, :3] = np.diag(1.0 / self.step)
+        from_voxel[:3, 3] = (0.5 - self.first) / self.step - 0.5
+        return np.asarray(self.scan_from_index @ from_voxel)
+
+    @property
     def window(self) -> tuple[float, float]:
         """Grey values shown black and white."""
         inside = self.grey[self.labels == STAPES]

@@ -138,12 +138,22 @@ def slices_figure(content: Mapping[str, Any], pictured: Pictured) -> Figure | No
         return None
     drawing, axes = panels(2, 3, width=10.4, height=3.7, margins=(0.5, 0.1, 0.3, 0.75), gaps=(0.5, 0.6))
     local = frame.inverse().points(pictured.stapes.vertices_mm)
-    low, high = local.min(axis=0) - _MARGIN_MM, local.max(axis=0) + _MARGIN_MM
-    planes = ((0, 1, 2, 0.0), (2, 1, 0, 0.0), (0, 2, 1, _ABOVE_MM))
-    for ax, plane in zip(axes[0], planes, strict=True):
-        _oblique(ax, slices, frame, pictured.stapes, plane, (low, high))
+    ends = np.stack([local.min(axis=0) - _MARGIN_MM, local.max(axis=0) + _MARGIN_MM])
+    for ax, plane in zip(axes[0], ((0, 1, 2, 0.0), (2, 1, 0, 0.0), (0, 2, 1, _ABOVE_MM)), strict=True):
+        _plane(ax, slices, pictured.stapes, frame.matrix, plane, ends)
+        right, up, normal, level = plane
+        ax.set(title=f"footplate frame, {'xyz'[normal]} = {level:g} mm")
+        ax.set(xlabel=f"{'xyz'[right]} (mm)", ylabel=f"{'xyz'[up]} (mm)")
+    inside = slices.labels == STAPES
+    ends = slices.first + np.stack([np.zeros(3), np.array(inside.shape[::-1]) - 1.0]) * slices.step
     for ax, axis in zip(axes[1], (2, 1, 0), strict=True):
-        _native(ax, slices, pictured.stapes, axis)
+        area = np.count_nonzero(inside, axis=tuple(k for k in range(3) if k != 2 - axis))
+        number = int(slices.first[axis] + np.argmax(area) * slices.step[axis] + slices.step[axis] // 2)
+        right, up = (k for k in range(3) if k != axis)
+        _plane(ax, slices, pictured.stapes, slices.scan_from_voxel, (right, up, axis, number), ends)
+        ax.invert_yaxis()  # as viewers show slices
+        ax.set(title=f"scan, slice {'xyz'[axis]} = {number}")
+        ax.set(xlabel=f"voxel {'xyz'[right]}", ylabel=f"voxel {'xyz'[up]}")
     handles = [Line2D([], [], color=BODY_COLOURS["stapes"], label="stapes, as measured")]
     for number, colour, words in _BODIES:
         if np.any(slices.labels == number):
@@ -152,37 +162,59 @@ def slices_figure(content: Mapping[str, Any], pictured: Pictured) -> Figure | No
     return drawing
 
 
-def _oblique(
+def _plane(
     axes: Axes,
     slices: Slices,
-    frame: RigidTransform,
     stapes: Surface,
+    scan_from_axes: Array,
     plane: tuple[int, int, int, float],
-    corners: tuple[Array, Array],
+    ends: Array,
 ) -> None:
+    """Draw grey values and outlines in a plane.
+
+    Parameters
+    ----------
+    axes : Axes
+    slices : Slices
+    stapes : Surface
+    scan_from_axes : ndarray, (4, 4)
+        From the axes that the plane is given in to scan coordinates, mm.
+    plane : (int, int, int, float)
+        Axes to the right, up and along the normal, and the height along that.
+    ends : ndarray, (2, 3)
+        First and last place shown along each axis.
+    """
     from scipy.ndimage import map_coordinates
 
     right, up, normal, level = plane
-    u = np.linspace(corners[0][right], corners[1][right], _PIXELS)
-    v = np.linspace(corners[0][up], corners[1][up], _PIXELS)
-    points = np.zeros((_PIXELS, _PIXELS, 3))
-    points[..., right], points[..., up], points[..., normal] = u[None, :], v[:, None], level
-    places = np.moveaxis(slices.index_points(frame.points(points))[..., ::-1], -1, 0)
-    window = slices.window
-    grey = map_coordinates(slices.grey, places, order=1, mode="constant", cval=window[0])
-    extent = (u[0], u[-1], v[0], v[-1])
-    axes.imshow(grey, extent=extent, origin="lower", cmap="gray", vmin=window[0], vmax=window[1])
+    linear, shift = scan_from_axes[:3, :3], scan_from_axes[:3, 3]
+    u = np.linspace(ends[0, right], ends[1, right], _PIXELS)
+    v = np.linspace(ends[0, up], ends[1, up], _PIXELS)
+    points = np.full((_PIXELS, _PIXELS, 3), float(level))
+    points[..., right], points[..., up] = u[None, :], v[:, None]
+    places = np.moveaxis(slices.index_points(points @ linear.T + shift)[..., ::-1], -1, 0)
+    black, white = slices.window
+    grey = map_coordinates(slices.grey, places, order=1, mode="constant", cval=black)
+    edges = np.linalg.norm(linear, axis=0)
+    axes.imshow(
+        grey,
+        extent=(u[0], u[-1], v[0], v[-1]),
+        origin="lower",
+        cmap="gray",
+        vmin=black,
+        vmax=white,
+        aspect=float(edges[up] / edges[right]),
+    )
     for number, colour, _ in _BODIES:
         mask = (slices.labels == number).astype(np.float32)
         share = map_coordinates(mask, places, order=1) if mask.any() else np.zeros(1)
         if share.max() > 0.5:
             axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
-    origin = frame.points(level * np.eye(3)[normal])
-    for line in _cut(stapes, origin, frame.rotation[:, normal]):
-        at = frame.inverse().points(line)
+    origin = linear @ (level * np.eye(3)[normal]) + shift
+    for line in _cut(stapes, origin, np.cross(linear[:, right], linear[:, up])):
+        at = (line - shift) @ np.linalg.inv(linear).T
         axes.plot(at[:, right], at[:, up], color=BODY_COLOURS["stapes"], lw=1.1)
-    axes.set(xlim=extent[:2], ylim=extent[2:], title=f"footplate frame, {'xyz'[normal]} = {level:g} mm")
-    axes.set(xlabel=f"{'xyz'[right]} (mm)", ylabel=f"{'xyz'[up]} (mm)", aspect="equal")
+    axes.set(xlim=(u[0], u[-1]), ylim=(v[0], v[-1]))
     axes.grid(visible=False)
 
 
@@ -194,35 +226,3 @@ def _cut(surface: Surface, origin: Array, normal: Array) -> list[Array]:
         found.append(points[lines[place + 1 : place + 1 + lines[place]]])
         place += 1 + int(lines[place])
     return found
-
-
-def _native(axes: Axes, slices: Slices, stapes: Surface, axis: int) -> None:
-    """Draw the slice of the scan across an axis of the array in which the stapes is largest."""
-    mask = slices.labels == STAPES
-    area = np.count_nonzero(mask, axis=tuple(k for k in range(3) if k != 2 - axis))
-    number = int(np.argmax(area))
-    right, up = (k for k in range(3) if k != axis)
-    grey = np.take(slices.grey, number, axis=2 - axis)
-    window = slices.window
-    first, step = slices.first, slices.step
-    begin_u, begin_v = first[right], first[up]
-    end_u, end_v = begin_u + step[right] * grey.shape[1], begin_v + step[up] * grey.shape[0]
-    extent = (begin_u - 0.5, end_u - 0.5, end_v - 0.5, begin_v - 0.5)
-    aspect = float(np.linalg.norm(slices.scan_from_index[:3, up]) / step[up])
-    aspect /= float(np.linalg.norm(slices.scan_from_index[:3, right]) / step[right])
-    axes.imshow(grey, extent=extent, cmap="gray", vmin=window[0], vmax=window[1], aspect=aspect)
-    u = begin_u + (np.arange(grey.shape[1]) + 0.5) * step[right] - 0.5
-    v = begin_v + (np.arange(grey.shape[0]) + 0.5) * step[up] - 0.5
-    for label, colour, _ in _BODIES:
-        share = np.take(slices.labels == label, number, axis=2 - axis).astype(float)
-        if share.any():
-            axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
-    columns = slices.scan_from_index[:3, :3]
-    origin = slices.scan_from_index[:3, 3] + number * columns[:, axis]
-    for line in _cut(stapes, origin, np.cross(columns[:, right], columns[:, up])):
-        at = (slices.index_points(line) + 0.5) * step + first - 0.5
-        axes.plot(at[:, right], at[:, up], color=BODY_COLOURS["stapes"], lw=1.1)
-    place = int(first[axis] + number * step[axis] + step[axis] // 2)
-    axes.set(title=f"scan, slice {'xyz'[axis]} = {place}", xlim=extent[:2], ylim=extent[2:])
-    axes.set(xlabel=f"voxel {'xyz'[right]}", ylabel=f"voxel {'xyz'[up]}")
-    axes.grid(visible=False)

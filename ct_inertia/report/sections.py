@@ -81,14 +81,11 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
     if cut is not None:
         caption = (
             "Grey values with the outline of what was measured as stapes, and of what was taken for other "
-            "bone and for "
-            "the plate. Above: planes of the footplate frame. Below: slices of the scan in which the stapes "
-            "is largest."
+            "bone and the plate. Above: planes of the footplate frame. Below: slices of the scan."
         )
         correct = (
             "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes "
-            "labels.seg.nrrd "
-            "corrected in 3D Slicer or ITK-SNAP."
+            "labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
         )
         alt = "Six slices with the outlines of stapes, plate and other bone."
         shown.section("What was measured", page.figure(cut, caption, alt, vector=False), page.text(correct))
@@ -99,7 +96,6 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
         ("Next to published stapedes", published_blocks(content)),
         ("How the stapes was found and measured", evidence_blocks(content)),
         ("Ways to the mass", ways_blocks(content)),
-        ("Cross-check", check_blocks(content)),
     ):
         if blocks:
             shown.appendix_section(name, *blocks)
@@ -164,12 +160,9 @@ def matrix_blocks(content: Content) -> list[Markup]:
     missing = _missing(content)
     order = (
         "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small "
-        "rotations about "
-        "x, y, z). "
+        "rotations about x, y, z). "
     )
-    order += (
-        f"No standard deviations: {missing}." if missing else "± is one standard deviation with all sources."
-    )
+    order += f"No standard deviations: {missing}." if missing else "± is one standard deviation."
     blocks = [
         page.text(order),
         _matrix(content, "mass_matrix", "about the footplate centre, in footplate axes"),
@@ -327,19 +320,3 @@ def ways_blocks(content: Content) -> list[Markup]:
         rows.append((WAYS[way["by"]].words, mass, way["density_kg_m3"], way["mass_change_percent"], shift))
     head = ("mass by", "mass", "bone (kg/m³)", "change (%)", "centre moves (µm)")
     return [page.table(head, rows, file="ways_to_the_mass")]
-
-
-def check_blocks(content: Content) -> list[Markup]:
-    """Return how the numbers used compare with the surface that is written, and with another library."""
-    check = content["cross_check"]
-    surface = check["volume_m3"]
-    away = 1e3 * float(np.linalg.norm(check["centroid_difference_mm"]))
-    text = (
-        f"Numbers come from the {check['used']}. The surface in stapes.ply encloses "
-        f"{check['volume_difference_percent']:+.4f} % of that volume, its centre is {away:.2f} µm off, M "
-        "differs by "
-        f"{check['largest_mass_matrix_difference_percent']:.4f} % of √(Mii Mjj) at most."
-    )
-    other = abs(check["volume_by_vtk_m3"] / surface - 1.0)
-    text += f" VTK finds the volume of that surface within {other:.1e} of ours."
-    return [page.text(text)]

@@ -10,7 +10,8 @@ from ct_inertia.scan.formats import FORMATS, format_of
 from ct_inertia.scan.open_scan import open_scan
 from ct_inertia.scan.opened import RawLayout, ReadOptions
 from stapeskit.faults import StapeskitError
-from tests.scan_files.scan_writers import CASES, SPACING, check_corners, picture
+from tests.scan_files.scan_cases import CASES
+from tests.scan_files.scan_writers import SPACING, check_corners, picture
 
 SEEDS = 50
 

@@ -11,6 +11,7 @@ from ct_inertia.find.label_numbers import body_numbers
 from ct_inertia.scan.label_file import SEGMENTS, write_crop, write_segmentation
 from ct_inertia.scan.open_scan import open_labels, open_scan
 from tests.scan_files import scan_writers as w
+from tests.scan_files import scanner_writers as own
 from tests.scan_files.scan_writers import SPACING, picture
 
 AFFINE = np.eye(4)
@@ -72,7 +73,7 @@ def test_a_layered_segmentation_becomes_one_label_volume(tmp_path):
 
 
 def test_materials_name_the_labels_of_amira(tmp_path):
-    path = w.amira(tmp_path / "a.am", LABELS, materials=("Exterior", "Plate", '"left Stapes"'))
+    path = own.amira(tmp_path / "a.am", LABELS, materials=("Exterior", "Plate", '"left Stapes"'))
     labels, grid = open_labels(path)
     assert np.array_equal(labels, LABELS)
     assert body_numbers(grid.segment_names, [1, 2, 3], None, None, "") == (2, 1)

@@ -14,6 +14,7 @@ from ct_inertia.scan.opened import RawLayout
 from ct_inertia.scan.place import choose_spacing, mm_per_unit
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
+from tests.scan_files import scanner_writers as own
 from tests.scan_files.scan_writers import SPACING, check_corners, picture
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.7, 1.9]).as_matrix()
@@ -295,13 +296,13 @@ def test_dicom_slices_beside_each_other_are_refused(tmp_path, aside_voxels, good
 
 
 def test_density_lines_and_places_of_scanco_files(tmp_path):
-    for write in (w.aim, w.aim30):
+    for write in (own.aim, own.aim30):
         scan = open_scan(write(tmp_path / "a.aim", picture("i2"), position=(10, 20, -30)))
         assert scan.origin_mm == pytest.approx(SPACING * [10, 20, -30])
         # 1600 mg HA/cm3 for a linear attenuation of 1/cm, stored 8192 times.
         text = {notice.code: notice.text for notice in scan.notices}["density_in_header"]
         assert "points_mg_ha_cm3 = [[0, -390], [16384, 2810]]" in text
-    data = bytearray(w.isq(tmp_path / "a.isq", picture("i2")).read_bytes())
+    data = bytearray(own.isq(tmp_path / "a.isq", picture("i2")).read_bytes())
     head, voxels = data[:512], data[1024:]
     head[508:512] = (6).to_bytes(4, "little")
     entry = bytearray(512)

@@ -15,6 +15,7 @@ from ct_inertia.scan.open_scan import open_labels, open_scan
 from ct_inertia.scan.opened import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
+from tests.scan_files import scanner_writers as own
 from tests.scan_files.scan_writers import SPACING, picture
 
 HUGE = "50000 60000 70000"
@@ -40,12 +41,12 @@ CLAIMS = {
     "a.nrrd": lambda path: w.nrrd(path, picture("i2"), sizes=HUGE),
     "zip.nrrd": lambda path: w.nrrd(path, picture("i2"), sizes=HUGE, encoding="gzip"),
     "a.am": lambda path: changed(
-        w.amira(path, picture("i2")), b"Lattice 5 6 7", b"Lattice 50000 60000 70000"
+        own.amira(path, picture("i2")), b"Lattice 5 6 7", b"Lattice 50000 60000 70000"
     ),
-    "a.vgi": lambda path: changed(w.vgi(path, picture("i2")), b"5 6 7", HUGE.encode()),
+    "a.vgi": lambda path: changed(own.vgi(path, picture("i2")), b"5 6 7", HUGE.encode()),
     "a.nii": lambda path: changed(w.nifti(path, picture("i2")), struct.pack("<3h", 5, 6, 7), b"\xff\x7f" * 3),
     "a.isq": lambda path: changed(
-        w.isq(path, picture("i2")), struct.pack("<3i", 5, 6, 7), b"\xff\xff\0\0" * 3
+        own.isq(path, picture("i2")), struct.pack("<3i", 5, 6, 7), b"\xff\xff\0\0" * 3
     ),
 }
 
