@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 LABELS, MEASURED_LABELS = "labels.seg.nrrd", "labels.measured.seg.nrrd"
 CROP, REPORT = "scan_crop.nrrd", "report.html"
 _CROP_MARGIN_MM = 0.5  # around the stapes: annulus, face of the plate and tip of the incus are in the picture
+_CROP_PLANES = 8  # read and written at a time
 _TAUBIN = {"lambda_": 0.5, "mu": -0.53}  # pass band 0.11 (Taubin 1995, doi:10.1145/218380.218473)
 
 
@@ -171,7 +172,8 @@ def _write_crop(result: MassResult, _shown: Surface, path: Path) -> None:
     x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     transform = scan.scan_from_index.copy()
     transform[:3, 3] = scan.scan_points(low)
-    write_crop(path, scan.read((z, y, x)), transform)
+    slabs = (slab for _, slab in scan.slabs(_CROP_PLANES, (z, y, x)))
+    write_crop(path, slabs, [int(n) for n in (high - low)[::-1]], scan.dtype, transform)
 
 
 def _write_mesh(_result: MassResult, shown: Surface, path: Path) -> None:

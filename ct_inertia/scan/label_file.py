@@ -75,22 +75,33 @@ def write_segmentation(
         stream.write(packer.flush())
 
 
-def write_crop(path: Path, grey: NDArray[Any], scan_from_index: Array) -> None:
-    """Write a part of a scan [z, y, x] as an NRRD of raw voxels that lies where it lay in the scan.
+def write_crop(
+    path: Path,
+    slabs: Iterable[NDArray[Any]],
+    shape: Sequence[int],
+    dtype: np.dtype[Any],
+    scan_from_index: Array,
+) -> None:
+    """Write a part of a scan as an NRRD of raw voxels that lies where it lay in the scan, slab by slab.
 
     Parameters
     ----------
     path : Path
-    grey : ndarray, [z, y, x]
+    slabs : iterable of ndarray, [z, y, x]
+        Layers one behind the other.
+    shape : sequence of 3 int
+        Of all of them, z, y, x.
+    dtype : dtype
         Integers of 8, 16 or 32 bits, or floating point numbers.
     scan_from_index : ndarray, (4, 4)
         Index x, y, z of the part to scan coordinates (LPS), mm.
     """
-    little = np.ascontiguousarray(grey, dtype=grey.dtype.newbyteorder("<"))
-    kind = {"float32": "float", "float64": "double"}.get(grey.dtype.name, grey.dtype.name)
+    little = dtype.newbyteorder("<")
+    kind = {"float32": "float", "float64": "double"}.get(little.name, little.name)
     with path.open("wb") as stream:
-        stream.write(nrrd_header(kind, grey.shape, scan_from_index, "raw"))
-        stream.write(little.reshape(-1).view(np.uint8).data)
+        stream.write(nrrd_header(kind, shape, scan_from_index, "raw"))
+        for slab in slabs:
+            stream.write(np.ascontiguousarray(slab, little).reshape(-1).view(np.uint8).data)
 
 
 def nrrd_header(
