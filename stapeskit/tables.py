@@ -146,8 +146,9 @@ def from_text_cell(cell: str) -> str:
 
 def _open(path: Path) -> _Sheet:
     """Read a file and find its header, below blank lines, comments and the line ``sep=;``."""
-    rest, file = _bytes(path), path.name
-    line, marked, head = 1, "", ""
+    whole, file = _bytes(path), path.name
+    begin = whole.rfind(b"\n", 0, len(whole) - len(whole.lstrip())) + 1  # below blank lines
+    rest, line, marked, head = whole[begin:], 1 + whole.count(b"\n", 0, begin), "", ""
     while True:
         first, _, rest = rest.partition(b"\n")
         head, line = first.decode("utf-8").rstrip("\r"), line + 1

@@ -111,11 +111,12 @@ def turned_over(sheets: Sequence[Sheet]) -> list[PointTable]:
         faults.append(Fault("the source of the files", "one measurement", got, file, APART))
     names, positions, length_stated = _points(first)
     for sheet in sheets[1:]:
-        if (sheet.names, sheet.units) != (first.names, first.units) or _points(sheet)[0] != names:
+        others, places, _ = _points(sheet)
+        if (sheet.names, sheet.units, others) != (first.names, first.units, names):
             step = "Export all frequencies of one scan in one way"
             faults.append(Fault("the tables", "of the same columns and points", "others", sheet.where, step))
             continue
-        apart = np.abs(_points(sheet)[1] - positions) > _SAME_PLACE_M + 1e-5 * np.abs(positions)
+        apart = np.abs(places - positions) > _SAME_PLACE_M + 1e-5 * np.abs(positions)
         faults += [
             Fault(f"the position of point {names[row]}", "one", "another one", sheet.where, "Export one scan")
             for row in np.flatnonzero(np.any(apart, axis=1)).tolist()

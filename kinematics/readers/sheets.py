@@ -112,22 +112,22 @@ def first_header(text: str) -> Sheet | None:
 
 def _regions(lines: Sequence[str]) -> Iterator[_Region]:
     """Find the tables: rows of numbers, and what stands above them."""
-    start = at = 0
-    while at < len(lines):
-        separator = _separator(lines[at])
+    filled = [number for number, line in enumerate(lines) if line.strip()]
+    start = header = at = 0
+    while at < len(filled):
+        separator = _separator(lines[filled[at]])
         if not separator:
             at += 1
             continue
-        stop = at + 1
-        while stop < len(lines) and not _FIELD.match(lines[stop]):
-            if not lines[stop].strip():
-                following = next((line for line in lines[stop:] if line.strip()), "")
-                if _separator(following) != separator:
-                    break
-            stop += 1
-        if any(line.strip() for line in lines[start:at]):
-            yield _Region(start, at, stop, separator)
-        start = at = stop
+        end = at + 1
+        while end < len(filled) and not _FIELD.match(lines[filled[end]]):
+            apart = filled[end] > filled[end - 1] + 1
+            if apart and _separator(lines[filled[end]]) != separator:
+                break
+            end += 1
+        if at > header:
+            yield _Region(start, filled[at], filled[end - 1] + 1, separator)
+        start, header, at = filled[end - 1] + 1, end, end
 
 
 def _separator(line: str) -> str:
