@@ -147,6 +147,8 @@ def _frames(file: Path, head: Any) -> list[_Frame]:
     own = head.get("PerFrameFunctionalGroupsSequence") or []
     shared = list(head.get("SharedFunctionalGroupsSequence") or [])[:1]
     count = int(head.get("NumberOfFrames") or 1)
+    if count > file.stat().st_size:
+        raise wrong_header(file, "DICOM file", f"one of {count} frames")
     return [_Frame(file, k, head, (*own[k : k + 1], *shared)) for k in range(count)]
 
 

@@ -33,6 +33,7 @@ from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
 _MOST_FILES = 100_000
+_DATA_FILE = "(?:data ?file|ElementDataFile)"
 _PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 _LETTERS = {"unsigned integer": "u", "signed integer": "i", "float": "f"}
 _NRRD_PACKED = {"raw": False, **dict.fromkeys(("gzip", "gz", "bzip2", "bz2"), True)}
@@ -106,7 +107,8 @@ class _Header:
         named = self.get(name)
         names = [named]
         if named.upper().startswith("LIST"):
-            names = [line.strip() for line in self.text.partition(named)[2].splitlines() if line.strip()]
+            behind = re.split(rf"^{_DATA_FILE}[ \t]*[:=].*$", self.text, maxsplit=1, flags=re.M | re.I)[-1]
+            names = [line.strip() for line in behind.splitlines() if line.strip()]
         elif "%" in named:
             parts = re.fullmatch(
                 r"([^%]*%0?\d{0,2}d[^%\s]*)\s+(\d{1,7})\s+(\d{1,7})(?:\s+([1-9]\d{0,6}))?(?:\s+\d+)?", named
