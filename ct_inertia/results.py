@@ -172,16 +172,11 @@ class MassResult(Result):
         """Return the content of mass.json."""
         return self._content
 
-    @property
-    def measured(self) -> MeasuredMass:
-        """Mass, frames and surfaces for the steps after this one, without a file."""
+    def measured_mass(self) -> MeasuredMass:
+        """Return mass, frames and surfaces for the steps after this one, without a file."""
         from ct_inertia.exports.mass_json import measured_mass_of
 
         return measured_mass_of(self)
-
-    def measured_mass(self) -> MeasuredMass:
-        """Return `measured`: what the other rooms ask of a result that holds a mass."""
-        return self.measured
 
     def to_frame(self) -> DataFrame:
         """Return the entries of the mass matrix, one a row: row, column, value_si, standard_deviation_si."""
