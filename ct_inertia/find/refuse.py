@@ -112,6 +112,8 @@ def _is_inverted(overview: Overview) -> bool:
         levels = material_levels(grey, overview.noise, overview.voxel_mm3, overview.unmeasured)
     except StapeskitError:
         return False
+    if len(levels) < 2:
+        return False
     for reading in readings(levels, None):
         pieces, found = label_pieces(grey > np.float32(reading.between), overview.spacing_mm)
         for piece in found:
