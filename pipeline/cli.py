@@ -40,6 +40,11 @@ def work(words: list[str]) -> Outcome | None:
         sys.stdout.write(study_template())
         return None
     paths = chosen.studies or (Path("study.toml"),)
+    if not chosen.studies and not paths[0].is_file():
+        from stapeskit.faults import StapeskitError
+
+        step = "Name a study, or make one for the files of this folder with stapeskit new"
+        raise StapeskitError.of("this folder", "one with a study.toml", "none", "", step)
     if chosen.check:
         return _check(paths, chosen)
     return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)

@@ -197,7 +197,7 @@ def write_comparison(
         compare_page(comparison).write(stage / FILES[0])
         rows = [_numbers(entry) for entry in comparison.differences]
         pd.DataFrame(rows).to_csv(stage / FILES[1], index=False, lineterminator="\n")
-    return [outputs.folder / name for name in FILES]
+    return list(outputs.paths())
 
 
 def _numbers(entry: Difference) -> Mapping[str, Any]:

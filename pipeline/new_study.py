@@ -10,9 +10,10 @@ from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.options import toml
-from stapeskit.outputs import Outputs
+from stapeskit.outputs import MANIFEST, Outputs, written_in
 
 STUDY = "study.toml"
+SAMPLE = "stapeskit sample"  # writes inputs, not results
 ASSUMED_DENSITY = "1900+-200"
 Ask = Callable[[str], str]
 
@@ -42,8 +43,12 @@ def look(folder: Path) -> Found:
 
     found = Found()
     names = {"points.csv": "points", "fiducials.csv": "fiducials", "plate_fiducials.csv": "plate_fiducials"}
+    made = {name for command, files in written_in(Path(folder)).items() for name in files
+            if command != SAMPLE}  # fmt: skip
     for path in sorted(Path(folder).iterdir()):
         lower = path.name.lower()
+        if path.name in made or (path / MANIFEST).is_file():
+            continue  # results of an earlier command
         if path.name.startswith(".") or lower.endswith((".toml", ".json", ".md", ".html")):
             continue
         if lower in names:
@@ -52,11 +57,26 @@ def look(folder: Path) -> Found:
             found.others["labels"] = path
         elif lower.endswith((".mrk.json", ".fcsv")) or lower == "landmarks.csv":
             found.others["landmarks"] = path
+        elif path.is_dir() and not _holds_slices(path) and not _is_volume(path):
+            continue
         elif _is(partial(scan_format, path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
             found.scans.append(path)
         elif path.is_file() and _is(partial(measurement_format, path)):
             found.measurements.append(path)
     return found
+
+
+def _holds_slices(folder: Path) -> bool:
+    from ct_inertia.scan.slices import SLICE_SUFFIXES
+
+    return any(path.suffix.lower() in SLICE_SUFFIXES for path in folder.iterdir())
+
+
+def _is_volume(folder: Path) -> bool:
+    """Return whether a folder is recognised as a volume by its content: OME-Zarr, DICOM."""
+    from ct_inertia.scan.formats import FORMATS
+
+    return any(entry.matches(folder) for entry in FORMATS[:-1] if entry.matches is not None)
 
 
 def _is(recognise: Callable[[], object]) -> bool:

@@ -40,9 +40,12 @@ _LEFT_OUT = ("The stapes in three dimensions",)
 def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
     """Return verdict, mass, K, D and modes with their uncertainty."""
     from fitting.report.summary import summary_rows as fit_rows
+    from fitting.rim import rim_stiffness
 
     verdict, *rows = fit_rows(result.fit)
-    return [verdict, ("mass", _mass_text(result.mass)), *rows]
+    rim = rim_stiffness(result.fit, result.study.scan.side or "")
+    where = [] if rim is None else [("along the rim", rim.sentence())]
+    return [verdict, ("mass", _mass_text(result.mass)), *rows, *where]
 
 
 def _mass_text(mass: Mapping[str, Any]) -> str:
@@ -54,26 +57,16 @@ def _mass_text(mass: Mapping[str, Any]) -> str:
 def study_page(result: StudyResult) -> page.Page:
     """Return the report of a study."""
     from ct_inertia.report.pictured import pictured_from
-    from ct_inertia.report.sections import add_sections
-    from fitting.report.page import matrices, report_sections, verdict_block
-    from fitting.rim import rim_figure, rim_stiffness
+    from ct_inertia.report.sections import add_sections, reduced_matrix
+    from fitting.report.page import matrices, report_sections, rim_blocks, verdict_block, without_matrices
     from kinematics.report.page import motion_sections
 
     fit, study = result.fit, result.study
     made = page.Page(result.name, study.about.notes)
-    made.add(verdict_block(fit), page.table(("", ""), summary_rows(result)[1:], words=True), *matrices(fit))
-    rim = rim_stiffness(fit, study.scan.side or "")
-    if rim is not None:
-        caption = (
-            f"{rim.sentence()} From K11, K12 and K13: springs normal to the footplate along its rim whose "
-            "stiffness "
-            "varies linearly over the footplate."
-        )
-        made.add(
-            page.figure(rim_figure(rim), caption, "stiffness along the rim of the footplate", file="rim")
-        )
-    if study.about.truth is not None:
-        made.add(truth_table(result, study.about.truth))
+    summary = page.table(("", ""), without_matrices(summary_rows(result)), words=True)
+    made.add(verdict_block(fit), page.beside(summary, *rim_blocks(fit, study.scan.side or "")))
+    known = [] if study.about.truth is None else [truth_table(result, study.about.truth)]
+    made.add(page.beside(*matrices(fit), reduced_matrix(result.mass), *known))
 
     collected = page.Page("all sections")
     pictured = pictured_from(result.out, result.mass, study.scan.file)
@@ -84,7 +77,7 @@ def study_page(result: StudyResult) -> page.Page:
     sections = [each for each in (*collected.sections, *collected.appendix) if each.name not in _LEFT_OUT]
     first = [section for name in _MAIN for section in sections if section.name == name]
     made.sections.extend(replace(section, folded=False) for section in first)
-    made.section("Warnings", page.notices(result.notices))
+    made.section("Warnings", page.notices(result.notices, study.about.confirmed))
     made.appendix.extend(replace(section, folded=True) for section in sections if section not in first)
     made.appendix_section("Methods", page.text(methods(result)))
     made.appendix_section("Inputs", *(page.inputs(each) for each in _provenances(result)))

@@ -40,6 +40,9 @@ FILES = {
 }
 """Files that each stage may write."""
 
+EXTRA = ("plate.ply", "scan_crop.nrrd", "kd.csv")
+"""Of these, what is written with ``all_files`` only: nine files a run are enough for most."""
+
 Tell = Callable[[Sequence[Notice]], None]
 
 
@@ -197,14 +200,20 @@ def run_study(
     check_study(study, outputs.values())
     reused = []
 
+    dropped = set() if study.about.all_files else set(EXTRA)
+    if study.ldv.plate_points is not None:
+        dropped -= {"plate.ply"}
     mass_file = out / FILES["scan"][0]
-    if not force and outputs["scan"].unchanged() and _is_made_from(_provenance(mass_file), study.scan):
+    complete = "plate.ply" in dropped or (out / "plate.ply").exists()
+    same = not force and complete and outputs["scan"].unchanged()
+    if same and _is_made_from(_provenance(mass_file), study.scan):
         measured = MeasuredMass(read_mass_json(mass_file), mass_file)
         reused.append("scan")
     else:
         mass = measure_mass(study.scan, progress)
         with outputs["scan"].staged() as stage:
             mass.write_into(stage, report=False)
+            _drop(stage, dropped)
         measured = MeasuredMass(read_mass_json(mass_file), mass_file)
     tell(measured.record.notices)
 
@@ -221,12 +230,18 @@ def run_study(
     tell(fit.notices)
     with outputs["fit"].staged() as stage:
         fit.write_into(stage, report=False)
+        _drop(stage, dropped)
 
     progress("drawing the report")
     result = StudyResult(study, out, measured, moved, fit, tuple(reused))
     with outputs["report"].staged() as stage:
         study_page(result).write(stage / FILES["report"][0])
     return result
+
+
+def _drop(folder: Path, names: Iterable[str]) -> None:
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
 
 
 def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:

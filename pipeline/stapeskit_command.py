@@ -20,6 +20,7 @@ of a stapes.
   sample DIR     copy a complete simulated study into DIR
   new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
   compare A B    two results side by side: differences, responses
+                 (--what-if K*10: of one or both, what a change would do)
   ct2mass        scan to mass matrix
   points2dof     vibrometer file to rigid-body motion
   dof2kd         motion and mass to stiffness and damping
@@ -34,7 +35,7 @@ try it:
 _OWN = {
     "sample": "sample DIR [--force]",
     "new": "new [DIR] [--yes] [--force]",
-    "compare": "compare A B [--out DIR] [--force]",
+    "compare": "compare A [B] [--what-if K*10|D*2|mass+5mg@head ...] [--out DIR] [--force]",
 }
 _COMMANDS = {
     "ct2mass": "ct_inertia.cli",
@@ -119,26 +120,47 @@ def _new(words: Sequence[str]) -> None:
 
 
 def _compare(words: Sequence[str]) -> Outcome:
-    """Compare two results."""
+    """Compare two results, or one with what a change would make of it."""
     from pathlib import Path
 
     from pipeline.compare import compare, write_comparison
+    from pipeline.what_if import SENTENCE, effect, read_change, read_folder, write_what_if
 
-    out, rest = Path("compare_out"), list(words)
-    if "--out" in rest[:-1]:
-        place = rest.index("--out")
-        out = Path(rest[place + 1])
-        del rest[place : place + 2]
-    folders = [Path(word) for word in _folders(rest, "compare", (2,), ("--force",))]
-    found = compare(*folders)
+    rest, given = _taken(words, ("--out", "--what-if"))
+    out = Path(given["--out"][-1] if given["--out"] else "compare_out")
+    changes = [read_change(change) for change in given["--what-if"]]
+    folders = [Path(word) for word in _folders(rest, "compare", (1, 2) if changes else (2,), ("--force",))]
     inputs = [folder / name for folder in folders for name in ("mass.json", "kd.json", "dof.h5")]
-    files = write_comparison(found, out, inputs, "--force" in rest)
-    rows = [
-        (name, f"{first} | {second}; difference {change}, p = {p}")
-        for name, first, second, change, p in found.rows()
-    ]
-    verdicts = [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
-    return Outcome("two results side by side", [*verdicts, *rows], (), files)
+    rows: list[tuple[str, str]] = []
+    files: list[Path] = []
+    if len(folders) == 2:
+        found = compare(folders[0], folders[1])
+        files += write_comparison(found, out, inputs, "--force" in rest)
+        rows += [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
+        rows += [
+            (name, f"{first} | {second}; difference {change}, p = {p}")
+            for name, first, second, change, p in found.rows()
+        ]
+    if changes:
+        effects = [effect(read_folder(folder), folder, change) for folder in folders for change in changes]
+        files += write_what_if(effects, out, inputs, "--force" in rest)
+        for one in effects:
+            rows += [(f"{one.name}, {place}", text) for place, text in one.rows()]
+        rows.append(("mind", SENTENCE))
+    return Outcome("results side by side", rows, (), files)
+
+
+def _taken(words: Sequence[str], options: tuple[str, ...]) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the words without options and their values, and the values of each option."""
+    rest, given = list[str](), {option: list[str]() for option in options}
+    waiting = iter(words)
+    for word in waiting:
+        option, equal, value = word.partition("=")
+        if option in given:
+            given[option].append(value if equal else next(waiting, ""))
+        else:
+            rest.append(word)
+    return rest, given
 
 
 def main() -> NoReturn:

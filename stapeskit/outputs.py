@@ -132,11 +132,20 @@ class Outputs:
                 return
 
     def _manifest(self) -> dict[str, dict[str, str]]:
-        try:
-            content = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
-            return {command: dict(files) for command, files in content.items()}
-        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
-            return {}
+        return _read_manifest(self.folder)
+
+
+def written_in(folder: Path) -> dict[str, set[str]]:
+    """Return the names of the files in a folder that each command is known to have written."""
+    return {command: set(files) for command, files in _read_manifest(folder).items()}
+
+
+def _read_manifest(folder: Path) -> dict[str, dict[str, str]]:
+    try:
+        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        return {command: dict(files) for command, files in content.items()}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
 
 
 def _hash_or_none(path: Path) -> str | None:

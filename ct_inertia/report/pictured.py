@@ -16,7 +16,9 @@ from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult
+    from ct_inertia.scan.scan import Scan
 
+_SMOOTH_VOXELS = 1.0  # of labels for a picture of their surface
 _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
 
 
@@ -116,17 +118,34 @@ def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = 
         if name == "stapes" or path.is_file():
             mesh = read_mesh(path)
             surfaces[name] = Surface(mesh.vertices_mm, mesh.faces)
-    slices = None
+    slices, plate = None, surfaces.get("plate")
     labels_file = content.get("labels_file")
-    if scan is not None and labels_file and (folder / labels_file).is_file():
-        slices = _slices(folder / labels_file, scan, content)
-    return Pictured(surfaces["stapes"], surfaces.get("plate"), slices)
+    if labels_file and (folder / labels_file).is_file():
+        from ct_inertia.scan.open_scan import open_labels
+
+        labels, grid = open_labels(folder / labels_file)
+        plate = _plate_of(labels, grid) if plate is None else plate
+        slices = None if scan is None else _slices(labels, grid, scan, content)
+    return Pictured(surfaces["stapes"], plate, slices)
 
 
-def _slices(labels_file: Path, scan_file: Path, content: Mapping[str, Any]) -> Slices:
+def _plate_of(labels: NDArray[np.integer[Any]], grid: Scan) -> Surface | None:
+    """Return the surface of the plate as labelled, for the eye; None where there is none."""
+    from ct_inertia.grey.fields import smooth
+    from ct_inertia.surface.contour import contour
+
+    mask = labels == PLATE
+    if not mask.any():
+        return None
+    return contour(smooth(mask.astype(np.float32), np.full(3, _SMOOTH_VOXELS)), grid.scan_from_index, 0.5)
+
+
+def _slices(
+    labels: NDArray[np.integer[Any]], grid: Scan, scan_file: Path, content: Mapping[str, Any]
+) -> Slices:
     from ct_inertia.find.distance import used_box
     from ct_inertia.options import MassOptions
-    from ct_inertia.scan.open_scan import open_labels, open_scan
+    from ct_inertia.scan.open_scan import open_scan
 
     given = content["provenance"]["parameters"]
     known = {
@@ -135,7 +154,6 @@ def _slices(labels_file: Path, scan_file: Path, content: Mapping[str, Any]) -> S
     known |= {key: given[key] for key in ("byte_order", "header_bytes") if key in given}
     options = MassOptions.read({**known, "file": scan_file}, "mass.json", {key: key for key in given})
     scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
-    labels, grid = open_labels(labels_file)
     used = used_box(labels == STAPES) or (slice(0, 1),) * 3
     margin = [int(np.ceil(_MARGIN_MM / h)) for h in grid.spacing_mm[::-1]]
     part = [

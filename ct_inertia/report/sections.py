@@ -152,7 +152,7 @@ def _matrix(content: Content, key: str, caption: str) -> Markup:
     block = content[key]
     sd = None if _missing(content) else block["standard_deviation_si"]
     units = matrix_units("M", block["dof"])
-    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="M", file=key)
+    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="Mass M", file=key)
 
 
 def matrix_blocks(content: Content) -> list[Markup]:
@@ -186,7 +186,7 @@ def budget_blocks(content: Content) -> list[Markup]:
     order = sorted(rows, key=lambda source: -float(np.max(rows[source][:4])))
     listed = [(source_words(source), *_digits(rows[source])) for source in order[:_LARGEST]]
     rest = order[_LARGEST:]
-    if rest:
+    if rest and max(float(np.max(rows[source])) for source in rest) >= _LEAST_SHOWN:
         together = np.sqrt(sum(np.square(rows[source]) for source in rest))
         listed.append((f"{len(rest)} others together", *_digits(together)))
     listed.append(("all of these", *_digits(np.sqrt(sum(np.square(row) for row in rows.values())))))

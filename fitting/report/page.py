@@ -13,6 +13,8 @@ from fitting.plan import Plan, Way, plan_rows
 from fitting.report.figures import all_figures
 from fitting.report.kd_json import equation, found_from, ring_of, shown_sources
 from fitting.report.summary import determined, summary_rows
+from fitting.rim import rim_figure, rim_stiffness
+from stapeskit.arrays import Array
 from stapeskit.report import page
 from stapeskit.report.quantities import (
     PERCENT,
@@ -26,7 +28,7 @@ from stapeskit.report.quantities import (
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from typing import Any
 
     from markupsafe import Markup
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from fitting.result import KDFit
     from stapeskit.report.page import Page, Section
 
+_LARGEST = 5  # sources of uncertainty that are listed one by one
 _ABOUT = "about the footplate centre in footplate axes"
 
 
@@ -46,12 +49,31 @@ def kd_page(fit: KDFit) -> Page:
         f"({fit.law.formula}), {data.count} lines."
     )
     made = page.Page("Stiffness and damping of the annular ligament", lead)
-    made.add(verdict_block(fit), page.table(("", ""), summary_rows(fit), words=True), *matrices(fit))
+    rim = rim_blocks(fit, "")
+    summary = page.table(("", ""), without_matrices(summary_rows(fit)), words=True)
+    made.add(verdict_block(fit), page.beside(summary, *rim), page.beside(*matrices(fit)))
     for name, blocks in sections(fit, all_figures(fit)).items():
         made.section(name, *blocks)
     made.section("Warnings", page.notices(fit.notices))
     made.appendix_section("Inputs", page.inputs(fit.provenance))
     return made
+
+
+def without_matrices(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return the rows of a summary that the matrices beside them do not hold."""
+    return [row for row in rows if not row[0].startswith(("K(", "D("))]
+
+
+def rim_blocks(fit: KDFit, side: str) -> list[Markup]:
+    """Return the stiffness along the rim of the footplate, where it is known; ``side``: left, right or ""."""
+    rim = rim_stiffness(fit, side)
+    if rim is None:
+        return []
+    caption = (
+        f"{rim.sentence()} Width and colour: stiffness over its mean. From K11, K12 and K13: springs normal "
+        "to the footplate along its rim whose stiffness varies linearly over the footplate."
+    )
+    return [page.figure(rim_figure(rim), caption, "stiffness along the rim of the footplate", file="rim")]
 
 
 def verdict_block(fit: KDFit) -> Markup:
@@ -75,7 +97,7 @@ def matrices(fit: KDFit) -> list[Markup]:
                 values,
                 sds,
                 matrix_units(letter, fit.dof, law.time_power),
-                f"{letter} {_ABOUT}; 95 % intervals from all sources.",
+                f"{letter} {_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources.",
                 title="Stiffness K" if letter == "K" else f"Damping D ({law.formula})",
                 interval_95_si=np.stack([side[place] for side in limits], axis=-1),
                 file=letter,
@@ -273,15 +295,28 @@ def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     half = n * (n + 1) // 2
     places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
     words = shown_sources(fit.budget)
-    parts = {words[source]: part for source, part in fit.budget.items()} | {"all sources": fit.covariance}
-    rows = []
-    for source, part in parts.items():
-        sd = np.sqrt(np.maximum(np.diag(part)[places], 0.0))
-        shares = zip(sd, np.abs(fit.values[places]), strict=True)
-        rows.append((source, *(share_of(own, size) for own, size in shares)))
+    variances = {words[source]: np.diag(part)[places] for source, part in fit.budget.items()}
+    size = np.abs(fit.values[places])
+
+    def row(source: str, variance: Array) -> tuple[str, ...]:
+        sd = np.sqrt(np.maximum(variance, 0.0))
+        return (source, *(share_of(own, whole) for own, whole in zip(sd, size, strict=True)))
+
+    by_size = sorted(variances, key=lambda source: -float(np.max(variances[source] / size**2)))
+    largest, rest = by_size[:_LARGEST], by_size[_LARGEST:]
+    rows = [row(source, variances[source]) for source in largest]
+    if rest:
+        rows.append(row(f"{len(rest)} others together", np.sum([variances[one] for one in rest], axis=0)))
+    rows.append(row("all sources", np.diag(fit.covariance)[places]))
+    names = [f"{fit.parameters[place]}, {letter}({name})" for place, (letter, name) in
+             zip(places, [(letter, name) for letter in "KD" for name in fit.dof], strict=True)]  # fmt: skip
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
-    table = page.table(("source", *(fit.parameters[place] for place in places)), rows, caption, file="budget")
-    return [*_drawn(figures, "budget", "Largest sources.", "budget"), table]
+    table = page.table(("source", *names), rows, caption, file="budget")
+    blocks = [*_drawn(figures, "budget", "Largest sources.", "budget"), table]
+    if rest:
+        whole = page.table(("source", *names), [row(one, variances[one]) for one in by_size], file="sources")
+        blocks.append(page.folded("All sources", whole))
+    return blocks
 
 
 def share_of(part: float, size: float) -> str:

@@ -83,6 +83,7 @@ def motion_sections(made: Page, result: MotionResult) -> None:
     sections: dict[str, Callable[[MotionResult], list[Markup]]] = {
         "Motion of the bodies": _motion,
         "Channels and verdicts": _channels,
+        "Residuals of the channels": _residuals,
         "From the vibrometer to the footplate": _registration,
         "Errors that all lines share": _shared,
         "What would have been found": _detectable,
@@ -124,6 +125,11 @@ def _channels(result: MotionResult) -> list[Markup]:
         blocks.append(
             page.text(f"All {len(result.channels)} channels agree with rigid motion of their body.")
         )
+    return blocks
+
+
+def _residuals(result: MotionResult) -> list[Markup]:
+    blocks = []
     shown = f" of run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
     caption = f"Residuals{shown} over their noise: 1 is noise alone. Bars have the colour of the verdict."
     blocks.append(

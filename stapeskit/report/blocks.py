@@ -218,18 +218,26 @@ def image(data: bytes, caption: str, alt: str, kind: str = "png", *, file: str =
     return render("image", f"data:image/{kind};base64,{to_base64(data)}", caption, alt, file, kind)
 
 
-def notices(found: Iterable[Notice]) -> Markup:
-    """Return every warning in the colour of its verdict, or one line that says that there is none."""
-    known = warning_table()
+def notices(found: Iterable[Notice], confirmed: Sequence[str] = ()) -> Markup:
+    """Return every warning in the colour of its verdict, or one line that says that there is none.
+
+    Those whose code the user has confirmed are said to be checked, and are no more than information.
+    """
     listed = [
         {
             "code": notice.code,
             "text": notice.text,
-            "css": _css(known[notice.code].verdict) if notice.code in known else "",
+            "css": "information" if notice.code in confirmed else _colour_of(notice.code),
+            "confirmed": notice.code in confirmed,
         }
         for notice in found
     ]
     return render("notices", listed)
+
+
+def _colour_of(code: str) -> str:
+    known = warning_table()
+    return _css(known[code].verdict) if code in known else ""
 
 
 def verdict(level: str, sentence: str, reasons: Iterable[Notice] = ()) -> Markup:

@@ -64,8 +64,18 @@ def test_a_result_does_not_differ_from_itself(finished: StudyResult, tmp_path: P
     found = compare(finished.out, tmp_path / "again")
     assert all(entry.difference == 0.0 for entry in found.differences)
     paths = write_comparison(found, tmp_path / "out", [finished.out / "kd.json"])
-    table = pd.read_csv(paths[1])
+    table = pd.read_csv(next(path for path in paths if path.suffix == ".csv"))
     assert {"K_y_y", "D_y_y", "mass"} <= set(table["quantity"])
     assert (table["p_value"].dropna() == 1.0).all()
     with pytest.raises(StapeskitError):
         compare(finished.out, tmp_path)
+
+
+def test_results_of_earlier_commands_are_no_inputs_of_a_new_study(files: Path, finished: StudyResult) -> None:
+    shutil.copytree(finished.out, files / "scan_mass")
+    for name in ("dof.csv", "dof.h5", "kd.mat", ".stapeskit.json"):
+        shutil.copyfile(finished.out / name, files / name)
+    (files / "photos").mkdir()
+    found = look(files)
+    assert [path.name for path in found.scans] == ["scan.nrrd"]
+    assert [path.name for path in found.measurements] == ["ldv.csv"]
