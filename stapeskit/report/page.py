@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
@@ -139,39 +139,6 @@ class Page:
         section = Section(name, list(blocks), own, folded)
         part.append(section)
         return section
-
-    def add_listed(self, listed: Path, makers: Mapping[str, Callable[[], Markup | None]]) -> None:
-        """Append the sections that a TOML file lists, in its order.
-
-        Parameters
-        ----------
-        listed : Path
-            ``[[section]]`` tables with ``name``, ``blocks`` (names of makers or of PNG files beside the
-            list), and optionally ``caption``, ``folded`` and ``appendix``.
-        makers : mapping of str to callable
-            A function that makes each block, or returns None where this result has nothing to show; a section
-            without blocks is left out.
-
-        Raises
-        ------
-        KeyError
-            A block is neither in ``makers`` nor a PNG file: a mistake of the program, not of its user.
-        """
-        import tomllib
-
-        for entry in tomllib.loads(listed.read_text(encoding="utf-8"))["section"]:
-            caption = entry.get("caption", "")
-            blocks = []
-            for name in entry["blocks"]:
-                file = listed.with_name(name)
-                if name not in makers and file.suffix == ".png":
-                    blocks.append(image(file.read_bytes(), caption, entry["name"]))
-                elif (block := makers[name]()) is not None:
-                    blocks.append(block)
-            if blocks:
-                part = self.appendix if entry.get("appendix") else self.sections
-                folded = bool(entry.get("folded") or entry.get("appendix"))
-                self._append(part, entry["name"], blocks, folded)
 
     def html(self) -> str:
         """Return the whole page."""

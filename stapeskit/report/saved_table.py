@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from urllib.parse import quote
 
 from stapeskit.report.quantities import Quantity
+from stapeskit.tables import as_text_cell
 
 
 def numeric_columns(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[list[object]]:
@@ -33,10 +34,7 @@ def numeric_columns(head: Sequence[str], rows: Sequence[Sequence[object]]) -> li
 def csv_link(rows: Iterable[Sequence[object]]) -> str:
     """Return rows as a CSV file within a link: it needs no script and no network."""
     stream = io.StringIO()
-    csv.writer(stream).writerows([[_plain_cell(cell) for cell in row] for row in rows])
+    csv.writer(stream).writerows(
+        [[as_text_cell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    )
     return "data:text/csv;charset=utf-8," + quote("\ufeff" + stream.getvalue(), safe=" ,;:+-()/")
-
-
-def _plain_cell(cell: object) -> object:
-    """Return a cell that no spreadsheet takes for a formula (OWASP, "CSV Injection")."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell

@@ -237,25 +237,6 @@ def test_a_figure_is_the_same_each_time_it_is_drawn():
     assert draw(six_panels())[0] == draw(six_panels())[0]
 
 
-def test_sections_of_a_file_come_in_its_order_and_without_the_empty_ones(tmp_path):
-    listed = tmp_path / "sections.toml"
-    listed.write_text(
-        '[[section]]\nname = "Second"\nblocks = ["b", "none"]\n'
-        '[[section]]\nname = "Empty"\nblocks = ["none"]\n'
-        '[[section]]\nname = "First"\nblocks = ["shot.png"]\ncaption = "seen"\n'
-        '[[section]]\nname = "Last"\nblocks = ["a"]\nappendix = true\n'
-    )
-    (tmp_path / "shot.png").write_bytes(draw(six_panels(), False)[0])
-    shown = page.Page("title")
-    shown.add_listed(
-        listed, {"a": lambda: page.text("one"), "b": lambda: page.text("two"), "none": lambda: None}
-    )
-    assert [section.name for section in shown.sections] == ["Second", "First"]
-    assert [(section.name, section.folded) for section in shown.appendix] == [("Last", True)]
-    assert "seen" in shown.html()
-    Elements(shown.html())
-
-
 def test_thinned_curves_keep_peaks_and_troughs():
     size = np.random.default_rng(1).standard_normal(20_000)
     size[7] = np.nan
