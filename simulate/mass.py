@@ -9,9 +9,7 @@ from numpy.typing import ArrayLike
 
 from simulate.solids import Moments, Solid
 from stapeskit.arrays import Array
-from stapeskit.spatial import central_tensor, matrix_from_parameters
-
-_TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+from stapeskit.spatial import TENSOR_PLACES, central_tensor, matrix_from_parameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +32,7 @@ class MassProperties:
         arm = (self.centre_of_mass_mm - np.asarray(about_mm, dtype=float)) * 1e-3
         parallel = self.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         tensor = self.inertia_about_com_kg_m2 + parallel
-        entries = [tensor[i, j] for i, j in _TENSOR_PLACES]
+        entries = [tensor[i, j] for i, j in TENSOR_PLACES]
         return np.array([self.mass_kg, *(self.mass_kg * arm), *entries])
 
     def matrix(self, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Array:

@@ -16,8 +16,8 @@ from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import cross_matrix
 
 PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
-# Order of the six entries of an inertia tensor.
-_TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Order of the six entries of an inertia tensor."""
 
 
 def dof_indices(names: tuple[str, ...]) -> list[int]:
@@ -99,7 +99,7 @@ def matrix_from_parameters(parameters: ArrayLike) -> Array:
     matrix[:3, :3] = p[0] * np.eye(3)
     matrix[3:, :3] = cross_matrix(p[1:4])
     matrix[:3, 3:] = -matrix[3:, :3]
-    for value, (row, column) in zip(p[4:], _TENSOR_PLACES, strict=True):
+    for value, (row, column) in zip(p[4:], TENSOR_PLACES, strict=True):
         matrix[3 + row, 3 + column] = value
         matrix[3 + column, 3 + row] = value
     return matrix
@@ -109,7 +109,7 @@ def parameters_from_matrix(matrix: ArrayLike) -> Array:
     """Return the ten inertial parameters of a 6x6 spatial inertia: the inverse of matrix_from_parameters."""
     m = np.asarray(matrix, dtype=float)
     first = np.array([m[5, 1], m[3, 2], m[4, 0]])
-    tensor = [m[3 + row, 3 + column] for row, column in _TENSOR_PLACES]
+    tensor = [m[3 + row, 3 + column] for row, column in TENSOR_PLACES]
     return np.concatenate([[np.trace(m[:3, :3]) / 3.0], first, tensor])
 
 

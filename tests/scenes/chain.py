@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from simulate import Truth, motion_of, simulate_study
+from simulate import Truth, motion_of, simulate_study, write_labels
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion import read_motion, write_motion
@@ -71,6 +71,8 @@ def run(scene: Scene, folder: Path) -> Outcome:
     try:
         if scene.scan is not None:
             study = _scan_words(folder, truth)
+            if scene.labels:
+                study += ["--labels", str(write_labels(folder / "labels.nrrd", truth.placed))]
             _command(
                 "ct2mass", [*study, *scene.ct2mass.split(), "--no-report", "--out", str(folder / "mass")]
             )

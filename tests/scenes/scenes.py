@@ -38,6 +38,8 @@ class Scene:
         Whether K and D are asked for.
     motion_is_given : bool
         The fit starts from the rigid motion that simple least squares gives, not from points2dof.
+    labels : bool
+        Whether the true labels are given with the scan.
     ct2mass, points2dof, dof2kd : str
         Further words of the command lines.
     codes : dict of str to tuple of str
@@ -58,6 +60,7 @@ class Scene:
     experiment: Experiment | None = None
     fits: bool = False
     motion_is_given: bool = False
+    labels: bool = False
     ct2mass: str = ""
     points2dof: str = ""
     dof2kd: str = ""
@@ -146,6 +149,12 @@ SCENES: dict[str, Scene] = {
     "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic")), without=("outside_published_sizes",)),
     "small_warped_right_ear": _ct(ear=Ear(stapes=Stapes(scale=0.85, warp=0.03, mirrored=True, seed=4))),
     "glued_bead": _ct(ear=Ear(loose_masses=((0.3, 1.2, 0.2, 5e-8),))),
+    "true_labels": _ct(labels=True),
+    "closed_mesh": _ct(
+        Scan(voxel_um=32.0, format="ply", seed=3),
+        codes=_mass("surface_taken_as_exact"),
+        without=("bare_bone_assumed", "plate_axis_sign"),
+    ),
     # formats
     "ome_tiff": _format("ome.tif"),
     "deflated_tiff": _format("deflate.tif"),
@@ -213,6 +222,13 @@ SCENES: dict[str, Scene] = {
         experiment=_PLANE,
         fits=True,
         kd_has_bars=False,
+    ),
+    "fiducials_in_the_scan": Scene(
+        ear=Ear(plate=False),
+        scan=Scan(voxel_um=34.0, seed=14),
+        experiment=Experiment(lines=60, seed=22),
+        codes=_mass("plate_not_found"),
+        without=("plate_axis_sign",),
     ),
     # fits of K and D: estimators, laws, degrees of freedom, plane, closed forms
     "piston": _fit(),

@@ -180,6 +180,8 @@ def test_missing_values_and_mirrored_coordinates(truth):
 def test_runs_are_named_and_driven_apart(truth):
     recording = record(truth, excitations=("y", "x", "y"))
     assert recording.runs == ("y1", "x", "y2")
+    repeated = record(truth, excitations=("y", "y"), repeats=True)
+    assert repeated.runs == ("y", "y")
     main = np.argmax(np.abs(recording.motion_m["base"][:, 0, :3]), axis=1)
     assert main.tolist() == [1, 0, 1]
 
