@@ -231,27 +231,25 @@ def measure_motion(
     """
     rng = np.random.default_rng([experiment.seed, 7]) if rng is None else rng
     pose = vibrometer_pose(rng) if pose is None else pose
-    towards = laser_directions(experiment.lasers, experiment.beam_cone_deg)
     wobble = 0.0 if experiment.exact else experiment.position_sd_mm
-    bodies, points, lasers, truly, reported, beams = [], [], [], [], [], []
-    for body, places in places_mm.items():
-        for number, true_place in enumerate(places, start=1):
-            seen = pose.points(true_place) + wobble * rng.standard_normal(3)
-            for laser, axis in enumerate(towards):
-                bodies.append(body)
-                points.append(str(number))
-                lasers.append(laser)
-                truly.append(true_place)
-                reported.append(seen)
-                beams.append(_beam(axis, pose.points(true_place), experiment.head_distance_mm))
-    direction = np.array(beams)
+    names = [(body, str(k + 1)) for body, places in places_mm.items() for k in range(len(places))]
+    truly = np.concatenate([np.asarray(places, dtype=float) for places in places_mm.values()])
+    seen = pose.points(truly)
+    reported = seen + wobble * rng.standard_normal(seen.shape)
+    towards = laser_directions(experiment.lasers, experiment.beam_cone_deg)
+    direction = np.broadcast_to(towards, (len(names), *towards.shape))
+    if experiment.head_distance_mm is not None:
+        beams = experiment.head_distance_mm * direction - seen[:, None]
+        direction = beams / np.linalg.norm(beams, axis=-1, keepdims=True)
+    direction = direction.reshape(-1, 3)
+    bodies, points = (tuple(np.repeat(part, len(towards)).tolist()) for part in zip(*names, strict=True))
     state = TrueState(
         rng=np.random.default_rng([experiment.seed, 13]),
         freq_hz=experiment.freq_hz,
-        body=tuple(bodies),
-        point=tuple(points),
-        laser=np.array(lasers),
-        place_mm=np.array(truly),
+        body=bodies,
+        point=points,
+        laser=np.tile(np.arange(len(towards)), len(names)),
+        place_mm=np.repeat(truly, len(towards), axis=0),
         beam=pose.inverse().vectors(direction),
         motion_m={body: np.array(motion) for body, motion in motions.items()},
         runs=len(experiment.excitations),
@@ -270,10 +268,10 @@ def measure_motion(
     recording = Recording(
         runs=experiment.runs,
         freq_hz=experiment.freq_hz,
-        body=tuple(bodies),
-        point=tuple(points),
+        body=bodies,
+        point=points,
         laser=state.laser,
-        position_mm=np.array(reported),
+        position_mm=np.repeat(reported, len(towards), axis=0),
         direction=direction,
         velocity_m_s=_with_gaps(velocity, experiment),
         sd_m_s=sd,
@@ -297,13 +295,6 @@ def measure_motion(
             fiducials=(),
         )
     return _mirrored(recording, experiment.mirror)
-
-
-def _beam(axis: Array, place_mm: Array, distance_mm: float | None) -> Array:
-    if distance_mm is None:
-        return axis
-    beam = axis * distance_mm - place_mm
-    return np.asarray(beam / np.linalg.norm(beam))
 
 
 def _common_noise(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:

@@ -49,42 +49,35 @@ def _ome(folder: Path, placed: Placed, scan: Scan) -> Path:
     import tifffile
 
     path = folder / "scan.ome.tif"
-    sizes = {f"PhysicalSize{axis}": float(size) for axis, size in zip("XYZ", placed.voxel_mm, strict=True)}
-    units = {f"{name}Unit": "mm" for name in sizes}
     stack = tifffile.memmap(
         path,
         shape=placed.shape[::-1],
         dtype=np.dtype(scan.dtype),
         bigtiff=True,
         ome=True,
-        metadata={"axes": "ZYX", **sizes, **units},
+        metadata=_ome_sizes(placed),
     )
     return _rendered(stack, placed, scan, path)
-
-
-def _rendered(stack: Any, placed: Placed, scan: Scan, path: Path) -> Path:
-    """Render slab by slab into an array that a file is mapped to."""
-    render_into(stack, placed, scan)
-    stack.flush()
-    return path
 
 
 def _deflated(folder: Path, placed: Placed, scan: Scan) -> Path:
     """Write an OME TIFF with deflated pages."""
     import tifffile
 
-    path = folder / "scan_deflate.ome.tif"
-    sizes: dict[str, Any] = {
-        f"PhysicalSize{axis}": float(h) for axis, h in zip("XYZ", placed.voxel_mm, strict=True)
-    }
-    sizes |= {f"PhysicalSize{axis}Unit": "mm" for axis in "XYZ"}
-    tifffile.imwrite(
-        path,
-        render(placed, scan),
-        compression="zlib",
-        photometric="minisblack",
-        metadata={"axes": "ZYX", **sizes},
-    )
+    path, volume = folder / "scan_deflate.ome.tif", render(placed, scan)
+    tifffile.imwrite(path, volume, compression="zlib", photometric="minisblack", metadata=_ome_sizes(placed))
+    return path
+
+
+def _ome_sizes(placed: Placed) -> dict[str, Any]:
+    sizes = {f"PhysicalSize{axis}": float(size) for axis, size in zip("XYZ", placed.voxel_mm, strict=True)}
+    return {"axes": "ZYX", **sizes, **{f"{name}Unit": "mm" for name in sizes}}
+
+
+def _rendered(stack: Any, placed: Placed, scan: Scan, path: Path) -> Path:
+    """Render slab by slab into an array that a file is mapped to."""
+    render_into(stack, placed, scan)
+    stack.flush()
     return path
 
 
