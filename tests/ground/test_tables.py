@@ -104,7 +104,7 @@ def test_missing_cells_are_nan_and_texts_are_stored_once(read):
 @pytest.mark.parametrize(("row", "thing", "got", "step"), [
     ("s,2,x", "re_m_s", '"x"', "missing"),
     ("s,2,1_000", "re_m_s", '"1_000"', "1000"),
-    ("s,2,1 000", "re_m_s", '"1 000"', "1000"),
+    ("s,2,1 000", "re_m_s", '"1 000"', "thousands"),
     ("s,2,0x10", "re_m_s", '"0x10"', "1000"),
     ("s,2,True", "re_m_s", '"True"', "missing"),
     ("s,2,1d5", "re_m_s", '"1d5"', "1000"),
