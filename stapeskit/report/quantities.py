@@ -117,16 +117,6 @@ class ShownUnit:
         """
         return f"{plus_minus(self.of(value), None if sd is None else self.of(sd))} {self.symbol}".rstrip()
 
-    def times(self, other: ShownUnit) -> ShownUnit:
-        """Return the product of two units.
-
-        Examples
-        --------
-        >>> STIFFNESS.times(LENGTH)
-        ShownUnit(symbol='N/m mm', per_si=1000.0)
-        """
-        return ShownUnit(f"{self.symbol} {other.symbol}", self.per_si * other.per_si)
-
 
 MASS = ShownUnit("mg", 1e6)
 VOLUME = ShownUnit("mm³", 1e9)
@@ -144,8 +134,8 @@ DAMPING = ShownUnit("mN s/m", 1e3)
 ROTATION_DAMPING = ShownUnit("µN mm s/rad", 1e9)
 COUPLING_STIFFNESS = ShownUnit("N", 1.0)
 COUPLING_DAMPING = ShownUnit("µN s", 1e6)
-FIRST_MOMENT = MASS.times(LENGTH)
-INERTIA = MASS.times(AREA)
+FIRST_MOMENT = ShownUnit("mg mm", 1e9)
+INERTIA = ShownUnit("mg mm²", 1e12)
 
 # Units of an entry by the number of rotations (0, 1, 2) among its two degrees of freedom.
 _UNIT_BY_ROTATIONS = {
