@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.frames.anatomy import Z_IS
-from ct_inertia.mass.properties import from_density, point_masses
+from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.scale import SCANNER_WORDS
 from ct_inertia.mass.sizes import comparisons, measured_sizes
 from stapeskit.arrays import Array
@@ -42,7 +42,6 @@ def mass_content(result: MassResult) -> dict[str, Any]:
         "mass_alternatives": [way.as_json(result.matrix) for way in result.ways[1:]],
         "found": _found(result),
         "published": comparisons(sizes),
-        "cross_check": _cross_check(result),
         "segmentation": _segmentation(result),
     }
     provenance = record(result.inputs, result.options.given())
@@ -159,33 +158,6 @@ def _found(result: MassResult) -> dict[str, Any]:
             {"position_mm": mass.position_mm, "mass_kg": mass.mass_kg, "sd_kg": mass.sd_kg}
             for mass in point_masses(result.options.add_mass)
         ],
-    }
-
-
-def _cross_check(result: MassResult) -> dict[str, Any]:
-    """Compare the moments used with those of the surface that is written."""
-    used, mesh = result.moments, result.stapes.moments()
-    frame, body = result.footplate, result.lead.body
-    bare = [
-        from_density(moments, body.density_kg_m3 if 500 <= body.density_kg_m3 <= 4000 else 1900.0, None)
-        for moments in (used, mesh)
-    ]
-    first, second = (one.mass_matrix(frame.scan_from_footplate, np.zeros((6, 6))).matrix for one in bare)
-    root = np.sqrt(np.diag(first))
-    return {
-        "used": "surface"
-        if result.body is None
-        else "voxels"
-        if result.body.scene is None
-        else "partial volume",
-        "other": "surface",
-        "volume_m3": mesh.volume_m3,
-        "volume_difference_percent": 100.0 * (mesh.volume_mm3 / used.volume_mm3 - 1.0),
-        "centroid_difference_mm": mesh.centroid_mm - used.centroid_mm,
-        "largest_mass_matrix_difference_percent": 100.0
-        * float(np.max(np.abs(second - first) / np.outer(root, root))),
-        "mass_matrix_difference_of": "sqrt(Mii Mjj)",
-        "volume_by_vtk_m3": 1e-9 * float(result.stapes.mesh().volume),
     }
 
 

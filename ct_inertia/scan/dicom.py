@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
 from ct_inertia.scan.opened import Opened, ReadOptions, several_values, wrong_header
-from ct_inertia.scan.scan import Box
+from ct_inertia.scan.streams import by_planes
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
@@ -245,12 +245,7 @@ def _with_pixels(opened: Opened, frames: Sequence[_Frame], path: Path) -> Opened
         got, step = "a slope of 0 or no number", "Export the series again"
         raise StapeskitError.of("the rescaling", "finite numbers", got, path.name, step)
     held: dict[Path, NDArray[Any]] = {}
-
-    def read(box: Box) -> NDArray[Any]:
-        planes = [_stored(frame, opened.dtype, held)[box[1:]] for frame in frames[box[0]]]
-        return np.stack(planes)
-
-    opened.read = read
+    opened.read = by_planes(frames, lambda frame: _stored(frame, opened.dtype, held))
     return opened
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.scan.opened import Opened, ReadOptions
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.scan import Box
+from ct_inertia.scan.streams import by_planes
 from ct_inertia.scan.tiff import check_palette, listening, plane_spacing, white_is_zero
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
@@ -56,17 +56,14 @@ def open_file(folder: Path, options: ReadOptions) -> Opened:
             if opened.spacing_mm is None and not logs:
                 opened.spacing_mm, opened.known = plane_spacing(tif.pages[0])
 
-    def read(box: Box) -> NDArray[Any]:
-        planes = []
-        for file in files[box[0]]:
-            image = _pixels(file)
-            if (image.shape, image.dtype) != (first.shape, first.dtype):
-                wanted, step = f"{_look(first)} like {files[0].name}", "Remove it, or export it again"
-                raise StapeskitError.of(f"slice {file.name}", wanted, _look(image), next_step=step)
-            planes.append(image[box[1:]])
-        return np.stack(planes)
+    def decode(file: Path) -> NDArray[Any]:
+        image = _pixels(file)
+        if (image.shape, image.dtype) != (first.shape, first.dtype):
+            wanted, step = f"{_look(first)} like {files[0].name}", "Remove it, or export it again"
+            raise StapeskitError.of(f"slice {file.name}", wanted, _look(image), next_step=step)
+        return image
 
-    opened.read = read
+    opened.read = by_planes(files, decode)
     return opened
 
 

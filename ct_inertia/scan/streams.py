@@ -1,4 +1,7 @@
-"""Unpack streams of voxels (gzip, bzip2, zlib): SimpleITK reads one that ends too early without an error."""
+"""Readers of voxels that are packed: plane by plane, or as one stream (gzip, bzip2, zlib) once.
+
+SimpleITK reads a stream that ends too early without an error.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import io
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,8 @@ from numpy.typing import NDArray
 from ct_inertia.scan.opened import surplus, too_short, wrong_header
 from ct_inertia.scan.scan import Box, Fetch
 from stapeskit.faults import StapeskitError
+
+Plane = TypeVar("Plane")
 
 _PIECE = 1 << 22  # bytes that are unpacked at a time
 
@@ -85,6 +90,15 @@ def _fill(voxels: memoryview, stream: IO[bytes], skip: int) -> tuple[int, int]:
         voxels[done : done + len(piece)] = piece
         done += len(piece)
     return done, len(stream.read(_PIECE)) if done == len(voxels) else 0
+
+
+def by_planes(planes: Sequence[Plane], decode: Callable[[Plane], NDArray[Any]]) -> Fetch:
+    """Return a reader that decodes every plane it is asked for."""
+
+    def read(box: Box) -> NDArray[Any]:
+        return np.stack([decode(plane)[box[1:]] for plane in planes[box[0]]])
+
+    return read
 
 
 def unpack_once(work: Callable[[], NDArray[Any]]) -> Fetch:

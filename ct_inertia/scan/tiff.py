@@ -23,7 +23,8 @@ from ct_inertia.scan.opened import (
     wrong_header,
 )
 from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
-from ct_inertia.scan.scan import Box, Fetch, check_grey_values
+from ct_inertia.scan.scan import Fetch, check_grey_values
+from ct_inertia.scan.streams import by_planes, unpack_once
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
@@ -241,15 +242,15 @@ def _raw_planes(
     return RawPlanes(files, number, offset)
 
 
-def _pages(series: Any, path: Path, some: slice = slice(None)) -> list[Any]:
-    """Return pages of a series, one a plane.
+def _pages(series: Any, path: Path) -> list[Any]:
+    """Return the pages of a series, one a plane.
 
     Raises
     ------
     StapeskitError
         One is in a file that is missing.
     """
-    pages = [series.pages[z] for z in range(len(series.pages))[some]]
+    pages = list(series.pages)
     if any(one is None for one in pages):
         raise wrong_header(path, "TIFF", "a missing plane: a file of the image is missing")
     return pages
@@ -257,19 +258,15 @@ def _pages(series: Any, path: Path, some: slice = slice(None)) -> list[Any]:
 
 def _decoder(series: Any, shape: Sequence[int], path: Path) -> Fetch:
     """Return a function that decodes planes one by one, or the whole image where its tiles have a depth."""
-    held: list[NDArray[Any]] = []
 
-    def read(box: Box) -> NDArray[Any]:
+    def decode(source: Any) -> NDArray[Any]:
         with listening(path):
-            if len(series.pages) == shape[0]:
-                planes = [page.asarray().reshape(shape[1:])[box[1:]] for page in _pages(series, path, box[0])]
-                values = np.stack(planes)
-            else:
-                held[:] = held or [np.asarray(series.asarray()).reshape(shape)]
-                values = held[0][box]
+            values = np.asarray(source.asarray())
         return values.astype(np.uint8 if values.dtype.kind == "b" else values.dtype.newbyteorder("="))
 
-    return read
+    if len(series.pages) != shape[0]:
+        return unpack_once(lambda: decode(series).reshape(shape))
+    return by_planes(_pages(series, path), lambda page: decode(page).reshape(shape[1:]))
 
 
 def _imagej_place(meta: dict[str, Any], pixels: Array | None) -> tuple[Array | None, Array, str]:
