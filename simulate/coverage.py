@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from simulate.solids import Solid
 from stapeskit.arrays import Array
 
-_OFFSET = 1.234567e-7
-_MOST_AT_ONCE = 1 << 23
-_TRIED_AT_ONCE = 1 << 15
+_OFFSET = 1.234567e-7  # voxels: no sub-column runs along the edges of a mesh with round coordinates
+_MOST_AT_ONCE = 1 << 23  # voxels of a slab in double precision: 64 MB
+_TRIED_AT_ONCE = 1 << 15  # sub-columns whose numbers, some 3 MB, stay in the cache
 
 
 @dataclass(frozen=True)

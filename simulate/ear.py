@@ -15,8 +15,8 @@ from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.spatial import matrix_from_parameters
 
-WINDOW_TOP_MM = 0.45
-_BONE_LOW_MM = -0.15
+WINDOW_TOP_MM = 0.45  # of the bone around the window, from the footplate centre
+_BONE_LOW_MM = -0.15  # of the same bone
 _MARGIN_MM = 0.25  # of air around everything
 _PLATE_LOW, _PLATE_HIGH = np.array([-2.2, -0.5, -1.5]), np.array([2.2, 0.0, 1.5])
 _PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))

@@ -23,8 +23,8 @@ from stapeskit.frames import rotation_from_vector
 Floats = NDArray[np.float32]
 STORED = {"uint8": (1.0 / 257.0, 0.0), "int16": (1.0, -32768.0), "uint16": (1.0, 0.0), "float32": (1.0, 0.0)}
 """Numbers of a file by type: factor and offset of grey values 0 to 65535."""
-_TRUNCATE = 5.0
-_SLICE_OF_SEED = 1 << 20
+_TRUNCATE = 5.0  # sigmas of a blur: what is beyond is below a 16 bit step
+_SLICE_OF_SEED = 1 << 20  # seeds of correlated noise lie beyond those of any slice
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,10 +19,10 @@ from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, central_tensor, dof_in
 from stapeskit.warnings import Notice
 
 SAME = 1e-6
-"""Relative difference by which redundant numbers of a file may round."""
+"""Relative difference by which redundant numbers of a file may round: files with seven digits pass."""
 
 FLOOR = 1e-5
-"""Rounding of standard deviations, correlations and eigenvalues."""
+"""Rounding of standard deviations, correlations and eigenvalues: they are written with less digits."""
 
 
 @dataclass(frozen=True)
