@@ -7,7 +7,7 @@ fringes; cupping; rings; noise; tone curve; storing. No slice depends on how a v
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -376,8 +376,3 @@ def render(placed: Placed, scan: Scan) -> NDArray[Any]:
     volume = np.empty(placed.shape[::-1], dtype=scan.dtype)
     render_into(volume, placed, scan)
     return volume
-
-
-def clean(scan: Scan) -> Scan:
-    """Return the same scan without noise, rings and quantisation: float32 grey values."""
-    return replace(scan, noise=0.0, rings=0.0, dtype="float32", steps=None, window=None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,23 +34,13 @@ _MADE = f"SIMULATED: the stapes is a made one; {_SIMULATED}"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """The exact truth of a simulated study.
+    """The exact truth of a simulated study: everything follows from the ear and its place in the scan.
 
     Attributes
     ----------
     ear : Ear
-    mass : MassProperties
-        Of the bone, in footplate axes.
-    volume_m3 : float
-    parameters_si : ndarray, (10,)
-        About the footplate centre in footplate axes.
-    mass_matrix_si, moving_mass_matrix_si : ndarray, (6, 6)
-        Of the bone alone, and of all that moves (loose masses, too).
-    stated_density_kg_m3, stated_density_sd_kg_m3 : float
-        What the study says.
-    scan_from_footplate, scan_from_plate, plate_from_footplate : RigidTransform
-    centre_of_mass_in_scan_mm : ndarray, (3,)
     placed : Placed
+        The ear in the scan.
     scan : Scan
     recording : Recording or None
         The measurement with the true motion and the channels at fault; None when only scanned.
@@ -58,21 +49,66 @@ class Truth:
     """
 
     ear: Ear
-    mass: MassProperties
-    volume_m3: float
-    parameters_si: Array
-    mass_matrix_si: Array
-    moving_mass_matrix_si: Array
-    stated_density_kg_m3: float
-    stated_density_sd_kg_m3: float
-    scan_from_footplate: RigidTransform
-    scan_from_plate: RigidTransform
-    plate_from_footplate: RigidTransform
-    centre_of_mass_in_scan_mm: Array
     placed: Placed
     scan: Scan
     recording: Recording | None = None
     study: Path | None = None
+
+    @cached_property
+    def mass(self) -> MassProperties:
+        """Mass properties of the bone, in footplate axes."""
+        return self.ear.mass()
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume of the bone."""
+        return self.ear.solid.moments().volume_mm3 * 1e-9
+
+    @property
+    def parameters_si(self) -> Array:
+        """Ten inertial parameters (10,) of the bone about the footplate centre in footplate axes."""
+        return self.mass.parameters()
+
+    @property
+    def mass_matrix_si(self) -> Array:
+        """Mass matrix (6, 6) of the bone alone."""
+        return self.mass.matrix()
+
+    @property
+    def moving_mass_matrix_si(self) -> Array:
+        """Mass matrix (6, 6) of all that moves: loose masses, too."""
+        return self.ear.moving_mass_si()
+
+    @property
+    def stated_density_sd_kg_m3(self) -> float:
+        """Standard deviation of the density that the study states."""
+        return self.ear.density_sd * self.ear.density_kg_m3
+
+    @property
+    def stated_density_kg_m3(self) -> float:
+        """Density that the study states: the true one and a drawn error."""
+        draw = np.random.default_rng([self.scan.seed, 11]).standard_normal()
+        return float(self.ear.density_kg_m3 + self.stated_density_sd_kg_m3 * draw)
+
+    @property
+    def scan_from_footplate(self) -> RigidTransform:
+        """Pose of the footplate in the scan."""
+        return self.placed.scan_from_footplate
+
+    @property
+    def scan_from_plate(self) -> RigidTransform:
+        """Pose of the plate in the scan."""
+        return self.placed.scan_from_plate
+
+    @property
+    def plate_from_footplate(self) -> RigidTransform:
+        """Pose of the footplate on the plate."""
+        return self.scan_from_plate.inverse() @ self.scan_from_footplate
+
+    @property
+    def centre_of_mass_in_scan_mm(self) -> Array:
+        """Centre of mass of the bone, (3,)."""
+        return self.scan_from_footplate.points(self.mass.centre_of_mass_mm)
 
     @property
     def dof(self) -> tuple[str, ...]:
@@ -124,26 +160,7 @@ class Truth:
 def simulate_truth(ear: Ear, scan: Scan | None = None) -> Truth:
     """Return the truth of an ear in a scan; nothing is rendered, measured or written."""
     scan = scan or Scan()
-    placed, body = scan.placed(ear), ear.mass()
-    pose = placed.scan_from_footplate
-    draw = np.random.default_rng([scan.seed, 11]).standard_normal()
-    sd = ear.density_sd * ear.density_kg_m3
-    return Truth(
-        ear=ear,
-        mass=body,
-        volume_m3=ear.solid.moments().volume_mm3 * 1e-9,
-        parameters_si=body.parameters(),
-        mass_matrix_si=body.matrix(),
-        moving_mass_matrix_si=ear.moving_mass_si(),
-        stated_density_kg_m3=ear.density_kg_m3 + sd * draw,
-        stated_density_sd_kg_m3=sd,
-        scan_from_footplate=pose,
-        scan_from_plate=placed.scan_from_plate,
-        plate_from_footplate=placed.scan_from_plate.inverse() @ pose,
-        centre_of_mass_in_scan_mm=pose.points(body.centre_of_mass_mm),
-        placed=placed,
-        scan=scan,
-    )
+    return Truth(ear=ear, placed=scan.placed(ear), scan=scan)
 
 
 def simulate_recording(truth: Truth, experiment: Experiment | None = None) -> Recording:

@@ -22,6 +22,7 @@ from stapeskit.spatial import DOF_UNITS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Indices = NDArray[np.int64]
@@ -193,18 +194,12 @@ def frequency_axis(axes: Axes, freq_hz: Array, *, label: bool = True) -> None:
     freq_hz : ndarray, (lines,)
         Ascending.
     """
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
     if label:
         axes.set_xlabel("frequency (kHz)")
     low, high = float(freq_hz[0]) / 1e3, float(freq_hz[-1]) / 1e3
     if log_spaced(freq_hz):
         axes.set_xscale("log")
-        steps = (1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)
-        ticks = _decade_ticks(low, high, steps)
-        axes.xaxis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(FuncFormatter(_plain_number))
+        _plain_ticks(axes.xaxis, low, high, (1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,))
     if low < high:
         axes.set_xlim(low, high)
 
@@ -217,28 +212,26 @@ def amplitude_axis(axes: Axes, low: float, high: float) -> None:
     low, high : float
         Smallest and largest amplitude that is drawn, positive.
     """
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
     if not 0.0 < low < high < np.inf:
         return
     axes.set_yscale("log")
     decades = np.log10(high / low)
     steps = (1.0, 2.0, 5.0) if decades < 1.7 else (1.0, 3.0) if decades < 2.7 else (1.0,)
-    ticks = _decade_ticks(low, high, steps)
-    ticks = ticks[:: 1 + len(ticks) // 7]
-    axes.yaxis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(_plain_number))
+    _plain_ticks(axes.yaxis, low, high, steps)
     axes.set_ylim(low / 10.0 ** (0.04 * decades), high * 10.0 ** (0.06 * decades))
 
 
-def _decade_ticks(low: float, high: float, steps: Sequence[float]) -> list[float]:
-    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    return [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+def _plain_ticks(axis: Axis, low: float, high: float, steps: Sequence[float]) -> None:
+    """Write plain numbers at some steps of each decade; some are left out where seven do not suffice."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-
-def _plain_number(value: float, _place: int | None = None) -> str:
-    return f"{value:.4g}"
+    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    every = np.outer(powers, steps).ravel()
+    ticks = every[(every >= low) & (every <= high)].tolist()
+    ticks = ticks[:: 1 + len(ticks) // 7]
+    axis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
 
 
 def log_spaced(freq_hz: Array) -> bool:

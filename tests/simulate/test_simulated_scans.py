@@ -12,9 +12,14 @@ from scipy.special import ndtr
 import simulate
 from simulate import Ear, Scan, Stapes
 from simulate.files.volumes import WITHOUT_SPACING
-from simulate.scanner import Renderer, clean
+from simulate.scanner import Renderer
 
 SMALL = Scan(voxel_um=(60.0, 70.0, 80.0), samples=3, seed=5)
+
+
+def clean(scan):
+    """Return the same scan without noise, rings and quantisation: float32 grey values."""
+    return replace(scan, noise=0.0, rings=0.0, dtype="float32", steps=None, window=None)
 
 
 @pytest.fixture(scope="module")
