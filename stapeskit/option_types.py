@@ -43,6 +43,14 @@ class Kind:
     step: str = ""
     is_path: bool = False
 
+    def fits(self, value: Any) -> bool:
+        """Return whether a value can be read."""
+        try:
+            self.read(value)
+        except (ValueError, TypeError, OverflowError):
+            return False
+        return True
+
 
 @dataclass(frozen=True)
 class WithSd:
