@@ -228,8 +228,9 @@ class Session(Generic[Opened]):
             head, sizes = self._pipe.recv()
             buffers = [np.empty(size, dtype=np.uint8) for size in sizes]
             for buffer in buffers:
-                if buffer.size:
-                    self._pipe.recv_bytes_into(buffer.data)
+                rest = buffer.data
+                while rest:
+                    rest = rest[os.readv(self._pipe.fileno(), [rest]) or self._fail() :]
         except (EOFError, OSError):
             self._fail()
         except BaseException:  # an interrupt: what the child sends later would answer another request
@@ -288,14 +289,14 @@ def can_fork() -> bool:
 
 
 def _send(pipe: Connection, outcome: object) -> None:
-    """Send an outcome; its arrays follow one by one, so that nothing is copied into one message."""
+    """Send an outcome; the bytes of its arrays follow, from their place to that of their copies."""
     buffers: list[pickle.PickleBuffer] = []
     head = pickle.dumps(outcome, protocol=5, buffer_callback=buffers.append)
     raws = [buffer.raw() for buffer in buffers]
     pipe.send((head, [raw.nbytes for raw in raws]))
-    for raw in raws:
-        if raw.nbytes:
-            pipe.send_bytes(raw)
+    for rest in raws:
+        while rest:
+            rest = rest[os.write(pipe.fileno(), rest) :]
 
 
 def _outcome(work: Callable[[], Any]) -> tuple[bool, Any]:
