@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from kinematics.faults.checks import CHECKS, Screened, empty_faults, phase_convention, screen_zeros
-from kinematics.faults.computed_axes import has_computed_axes, without_doubtful
 from kinematics.faults.correct import Correction, corrected
 from kinematics.faults.diagnose import diagnose
 from kinematics.faults.search import Diagnosis
@@ -207,26 +206,18 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
     sd = _laser_sd(options)
     lasers = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
     runs = range(len(placed.runs))
-    found = {
-        number: diagnose(
+    found = {}
+    for number, body in enumerate(placed.bodies):
+        usual = np.where(body.position_sd_m >= 0.0, body.position_sd_m, USUAL_POSITION_SD_M)
+        found[number] = diagnose(
             body,
             [fitted.fits[run, number] for run in runs],
             placed.freq_hz,
             all(fitted.stated[run, number] for run in runs),
-            replace(
-                lasers,
-                position_m=np.where(body.position_sd_m >= 0.0, body.position_sd_m, USUAL_POSITION_SD_M),
-            ),
+            replace(lasers, position_m=usual),
             placed.line_spread,
         )
-        for number, body in enumerate(placed.bodies)
-    }
-    return {
-        number: found[number]
-        if fitted.stated[0, number] or not has_computed_axes(body)
-        else without_doubtful(found[number])
-        for number, body in enumerate(placed.bodies)
-    }
+    return found
 
 
 def _correct(

@@ -30,45 +30,42 @@ class Exchange:
 def exchanges(
     geometry: Geometry, layout: Layout, live: Sequence[int], suspects: Sequence[int]
 ) -> list[Exchange]:
-    """List the exchanges in which a suspected channel takes part.
+    """List the exchanges in which a suspected channel takes part, and that change anything.
 
     Two points change places when they have equally many channels: their positions alone (names in points.csv)
     or with their beams (names of rows). Two lasers change with all their channels, two beams at one point.
     """
     points = layout.by_point(live)
-    names = {layout.points[channel] for channel in suspects}
-    found: list[Exchange] = []
+    names = {layout.points[channel] for channel in suspects} & set(points)
+    pairs: list[tuple[str, Sequence[int], Sequence[int]]] = []
     for one, other in combinations(points, 2):
-        first, second = points[one], points[other]
-        if (one in names or other in names) and len(first) == len(second):
-            found.append(_exchange("points", geometry, first, second))
-            if np.any(np.abs(geometry.directions[first] - geometry.directions[second]) > 1e-6):
-                found.append(_exchange("rows", geometry, first, second))
-    for name in names & set(points):
-        found += [_exchange("beams", geometry, [a], [b]) for a, b in combinations(points[name], 2)]
-    for first, second in combinations(layout.by_laser(live).values(), 2):
+        if one in names or other in names:
+            pairs += [(what, points[one], points[other]) for what in ("points", "rows")]
+    for name in names:
+        pairs += [("beams", [first], [second]) for first, second in combinations(points[name], 2)]
+    pairs += [("lasers", *pair) for pair in combinations(layout.by_laser(live).values(), 2)]
+    found: dict[bytes, Exchange] = {}
+    for what, first, second in pairs:
         if len(first) == len(second):
-            found.append(_exchange("lasers", geometry, first, second))
-    return found
+            changed = _exchanged(what, geometry, list(first), list(second))
+            key = _key(changed)
+            found.setdefault(
+                key, Exchange("points" if what == "rows" else what, (*first,), (*second,), changed)
+            )
+    found.pop(_key(geometry), None)
+    return list(found.values())
 
 
-def _exchange(what: str, geometry: Geometry, first: Sequence[int], second: Sequence[int]) -> Exchange:
-    one, other = list(first), list(second)
+def _exchanged(what: str, geometry: Geometry, one: list[int], other: list[int]) -> Geometry:
     positions, directions = geometry.positions_m.copy(), geometry.directions.copy()
     if what in ("points", "rows"):
         positions[one], positions[other] = geometry.positions_m[other[0]], geometry.positions_m[one[0]]
     if what != "points":
         directions[one], directions[other] = geometry.directions[other], geometry.directions[one]
-    changed = replace(geometry, positions_m=positions, directions=directions)
-    what = "points" if what == "rows" else what
-    return Exchange(what, tuple(first), tuple(second), changed)
+    return replace(geometry, positions_m=positions, directions=directions)
 
 
-def distinct(exchange: Exchange, geometry: Geometry) -> bool:
-    """Return whether the exchange changes anything."""
-    changed = exchange.geometry
-    own = list(exchange.channels)
-    return not (
-        np.allclose(changed.positions_m[own], geometry.positions_m[own])
-        and np.allclose(changed.directions[own], geometry.directions[own])
-    )
+def _key(geometry: Geometry) -> bytes:
+    """Return what is equal for geometries that are alike within 1 nm and 1 urad."""
+    whole = np.hstack([geometry.positions_m * 1e9, geometry.directions * 1e6])
+    return bytes((np.round(whole) + 0.0).tobytes())

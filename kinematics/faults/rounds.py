@@ -84,17 +84,28 @@ class Round:
             tail = log_ndtr(-(0.5 * np.log(ratio) + np.log(self.levels)) / width)
         return np.where(some, tail, 0.0)
 
+    def channel_log_p(self) -> Array:
+        """Return the logarithm of the smallest p-value of each channel's own tests, all of them one test."""
+        out = np.minimum(self.channel_noise, 0.0)
+        count = np.ones(len(out))
+        for test in self.tests:
+            if test.place.owner == "channel":
+                (channel,) = test.place.channels
+                out[channel] = min(out[channel], self.noise.log_tail(test.statistic, test.freedom))
+                count[channel] += 1.0
+        return np.minimum(out + np.log(count), 0.0)
+
     @cached_property
     def log_whole(self) -> float:
-        """Logarithm of the probability of the sum of all squares."""
-        if not self.stated:
-            if not np.isfinite(self.noise.freedom) or not self.packed.turned:
-                return 0.0
-            return float(self.noise.log_tail(self.estimate.chi2, self.state.freedom))
-        energy, freedom = self.state.noise_energy
-        return float(
-            self.noise.log_tail(self.estimate.chi2 + energy.sum(), self.state.freedom + freedom.sum())
-        )
+        """Logarithm of the probability of the sum of all squares; 0 where no noise is known apart from it."""
+        energy, freedom = (float(part.sum()) if self.stated else 0.0 for part in self.state.noise_energy)
+        if not self.stated and not (np.isfinite(self.noise.freedom) and self.packed.turned):
+            return 0.0
+        return float(self.noise.log_tail(self.estimate.chi2 + energy, self.state.freedom + freedom))
+
+    def evidence(self, fall: float, count: int) -> float:
+        """Return the log likelihood gained by a fall of chi2, less what so many parameters cost (BIC)."""
+        return 0.5 * fall / self.noise.level - 0.5 * count * float(np.log(self.packed.values))
 
     @property
     def excess(self) -> float:
@@ -103,9 +114,9 @@ class Round:
 
     def clean(self) -> bool:
         """Return whether nothing is wrong, at the level of alarms of `ALARM`."""
-        loudest = float(np.min(self.channel_noise)) + np.log(max(len(self.live), 1))
-        smallest = (float(np.min(self.log_p, initial=0.0)), loudest, self.log_whole)
-        return all(log_p > np.log(ALARM * share) for log_p, share in zip(smallest, ALARM_SHARES, strict=True))
+        loudest = np.min(self.channel_noise) + np.log(max(len(self.live), 1))
+        smallest = np.array([np.min(self.log_p, initial=0.0), loudest, self.log_whole])
+        return bool(np.all(smallest > np.log(ALARM * np.array(ALARM_SHARES))))
 
 
 def null_fit(

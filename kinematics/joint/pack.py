@@ -152,28 +152,6 @@ class Packed:
         """Real numbers that are looked at, without the sample of noise."""
         return int(2 * np.sum(np.count_nonzero(self.w, axis=1) * self.columns))
 
-    def merged(self, motion: ComplexArray) -> Packed:
-        """Return one group of columns, for what is the same at all lines; itself where weights differ.
-
-        Parameters
-        ----------
-        motion : ndarray, (G, r, n), complex
-            The motion in the columns.
-        """
-        same = np.array_equal(self.w, np.broadcast_to(self.w[:1], self.w.shape))
-        if len(self.y) == 1 or not same or len(self.geometry.factor) > 1:
-            return self
-        vectors = np.linalg.svd(motion.transpose(1, 0, 2).reshape(motion.shape[1], -1), full_matrices=False)[
-            2
-        ]
-        y = self.y.transpose(1, 0, 2).reshape(self.y.shape[1], -1) @ vectors.conj().T
-        number = np.array([y.shape[1]])
-        empty = np.zeros((1, len(y), 0), dtype=complex)
-        return replace(
-            self, y=y[None], w=self.w[:1], columns=number, tau=np.zeros(1), rho=np.ones(1), rest=empty,
-            rest_columns=np.zeros(1, dtype=np.intp),
-        )  # fmt: skip
-
     def scaled(self, levels: Array) -> Packed:
         """Return the values over noise that is ``levels`` (G,) or (G, c) times as large."""
         by = np.broadcast_to(levels.reshape(len(self.y), -1), self.w.shape)[:, :, None]
