@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.faults.checks import CHECKS, Screened, empty_faults, phase_convention, screen_zeros
+from kinematics.faults.checks import Screened, check_measurement, empty_faults, screen_zeros
 from kinematics.faults.correct import Correction, corrected
 from kinematics.faults.diagnose import diagnose
 from kinematics.faults.search import Diagnosis
@@ -92,7 +92,7 @@ def measure_motion(
         parse_reference(options.reference, tuple(body.body for body in placed.bodies), options.dof)
     raise_all(empty_faults(placed))
     screened = [screen_zeros(body, placed.runs, options.dof) for body in placed.bodies]
-    notices += [*far_away(placed), *uncommon_lines(placed), *_cheap_checks(placed)]
+    notices += [*far_away(placed), *uncommon_lines(placed), *check_measurement(placed)]
     notices += [notice for one in screened for notice in one.notices]
     fitted = _fit(replace(placed, bodies=tuple(one.body for one in screened)), options)
     progress("looking for faults")
@@ -156,11 +156,6 @@ def _on_bone(
     if mass is None or not surfaces:
         return (), []
     return check_surfaces(measurement, placement, mass.record, surfaces)
-
-
-def _cheap_checks(placed: Measurement) -> list[Notice]:
-    """Return units and names that look wrong; the sign of phases is tested on the fitted motion."""
-    return [notice for check in CHECKS if check is not phase_convention for notice in check(placed)]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Cheap checks of a whole measurement: rows of zeros, units, names of bodies, sign of the phase.
+"""Cheap checks of a whole measurement: rows of zeros, units, names of bodies.
 
 Each check of `CHECKS` takes a measurement and yields warnings; what is wrong is named, nothing is changed.
 """
@@ -22,16 +22,11 @@ _LOWEST_TOP_HZ, _HIGHEST_HZ = 40.0, 3e5  # a sweep that ends below is not of hea
 SLOWEST, FASTEST = 1e-6, 20e-3
 """Velocity amplitudes of ears in experiments, m/s: 0.05 to 0.2 mm/s for each Pa at the stapes (Chien et al.
 2009, doi:10.1016/j.heares.2008.11.011), at 50 to 130 dB (SPL)."""
-_LARGEST_RATIO = (
-    100.0  # a resonance makes a factor of ten between bodies, in the median of a band not hundreds
-)
-_LEAST_VALUES, _WIDE_BAND = (
-    50,
-    2.0,
-)  # values and octaves in which damping turns the phase by more than pi degrees
+_LARGEST_RATIO = 100.0  # between bodies: a resonance makes ten, in the median of a band not hundreds
+_LEAST_VALUES = 50
+_WIDE_BAND = 2.0  # last over first frequency from which damping turns the phase by more than pi degrees
 _DECIBELS = (20.0, 200.0)
 _SAMPLE = 100_000  # values looked at
-_SURE = 4.0  # standard deviations of a lag, or of a likelihood ratio
 
 
 @dataclass(frozen=True)
@@ -126,22 +121,33 @@ def _some(body: BodyChannels) -> tuple[ComplexArray, slice]:
     return np.where(np.isfinite(part) & (part != 0.0), part, np.nan), lines
 
 
+def _known(body: BodyChannels) -> ComplexArray:
+    """Return the values of some lines that are neither zero nor missing, (n,)."""
+    part, _ = _some(body)
+    return np.asarray(part[np.isfinite(part)])
+
+
+def _unit_slip(text: str, step: str) -> Notice:
+    return Notice("unit_slip", f"{text}. {step}.")
+
+
 def distances(measurement: Measurement) -> Iterator[Notice]:
     """Look at the distances of the points of each body: m under a header in mm, or the reverse."""
     for body in measurement.bodies:
         size = 0.0 if body.positions_m is None else float(np.max(np.ptp(body.positions_m, axis=0)))
         if size > 0.0 and not _NEAREST_M < size < _FARTHEST_M:
-            unit = "m" if size <= _NEAREST_M else "um"
-            text = f"the points of body {body.body} span {1e3 * size:.3g} mm: they look like {unit}"
-            yield Notice("unit_slip", f"{text} in columns of mm. Check the unit of the coordinates.")
+            looks = f"they look like {'m' if size <= _NEAREST_M else 'um'} in columns of mm"
+            text = f"the points of body {body.body} span {1e3 * size:.3g} mm: {looks}"
+            yield _unit_slip(text, "Check the unit of the coordinates")
 
 
 def frequencies(measurement: Measurement) -> Iterator[Notice]:
     """Look whether the frequencies are those of hearing."""
     top = float(measurement.freq_hz[-1])
-    if top > _HIGHEST_HZ or top < _LOWEST_TOP_HZ:
-        found = "a thousand times too large" if top > _HIGHEST_HZ else "like kHz in a column of Hz"
-        yield Notice("unit_slip", f"the highest frequency is {top:.4g} Hz: the frequencies look {found}.")
+    if not _LOWEST_TOP_HZ <= top <= _HIGHEST_HZ:
+        looks = "a thousand times too large" if top > _HIGHEST_HZ else "like kHz in a column of Hz"
+        text = f"the highest frequency is {top:.4g} Hz: the frequencies look {looks}"
+        yield _unit_slip(text, "Check their unit")
 
 
 def velocities(measurement: Measurement) -> Iterator[Notice]:
@@ -158,89 +164,49 @@ def velocities(measurement: Measurement) -> Iterator[Notice]:
         guess = "decibels, or " if _DECIBELS[0] < size < _DECIBELS[1] else ""
         text = (
             f"the velocities of {', '.join(sizes)} are {size:.2g} m/s in the median; ears move by "
-            f"{SLOWEST:g} to {FASTEST:g} m/s in experiments: the values look like {guess}another unit. "
-            "Check the unit of the file."
+            f"{SLOWEST:g} to {FASTEST:g} m/s in experiments: the values look like {guess}another unit"
         )
-        yield Notice("unit_slip", text)
+        yield _unit_slip(text, "Check the unit of the file")
 
 
 def ratios(measurement: Measurement) -> Iterator[Notice]:
     """Compare the bodies with the first, line by line."""
-    sizes = []
-    for body in measurement.bodies:
-        part = np.abs(body.value[:, :, :: max(1, measurement.bodies[0].value.size // _SAMPLE)]) ** 2
-        count = np.maximum(np.sum(np.isfinite(part), axis=(0, 1)), 1)
-        sizes.append(np.sqrt(np.nansum(part, axis=(0, 1)) / count))
-    for body, size in zip(measurement.bodies[1:], sizes[1:], strict=True):
-        both = (size > 0.0) & (sizes[0] > 0.0)
-        ratio = float(np.median(size[both] / sizes[0][both])) if np.any(both) else 1.0
+    first, *others = measurement.bodies
+    lines = slice(0, None, max(1, first.value.size // _SAMPLE))
+
+    def sizes(body: BodyChannels) -> Array:
+        square = np.abs(body.value[:, :, lines]) ** 2
+        count = np.maximum(np.sum(np.isfinite(square), axis=(0, 1)), 1)
+        return np.asarray(np.sqrt(np.nansum(square, axis=(0, 1)) / count))
+
+    for body in others:
+        size, of_first = sizes(body), sizes(first)
+        both = (size > 0.0) & (of_first > 0.0)
+        ratio = float(np.median(size[both] / of_first[both])) if np.any(both) else 1.0
         if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
-            text = f"body {body.body} moves {ratio:.3g} times as much as {measurement.bodies[0].body}"
-            yield Notice("unit_slip", f"{text}: one of them has another unit. Check the units of both.")
+            text = f"body {body.body} moves {ratio:.3g} times as much as {first.body}: one has another unit"
+            yield _unit_slip(text, "Check the units of both")
 
 
 def radians(measurement: Measurement) -> Iterator[Notice]:
     """Look whether all phases lie within pi degrees: radians in a column of degrees."""
-    if measurement.freq_hz[-1] < _WIDE_BAND * measurement.freq_hz[0]:
-        return
-    for body in measurement.bodies:
-        part, _ = _some(body)
-        phase = np.abs(np.rad2deg(np.angle(part[np.isfinite(part)])))
+    wide = measurement.freq_hz[-1] > _WIDE_BAND * measurement.freq_hz[0]
+    for body in measurement.bodies if wide else ():
+        phase = np.abs(np.rad2deg(np.angle(_known(body))))
         if phase.size > _LEAST_VALUES and 1.0 < float(np.max(phase)) <= np.pi * (1 + 1e-6):
-            text = f"all phases of body {body.body} lie within 3.1416 degrees: they look like radians"
-            yield Notice("unit_slip", f"{text} in a column of degrees.")
+            text = f"all phases of body {body.body} lie within 3.1416 degrees"
+            yield _unit_slip(text, "They look like radians in a column of degrees")
 
 
 def decibels(measurement: Measurement) -> Iterator[Notice]:
     """Look whether amplitudes are all decibels: all within 20 to 200, in any unit of a header."""
     for body in measurement.bodies:
-        part, _ = _some(body)
-        size = np.abs(part[np.isfinite(part)])
+        size = np.abs(_known(body))
         for unit in (1.0, 1e-3, 1e-6, 1e-9) if size.size > _LEAST_VALUES else ():
             low, high = float(np.min(size)) / unit, float(np.max(size)) / unit
-            if _DECIBELS[0] < low and high < _DECIBELS[1] and high < 3.0 * low:
+            if _DECIBELS[0] < low and high < min(_DECIBELS[1], 3.0 * low):
                 text = f"all amplitudes of body {body.body} lie between {low:.3g} and {high:.3g} of one unit"
-                yield Notice("unit_slip", f"{text}: they look like decibels. Give them as linear amplitudes.")
-
-
-def phase_convention(measurement: Measurement) -> Iterator[Notice]:
-    """Look whether phases fall with frequency, as those of a passive structure do under e^{+iwt}.
-
-    The stapes lags the base that drives it; a single body lags its excitation: the phase of its motion falls
-    by half a turn at each resonance, so that the sum of its steps is negative.
-    """
-    along = np.mean(measurement.bodies[0].directions, axis=0)
-    motions = [_strongest(body, along) for body in measurement.bodies]
-    if len(motions) == 2:
-        names = [body.body for body in measurement.bodies]
-        first = 1 if names[1] == "stapes" else 0
-        angle = np.angle(motions[first] * motions[1 - first].conj())
-        what = f"{names[first]} leads {names[1 - first]}"
-    else:
-        angle = np.cumsum(np.angle(motions[0][1:] * motions[0][:-1].conj()))
-        what = f"the phase of {measurement.bodies[0].body} rises with frequency"
-    angle = angle[np.isfinite(angle)]
-    if len(angle) < 20:
-        return
-    leads = np.count_nonzero(angle > 0.0)
-    if len(motions) == 2:
-        score = (leads - 0.5 * len(angle)) / np.sqrt(0.25 * len(angle))
-        wrong = score > _SURE and float(np.mean(np.sin(angle))) > 0.1
-    else:
-        wrong = float(angle[-1]) > 1.5 * np.pi and leads > 0.9 * len(angle)
-    if wrong:
-        text = f"{what}: these look like amplitudes of e^{{-iwt}}. Conjugate the data (reverse the phases)."
-        yield Notice("phase_convention", text)
-
-
-def _strongest(body: BodyChannels, along: Array) -> ComplexArray:
-    """Return the course (n,) of the strongest common motion of the first run, positive along a direction."""
-    part, _ = _some(body)
-    value = np.nan_to_num(part[0])
-    left = np.linalg.svd(value, full_matrices=False)[0][:, 0]
-    course = left.conj() @ value
-    sign = complex(np.sum(left * np.sign(body.directions @ along)))
-    return np.asarray(np.where(course != 0.0, course * sign / max(abs(sign), 1e-300), np.nan))
+                yield _unit_slip(f"{text}: they look like decibels", "Give them as linear amplitudes")
 
 
 def exchanged_bodies(measurement: Measurement) -> Iterator[Notice]:
@@ -251,8 +217,7 @@ def exchanged_bodies(measurement: Measurement) -> Iterator[Notice]:
     if len(one.points) != len(other.points):
         return
     own = _misfit(one, one) + _misfit(other, other)
-    crossed = _misfit(one, other) + _misfit(other, one)
-    if own > 0.0 and crossed < 0.1 * own:
+    if own > 0.0 and _misfit(one, other) + _misfit(other, one) < 0.1 * own:
         text = f"the values of {one.body} fit the points of {other.body}, and the reverse"
         yield Notice("label_swap", f"{text}: the names of the bodies are exchanged.")
 
@@ -267,18 +232,10 @@ def _misfit(values: BodyChannels, places: BodyChannels) -> float:
     rows = point_rows(arms / max(float(np.max(np.abs(arms))), 1e-12), places.directions)
     u, s, _ = np.linalg.svd(rows, full_matrices=False)
     u = u[:, s > 1e-6 * s[0]]
-    left = y - u @ (u.T @ y)
-    return float(np.sum(np.abs(left) ** 2) / np.sum(np.abs(y) ** 2))
+    return float(np.sum(np.abs(y - u @ (u.T @ y)) ** 2) / np.sum(np.abs(y) ** 2))
 
 
 CHECKS: tuple[Callable[[Measurement], Iterator[Notice]], ...] = (
-    distances,
-    frequencies,
-    velocities,
-    ratios,
-    radians,
-    decibels,
-    phase_convention,
-    exchanged_bodies,
-)
+    distances, frequencies, velocities, ratios, radians, decibels, exchanged_bodies,
+)  # fmt: skip
 """All checks. A new one is one function and one entry."""
