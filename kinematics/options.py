@@ -78,8 +78,7 @@ class MotionOptions(Options):
     table: ClassVar[str] = "ldv"
     rules: ClassVar[tuple[Rule, ...]] = (
         Rule(
-            lambda v: not v.file,
-            Fault("LDV", "given", "nothing", "", "points2dof --help lists the formats"),
+            lambda v: not v.file, Fault("LDV", "given", "nothing", "", "points2dof --help lists the formats")
         ),
         Rule(
             lambda v: v.frame and isinstance(v.fiducials, Path),

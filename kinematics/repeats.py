@@ -154,12 +154,7 @@ def _drift(run: str, gains: ComplexArray, sd: Array) -> list[Notice]:
 
 
 def _outlier(
-    run: str,
-    names: tuple[str, ...],
-    gains: ComplexArray,
-    sd: Array,
-    left: Array,
-    several: NDArray[np.bool_],
+    run: str, names: tuple[str, ...], gains: ComplexArray, sd: Array, left: Array, several: NDArray[np.bool_]
 ) -> list[Notice]:
     """Report one repeat whose gain or shape is unlike that of the others."""
     from scipy.special import fdtrc

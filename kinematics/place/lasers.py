@@ -10,13 +10,7 @@ import numpy as np
 from kinematics.faults.search import Diagnosis
 from kinematics.joint.pack import Packed, pack
 from kinematics.measurement import Measurement
-from kinematics.place.channel_errors import (
-    UNLIKELY,
-    ErrorEstimate,
-    Lasers,
-    estimate_errors,
-    position_errors,
-)
+from kinematics.place.channel_errors import UNLIKELY, ErrorEstimate, Lasers, estimate_errors, position_errors
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
