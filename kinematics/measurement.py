@@ -5,7 +5,7 @@ Shapes: r runs (excitations), c channels (one point and one beam), L frequency l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -111,6 +111,21 @@ class BodyChannels:
     def channels_of(self, point: str) -> list[int]:
         """Return the channels of a point."""
         return [channel for channel, name in enumerate(self.points) if name == point]
+
+    def part(self, channels: Sequence[int]) -> BodyChannels:
+        """Return the body with some of its channels."""
+        own = list(channels)
+        return replace(
+            self,
+            points=tuple(self.points[channel] for channel in own),
+            positions_m=None if self.positions_m is None else self.positions_m[own],
+            directions=self.directions[own],
+            value=self.value[:, own],
+            sd=None if self.sd is None else self.sd[:, own],
+            position_sd_m=self.position_sd_m[own],
+            file_positions_m=None if self.file_positions_m is None else self.file_positions_m[own],
+            file_directions=self.file_directions[own],
+        )
 
     def with_run(self, run: int, value: ComplexArray, sd: Array | None = None) -> BodyChannels:
         """Return the body with other values (c, L) of one run, and their sd where it has any."""
@@ -235,17 +250,8 @@ class Measurement:
 
     def mapped(self, to_from_here: RigidTransform) -> Measurement:
         """Return the measurement with positions and directions in another frame."""
-        turn = to_from_here.rotation
-        bodies = tuple(
-            replace(
-                body,
-                positions_m=body.arms_m @ turn.T + 1e-3 * to_from_here.translation_mm,
-                directions=body.directions @ turn.T,
-                file_from_here=body.file_from_here @ turn.T,
-            )
-            for body in self.bodies
-        )
-        return replace(self, frame=to_from_here.to, bodies=bodies)
+        moved = self._turned(to_from_here.rotation, 1e-3 * to_from_here.translation_mm)
+        return replace(moved, frame=to_from_here.to)
 
     def mirrored(self, axis: str) -> Measurement:
         """Return the measurement with one axis of its left-handed coordinates reversed.
@@ -257,13 +263,16 @@ class Measurement:
         """
         if axis not in MIRRORS:
             raise StapeskitError.of("--mirror", "x, y or z", axis)
-        sign = np.array(MIRRORS[axis])
+        return self._turned(np.diag(MIRRORS[axis]), np.zeros(3))
+
+    def _turned(self, turn: Array, shift_m: Array) -> Measurement:
+        """Return the measurement in axes that are turned or mirrored (3, 3), then shifted."""
         bodies = tuple(
             replace(
                 body,
-                positions_m=None if body.positions_m is None else body.positions_m * sign,
-                directions=body.directions * sign,
-                file_from_here=body.file_from_here * sign,
+                positions_m=None if body.positions_m is None else body.positions_m @ turn.T + shift_m,
+                directions=body.directions @ turn.T,
+                file_from_here=body.file_from_here @ turn.T,
             )
             for body in self.bodies
         )

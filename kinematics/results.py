@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.verdicts import ChannelVerdict, write_channels
 from kinematics.fit.rigid_fit import LineFit
@@ -22,7 +20,7 @@ from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs
 from stapeskit.records.measured_mass import MeasuredMass
-from stapeskit.records.motion import motion_columns, write_motion
+from stapeskit.records.motion import motion_frame, write_motion
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -102,22 +100,7 @@ class MotionResult(Result):
 
     def to_frame(self) -> DataFrame:
         """Return the rows and columns of dof.csv, one row a run, body and frequency."""
-        import pandas as pd
-
-        motion = self.motion
-        run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
-        q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
-        names = motion_columns(motion.dof, bool(motion.reference))
-        columns = {
-            "run": np.array(motion.runs, dtype=object)[run],
-            "body": np.array(motion.bodies, dtype=object)[body],
-            "freq_hz": motion.freq_hz[line],
-        }
-        for place, (real, imaginary) in enumerate(zip(names["re"], names["im"], strict=True)):
-            columns |= {real: q[:, place].real, imaginary: q[:, place].imag}
-        columns |= {name: sd[:, place] for place, name in enumerate(names["sd"])}
-        columns |= {"chi2": motion.chi2[run, body, line], "n_dof": motion.n_dof[run, body, line]}
-        return pd.DataFrame(columns)
+        return motion_frame(self.motion)
 
     def plot(self) -> Figure:
         """Draw amplitude and phase of every degree of freedom over frequency."""

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,10 @@ from stapeskit.tables import Table, TextColumn, as_text_cell, from_text_cell, re
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
-__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "read_motion", "write_motion"]
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "motion_frame", "read_motion", "write_motion"]
 
 SCHEMA = "stapeskit.dof/1"
 MADE_BY = "Make the file with points2dof"
@@ -51,24 +54,33 @@ def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Pa
     return csv_path, h5_path
 
 
-def _write_csv(path: Path, motion: RigidMotion) -> None:
-    """Write the rows of all determined lines: q with all its digits, sd and chi2 with nine."""
+def motion_frame(motion: RigidMotion) -> DataFrame:
+    """Return the rows of all determined lines: run, body, frequency, q, sd, chi2 and n_dof."""
     import pandas as pd
 
     names = motion_columns(motion.dof, bool(motion.reference))
     run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
     q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
     columns: dict[str, Any] = {
-        "run": np.array([as_text_cell(name) for name in motion.runs], dtype=object)[run],
-        "body": np.array([as_text_cell(name) for name in motion.bodies], dtype=object)[body],
+        "run": np.array(motion.runs, dtype=object)[run],
+        "body": np.array(motion.bodies, dtype=object)[body],
         "freq_hz": motion.freq_hz[line],
     }
     for place, (real, imaginary) in enumerate(zip(names["re"], names["im"], strict=True)):
         columns |= {real: q[:, place].real, imaginary: q[:, place].imag}
-    columns |= {name: _nine_digits(sd[:, place]) for place, name in enumerate(names["sd"])}
-    columns["chi2"] = _nine_digits(motion.chi2[run, body, line])
-    columns["n_dof"] = motion.n_dof[run, body, line].astype(int)
-    pd.DataFrame(columns).to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
+    columns |= {name: sd[:, place] for place, name in enumerate(names["sd"])}
+    columns |= {"chi2": motion.chi2[run, body, line], "n_dof": motion.n_dof[run, body, line].astype(int)}
+    return pd.DataFrame(columns)
+
+
+def _write_csv(path: Path, motion: RigidMotion) -> None:
+    """Write the rows of all determined lines: q with all its digits, sd and chi2 with nine."""
+    table = motion_frame(motion)
+    for name in ("run", "body"):
+        table[name] = [as_text_cell(cell) for cell in table[name]]
+    for name in (*motion_columns(motion.dof, bool(motion.reference))["sd"], "chi2"):
+        table[name] = _nine_digits(table[name].to_numpy())
+    table.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
 
 
 def _nine_digits(values: Array) -> list[str]:
