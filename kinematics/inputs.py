@@ -57,22 +57,15 @@ class Inputs:
 def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
     """Read every file of a measurement; their faults come together."""
     faults: list[Fault] = []
-    fiducials = points = None
     known = None if mass is None else mass.record
+    fiducials, points = _read_ties(options, faults)
     with collect_faults(faults):
-        if options.fiducials_file is None:
+        if fiducials is None and options.fiducials_file is None:
             check_frames((options.frame or "footplate",), known)
-        else:
-            fiducials = read_fiducials(options.fiducials_file)
+        elif fiducials is not None:
             check_frames(tuple(dict.fromkeys(fiducials.frames)), known, fiducials.file, True)
-    if options.plate_points is not None:
-        with collect_faults(faults):
-            points = read_surface_points(options.plate_points)
     with collect_faults(faults):
-        measurement = read_measurement(
-            options.file, options.points_file, options.source_frame, file_facts(options)
-        )
-        measurement = without_channels(measurement, options.leave_out)
+        measurement = _read_channels(options)
         for body in measurement.bodies:
             _ = body.arms_m
     raise_all(faults)
@@ -81,6 +74,23 @@ def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
         points = None if points is None else points.mirrored(options.mirror)
     return Inputs(options, measurement, fiducials, points)
+
+
+def _read_ties(options: MotionOptions, faults: list[Fault]) -> tuple[Fiducials | None, SurfacePoints | None]:
+    """Read the files that tie the measurement to the scan."""
+    fiducials = points = None
+    with collect_faults(faults):
+        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
+    with collect_faults(faults):
+        points = None if options.plate_points is None else read_surface_points(options.plate_points)
+    return fiducials, points
+
+
+def _read_channels(options: MotionOptions) -> Measurement:
+    """Read the vibrometer files, without the channels that the user leaves out."""
+    facts = file_facts(options)
+    measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
+    return without_channels(measurement, options.leave_out)
 
 
 def check_inputs(options: MotionOptions) -> None:
@@ -96,38 +106,25 @@ def check_inputs(options: MotionOptions) -> None:
     from kinematics.readers.text import TEXT_ENDINGS
 
     faults: list[Fault] = []
+    fiducials, _ = _read_ties(options, faults)
     with collect_faults(faults):
-        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
         if fiducials is not None and len(set(fiducials.frames)) == 1:
-            frame = fiducials.frames[0]
-            fit_rigid(
-                fiducials.vibrometer_mm,
-                fiducials.reference_mm,
-                fiducials.sd_mm,
-                to=frame,
-                source="vibrometer",
-                names=fiducials.names,
-            )
-    if options.plate_points is not None:
-        with collect_faults(faults):
-            read_surface_points(options.plate_points)
-    facts = file_facts(options)
+            pairs = fiducials.vibrometer_mm, fiducials.reference_mm, fiducials.sd_mm
+            fit_rigid(*pairs, to=fiducials.frames[0], source="vibrometer", names=fiducials.names)
     small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
     size = sum(path.stat().st_size for path in small)
-    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and facts.channels is None:
+    if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and options.channels is None:
         with collect_faults(faults):
-            measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
-            without_channels(measurement, options.leave_out)
+            measurement = _read_channels(options)
+            names = tuple(body.body for body in measurement.bodies)
             if options.reference:
-                parse_reference(
-                    options.reference, tuple(body.body for body in measurement.bodies), options.dof
-                )
+                parse_reference(options.reference, names, options.dof)
     else:
         for path in options.file:
             with collect_faults(faults):
                 format_of(path, options.mapping is not None)
-        if options.points_file is not None:
-            with collect_faults(faults):
+        with collect_faults(faults):
+            if options.points_file is not None:
                 read_points(options.points_file)
     raise_all(faults)
 
