@@ -127,16 +127,6 @@ class BodyChannels:
             file_directions=self.file_directions[own],
         )
 
-    def with_run(self, run: int, value: ComplexArray, sd: Array | None = None) -> BodyChannels:
-        """Return the body with other values (c, L) of one run, and their sd where it has any."""
-        values = self.value.copy()
-        values[run] = value
-        if self.sd is None or sd is None:
-            return replace(self, value=values)
-        spread = np.array(self.sd)
-        spread[run] = sd
-        return replace(self, value=values, sd=spread)
-
 
 def direction_name(direction: Array) -> str:
     """Write a direction as ``x``, ``-z`` or three numbers."""

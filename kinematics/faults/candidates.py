@@ -29,8 +29,7 @@ class Candidate:
         Of `kinds.Finding`.
     place : Place
     evidence : float
-        Log likelihood gained, less half the number of parameters times the logarithm of the number of values
-        (Schwarz 1978, doi:10.1214/aos/1176344136).
+        Of `Round.evidence`.
     fall : float
         Fall of chi2.
     values, sd : ndarray, (k,)
@@ -134,9 +133,9 @@ def _louder(now: Round) -> list[Candidate]:
     for channel in now.live:
         ratio = energy[channel] / now.noise.level / max(freedom[channel], 1e-9)
         if freedom[channel] > 8.0 and ratio > 1.0:
-            gained = freedom[channel] * (ratio - 1.0 - np.log(ratio))
+            fall = energy[channel] * (1.0 - 1.0 / ratio)
+            evidence = now.evidence(fall, 1) - 0.5 * freedom[channel] * np.log(ratio)
             size = np.array([np.sqrt(ratio)])
             sd = size / np.sqrt(2.0 * freedom[channel])
-            evidence = now.evidence(gained * now.noise.level, 1)
             found.append(Candidate("noise", Place("channel", (channel,)), evidence, 0.0, size, sd))
     return found

@@ -104,8 +104,22 @@ class Round:
         return float(self.noise.log_tail(self.estimate.chi2 + energy, self.state.freedom + freedom))
 
     def evidence(self, fall: float, count: int) -> float:
-        """Return the log likelihood gained by a fall of chi2, less what so many parameters cost (BIC)."""
-        return 0.5 * fall / self.noise.level - 0.5 * count * float(np.log(self.packed.values))
+        """Return the log likelihood gained by a fall of chi2, less what so many parameters cost.
+
+        Notes
+        -----
+        Schwarz 1978, doi:10.1214/aos/1176344136. What a fault leaves beyond the noise, other faults for
+        instance, counts as noise of a size that is not known: it must not be explained by more parameters.
+        """
+        energy, freedom = (float(part.sum()) for part in self.state.noise_energy)
+        whole, freedom = self.estimate.chi2 + energy, self.state.freedom + freedom
+
+        def log_likelihood(chi2: float) -> float:
+            level = max(chi2 / freedom, self.noise.level)
+            return -0.5 * float(freedom * np.log(level) + chi2 / level)
+
+        gained = log_likelihood(whole - fall) - log_likelihood(whole)
+        return gained - 0.5 * count * float(np.log(self.packed.values))
 
     @property
     def excess(self) -> float:

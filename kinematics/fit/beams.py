@@ -63,13 +63,6 @@ class BeamSet:
         """Condition number of the dimensionless observation matrix."""
         return float(1.0 / self.strength[-1])
 
-    @property
-    def to_six(self) -> Array:
-        """``to_dof`` (6, m), with rows of zeros for degrees of freedom that are not in the fit."""
-        six = np.zeros((6, len(self.dof)))
-        six[dof_indices(self.dof)] = self.to_dof
-        return six
-
 
 def beam_set(body: str, arms_m: Array, directions: Array, dof: Sequence[str]) -> BeamSet:
     """Factorise the observation matrix of a body's beams about the origin.

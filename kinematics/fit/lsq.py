@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, ComplexArray
 
-ROBUST = ("none", "huber", "t4")
 HUBER_TUNING = 2.0
 """Size of a complex residual, in standard deviations of its parts, from which Huber's weight falls: it costs
 1.8 % of efficiency on Gaussian noise (by integration)."""

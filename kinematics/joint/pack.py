@@ -125,8 +125,6 @@ class Packed:
     scale : ndarray, (6,)
     live : ndarray, int
         Channels in use.
-    lines : ndarray, (G,), int
-        Lines of each group.
     """
 
     y: ComplexArray
@@ -140,7 +138,6 @@ class Packed:
     visible: Array
     scale: Array
     live: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    lines: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     @property
     def turned(self) -> bool:
@@ -199,11 +196,10 @@ def pack(readings: Readings) -> Packed:
         np.array([weight @ rho[lines] for weight, lines in zip(weights, places, strict=True)]),
         _stack([part.rest for part in parts]),
         np.array([part.rest.shape[1] for part in parts]),
-        geometry if static else geometry.with_factor(np.array(mean)),
+        geometry if static else replace(geometry, factor=np.array(mean)),
         visible,
         scale,
         np.flatnonzero(root.any(axis=1)),
-        np.array([len(part.lines) for part in parts]),
     )
 
 

@@ -10,7 +10,7 @@ Shapes: c channels, p parameters, G groups of lines.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -86,16 +86,6 @@ class Parameters:
         order = np.argsort(~own, axis=1, kind="stable")[:, :most]
         return order, np.take_along_axis(own, order, axis=1)
 
-    def part(self, chosen: NDArray[np.bool_]) -> Parameters:
-        """Return some of the parameters."""
-        return Parameters(self.mask[chosen], self.tangent[chosen], self.sd[chosen])
-
-    def without(self, channels: Sequence[int]) -> Parameters:
-        """Return the parameters of the other channels."""
-        mask = self.mask.copy()
-        mask[:, list(channels)] = 0.0
-        return Parameters(mask, self.tangent, self.sd).part(np.asarray(mask.any(axis=1)))
-
 
 @dataclass(frozen=True)
 class Geometry:
@@ -154,7 +144,3 @@ class Geometry:
             zero = np.zeros_like(self.directions)
             return np.hstack([zero, cross(axis[None], self.directions)])
         return point_rows(self.positions_m, cross(axis[None], self.directions))
-
-    def with_factor(self, factor: ComplexArray) -> Geometry:
-        """Return the geometry with another factor."""
-        return replace(self, factor=factor)

@@ -82,6 +82,6 @@ def _bends(found: Diagnosis) -> bool:
 def _sound_values(found: Diagnosis) -> Packed:
     """Return the values of a body without channels at fault; faults of whole lasers are left in."""
     readings = found.last.readings
-    geometry = readings.geometry.with_factor(np.ones((1, len(readings.noise_factor)), dtype=complex))
+    geometry = replace(readings.geometry, factor=np.ones((1, len(readings.noise_factor)), dtype=complex))
     packed = pack(replace(readings, geometry=geometry))
     return packed.scaled(np.full(len(packed.y), np.sqrt(found.last.noise.level)))
