@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from math import radians
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -72,49 +73,36 @@ Small = Annotated[
 CsvFile = Annotated[Path, output_file(".csv")]
 
 
+def _rule(broken: Callable[[Any], Any], thing: str, expected: str, got: str, step: str) -> Rule:
+    return Rule(broken, Fault(thing, expected, got, "", step))
+
+
 class MotionOptions(Options):
     """What is measured, how it is tied to the footplate, and how the motion is fitted: ``[ldv]``."""
 
     table: ClassVar[str] = "ldv"
     rules: ClassVar[tuple[Rule, ...]] = (
-        Rule(
-            lambda v: not v.file, Fault("LDV", "given", "nothing", "", "points2dof --help lists the formats")
-        ),
-        Rule(
+        _rule(lambda v: not v.file, "LDV", "given", "nothing", "points2dof --help lists the formats"),
+        _rule(
             lambda v: v.frame and isinstance(v.fiducials, Path),
-            Fault(
-                "--frame",
-                "left out with --fiducials, which name their frame themselves",
-                "both",
-                "",
-                "Write the frame into the column frame of the fiducials file",
-            ),
+            "--frame", "left out with --fiducials, which name their frame themselves", "both",
+            "Write the frame into the column frame of the fiducials file",
         ),
-        Rule(
+        _rule(
             lambda v: v.plate_points and not isinstance(v.fiducials, Path),
-            Fault(
-                "--plate-points",
-                "given with --fiducials, at least three rough ones",
-                "no fiducials",
-                "",
-                "Add --fiducials FILE: the points are laid on the plate from there",
-            ),
+            "--plate-points", "given with --fiducials, at least three rough ones", "no fiducials",
+            "Add --fiducials FILE: the points are laid on the plate from there",
         ),
-        Rule(
+        _rule(
             lambda v: v.correct and v.calibrate,
-            Fault(
-                "--correct",
-                "left out with --calibrate, which takes faults for errors of the geometry",
-                "both",
-                "",
-                "Correct the file by what --correct reports, and calibrate then",
-            ),
+            "--correct", "left out with --calibrate, which takes faults for errors of the geometry", "both",
+            "Correct the file by what --correct reports, and calibrate then",
         ),
-        Rule(
+        _rule(
             lambda v: v.steps and v.period_s,
-            Fault("--steps", "left out with --period: an excitation is periodic or stepped", "both"),
+            "--steps", "left out with --period: excitation is periodic or stepped", "both", "Leave one out",
         ),
-    )
+    )  # fmt: skip
 
     file: Annotated[
         ReadFiles | tuple[()],
@@ -260,6 +248,12 @@ class MotionOptions(Options):
     def source_frame(self) -> str:
         """Frame of positions and directions in the files."""
         return "vibrometer" if self.fiducials_file else self.frame or "footplate"
+
+    @property
+    def laser_sd(self) -> dict[str, float]:
+        """How well the lasers agree, by kind of error: 1, rad and s."""
+        gain, phase = self.gain_sd_percent / 100.0, radians(self.phase_sd_deg)
+        return {"laser_gain": gain, "laser_phase": phase, "laser_delay": 1e-6 * self.delay_sd_us}
 
     def inputs(self) -> dict[str, Path]:
         """Return every file that is named, by its role."""

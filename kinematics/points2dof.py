@@ -13,6 +13,7 @@ import numpy as np
 from kinematics.faults.checks import Screened, check_measurement, empty_faults, screen_zeros
 from kinematics.faults.correct import Correction, corrected
 from kinematics.faults.diagnose import diagnose
+from kinematics.faults.other_body import points_of_other_bodies
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
@@ -31,7 +32,7 @@ from kinematics.place.lasers import LaserAgreement, laser_agreement
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement
 from kinematics.place.shared_errors import Parameter, effects, shared_errors
-from kinematics.place.surfaces import Surface, surfaces_of
+from kinematics.place.surfaces import surfaces_of
 from kinematics.repeats import pool_repeats
 from kinematics.results import MotionResult
 from stapeskit.arrays import Array
@@ -86,7 +87,10 @@ def measure_motion(
     check_extent(measurement)
     placement = read.placement(mass)
     surfaces = {} if mass is None else surfaces_of(mass)
-    checks, notices = _on_bone(measurement, placement, mass, surfaces)
+    checks: tuple[SurfaceCheck, ...] = ()
+    notices: list[Notice] = []
+    if mass is not None:
+        checks, notices = check_surfaces(measurement, placement, mass.record, surfaces)
     placed = measurement.mapped(placement.transform)
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in placed.bodies), options.dof)
@@ -99,10 +103,11 @@ def measure_motion(
     diagnoses = _search(fitted, options)
     found = fitted.placed.bodies
     notices += check_axes(diagnoses, placement.transform)
+    notices += points_of_other_bodies(fitted.placed, fitted.fits, diagnoses)
     calibration = None
     if options.calibrate:
         readings = [diagnoses[number].last.readings for number in sorted(diagnoses)]
-        calibration = calibrate(fitted.placed, readings, _laser_sd(options))
+        calibration = calibrate(fitted.placed, readings, options.laser_sd)
         fitted = _fit(calibration.measurement, options)
         notices += calibration.notices()
     notices += [
@@ -113,9 +118,7 @@ def measure_motion(
         fitted, corrections = _correct(fitted, diagnoses, options)
         notices += [notice for one in corrections for notice in one.notices]
     notices += [*fitted.notices, *fit_notices(fitted.placed, fitted.fits)]
-    lasers = (
-        None if calibration is not None else laser_agreement(fitted.placed, diagnoses, _laser_sd(options))
-    )
+    lasers = None if calibration else laser_agreement(fitted.placed, diagnoses, options.laser_sd)
     motion = _motion(fitted, placement, lasers, calibration, corrections)
     check_determined(motion)
     notices += [] if lasers is None else lasers.notices()
@@ -150,14 +153,6 @@ def measure_motion(
     )
 
 
-def _on_bone(
-    measurement: Measurement, placement: Placement, mass: MeasuredMass | None, surfaces: Mapping[str, Surface]
-) -> tuple[tuple[SurfaceCheck, ...], list[Notice]]:
-    if mass is None or not surfaces:
-        return (), []
-    return check_surfaces(measurement, placement, mass.record, surfaces)
-
-
 @dataclass(frozen=True)
 class _Fitted:
     """The fits of a placed measurement, by (run, body)."""
@@ -186,20 +181,10 @@ def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
     return _Fitted(placed, fits, stated, unique(notices))
 
 
-def _laser_sd(options: MotionOptions) -> dict[str, float]:
-    """Return how well the lasers agree, SI."""
-    return {
-        "laser_gain": options.gain_sd_percent / 100.0,
-        "laser_phase": float(np.deg2rad(options.phase_sd_deg)),
-        "laser_delay": options.delay_sd_us * 1e-6,
-    }
-
-
 def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
     """Look for faults in every body, all of its runs together."""
     placed = fitted.placed
-    sd = _laser_sd(options)
-    lasers = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
+    lasers = Priors(*options.laser_sd.values())
     runs = range(len(placed.runs))
     found = {}
     for number, body in enumerate(placed.bodies):

@@ -62,7 +62,7 @@ def diagnose(
         return Diagnosis((), np.zeros(len(body.points)), 1.0, first, first)
     found = search(readings, layout, priors, stated)
     if any(finding.kind == "flexible" for finding in found.findings):
-        causes = other_causes(readings, found.first.state, found.first.noise, layout)
+        causes = other_causes(found.first)
         found = replace(found, findings=(), causes=tuple(causes)) if causes else found
     least = min((finding.log_p for finding in found.findings), default=0.0)
     if not stated and least >= LEAST_LOG_P and has_computed_axes(body):

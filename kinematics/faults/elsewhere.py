@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinematics.faults.lines import line_residuals
-from kinematics.faults.scores import Noise, one_pattern
+from kinematics.faults.rounds import Round
+from kinematics.faults.scores import one_pattern
 from kinematics.fit.reference import format_stretches
-from kinematics.joint.estimate import State, inverse, system
-from kinematics.joint.expected import Layout
+from kinematics.joint.estimate import inverse, system
 from kinematics.joint.pack import Readings
 from kinematics.joint.tangents import GAIN, PHASE, SHIFT, Parameters
 from stapeskit.arrays import Array
@@ -38,19 +38,11 @@ class Cause:
     step: str
 
 
-def other_causes(readings: Readings, state: State, noise: Noise, layout: Layout) -> list[Cause]:
-    """Look for random errors of gains or positions, then for loud lines, then for single values far off.
-
-    Parameters
-    ----------
-    readings : Readings
-    state : State
-        The motion with the expected errors.
-    noise : Noise
-    layout : Layout
-    """
-    found = _scatter(state, noise, layout)
-    if found or one_pattern(state, noise):
+def other_causes(now: Round) -> list[Cause]:
+    """Look for random errors of gains or positions, then for loud lines, then for single values far off."""
+    readings, state = now.readings, now.state
+    found = _scatter(now)
+    if found or one_pattern(state, now.noise):
         return found
     lines = line_residuals(readings, state)
     squares = np.abs(lines.scaled) ** 2 / np.maximum(lines.own, 0.05)[:, None]
@@ -93,22 +85,21 @@ def _single_values(squares: Array) -> list[Cause]:
     return [Cause("sparse_outliers", text, "Fit with --robust huber, or look for drop-outs of the signal")]
 
 
-def _scatter(state: State, noise: Noise, layout: Layout) -> list[Cause]:
+def _scatter(now: Round) -> list[Cause]:
     """Look for random errors of one kind at all channels or points."""
-    live = state.packed.live.tolist()
-    points = list(layout.by_point(live).values())
-    whole = max(state.energy / noise.level - state.freedom, 1e-9)
+    points = list(now.layout.by_point(now.live).values())
+    whole = max(now.state.energy / now.noise.level - now.state.freedom, 1e-9)
     gains = ("gains_scattered", "%", 100.0, "Calibrate the channels, or state larger errors of gains")
     step = "State them as sd_mm in points.csv, or measure the points again"
     places = ("positions_scattered", "mm", 1e3, step)
     trials = (
         ("factors of points", points, (GAIN, PHASE), gains),
-        ("gains of channels", [[channel] for channel in live], (GAIN,), gains),
+        ("gains of channels", [[channel] for channel in now.live], (GAIN,), gains),
         ("positions", points, SHIFT, places),
     )
     best, found = max(_LEAST_GAIN, 0.25 * whole), []
     for name, own, tangents, (code, unit, factor, step) in trials:
-        sd, gain, sizes = random_errors(state, own, tangents, noise)
+        sd, gain, sizes = random_errors(now, own, tangents)
         if gain < best:
             continue
         text = f"the {name} differ by {factor * sd:.2g} {unit} (standard deviation)"
@@ -123,9 +114,9 @@ def _scatter(state: State, noise: Noise, layout: Layout) -> list[Cause]:
 
 
 def random_errors(
-    state: State, places: Sequence[Sequence[int]], tangents: Sequence[int], noise: Noise
+    now: Round, places: Sequence[Sequence[int]], tangents: Sequence[int]
 ) -> tuple[float, float, Array]:
-    """Estimate random errors of one kind at all places.
+    """Estimate random errors of one kind at all places, the expected errors left free.
 
     Returns
     -------
@@ -141,14 +132,19 @@ def random_errors(
     Random effects: with score b and information N of all errors, the log likelihood of their variance s is
     1/2 b^T (N + 1/s)^-1 b - 1/2 log det(1 + s N) (Searle, Casella and McCulloch 1992, Variance Components).
     """
-    channels = len(state.geometry.positions_m)
     entries = [(list(own), tangent, 1.0) for own in places for tangent in tangents]
-    score, information, _ = system(state, Parameters.of(channels, entries))
-    score, information = score / noise.level, information / noise.level
+    random = Parameters.of(len(now.layout.points), entries)
+    score, whole, _ = system(now.state, random + now.expected)
+    count = len(random)
+    information = whole[:count, :count]
+    if len(now.expected):
+        known = inverse(whole[count:, count:] + np.diag(now.expected.prior))
+        information = information - whole[:count, count:] @ known @ whole[count:, :count]
+    score, information = score[:count] / now.noise.level, information / now.noise.level
     value, vector = np.linalg.eigh(information)
     value = np.maximum(value, 0.0)
     along = (vector.T @ score) ** 2
-    sizes = _SIZES * (float(state.packed.scale[3]) if tangents[0] in SHIFT else 1.0)
+    sizes = _SIZES * (float(now.packed.scale[3]) if tangents[0] in SHIFT else 1.0)
     grown = sizes[:, None] ** 2 * value
     gain = 0.5 * np.sum(along * sizes[:, None] ** 2 / (1.0 + grown) - np.log1p(grown), axis=1)
     best = int(np.argmax(gain))

@@ -35,19 +35,16 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str = "") -> list[
     where : str
         For the message, e.g. `` in run 2``.
     """
-    dof = fit.beams.dof
-    weight = fit.solution.weight
+    dof, weight = fit.beams.dof, fit.solution.weight
     if len(dof) == 6 or not np.any(weight > 0.0):
         return []
     leak = leak_matrix(fit, weight / np.max(weight))
     wide = observable_dof(body.arms_m, body.directions, dof, WEAK, spare=1)
     hidden = [name for name in DOF_NAMES if name not in wide]
     texts = _hidden_texts(leak, dof, hidden, fit.beams.lever_m)
-    if wide != dof:
-        texts += _measured_texts(fit, body, leak, wide)
-    if not texts:
-        return []
-    return [Notice("neglected_motion", f"body {body.body}{where}: {'; '.join(texts)}.")]
+    texts += _measured_texts(fit, body, leak, wide) if wide != dof else []
+    text = f"body {body.body}{where}: {'; '.join(texts)}."
+    return [Notice("neglected_motion", text)] if texts else []
 
 
 def leak_matrix(fit: LineFit, channel_weight: Array) -> Array:
@@ -64,13 +61,12 @@ def _hidden_texts(leak: Array, dof: tuple[str, ...], hidden: list[str], lever: f
     length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     texts = []
     for name in hidden:
-        column = DOF_NAMES.index(name)
-        share = np.abs(leak[:, column]) * length[dof_indices(dof)] / length[column]
-        parts = [
-            _entering(leak[k, column], dof[k], name) for k in np.argsort(-share) if share[k] > LEAST_LEAK
-        ]
+        own = leak[:, DOF_NAMES.index(name)]
+        share = np.abs(own) * length[dof_indices(dof)] / length[DOF_NAMES.index(name)]
+        large = [k for k in np.argsort(-share) if share[k] > LEAST_LEAK]
+        parts = " and ".join(_entering(own[k], dof[k], name) for k in large)
         if parts:
-            texts.append(f"the beams cannot tell {name} from the fitted motion: {' and '.join(parts)}")
+            texts.append(f"the beams cannot tell {name} from the fitted motion: {parts}")
     return texts
 
 
@@ -98,27 +94,26 @@ def _measured_texts(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[s
     good = np.isfinite(full.chi2) & np.isfinite(fit.chi2)
     if not np.any(good):
         return []
-    fall = float(np.sum(fit.chi2[good] - full.chi2[good]))
-    freedom = float(np.sum(fit.n_dof[good] - full.n_dof[good]))
-    left = float(np.sum(full.chi2[good])) / max(float(np.sum(full.n_dof[good])), 1.0)
-    chance = float(chdtrc(max(freedom, 1.0), fall / max(left, 1e-300)))
-    extra = [name for name in wide if name not in dof]
+    (before, free_before), (after, free_after) = (
+        (float(np.sum(one.chi2[good])), float(np.sum(one.n_dof[good]))) for one in (fit, full)
+    )
+    left = max(after / max(free_after, 1.0), 1e-300)
+    chance = float(chdtrc(max(free_before - free_after, 1.0), (before - after) / left))
+    extra = tuple(name for name in wide if name not in dof)
     others = full.q[good][:, [wide.index(name) for name in extra]]
-    bias = others @ leak[:, dof_indices(tuple(extra))].T
+    bias = others @ leak[:, dof_indices(extra)].T
     size = np.sqrt(np.mean(np.abs(fit.q[good]) ** 2, axis=0))
     share = np.sqrt(np.mean(np.abs(bias) ** 2, axis=0)) / np.maximum(size, 1e-300)
     if chance > _CHANCE or np.max(share) < LEAST_BIAS:
         return []
     worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= LEAST_BIAS]
     changes = ", ".join(f"{dof[k]} by {100.0 * share[k]:.2g} %" for k in worst)
+    units = [(1e9, "nm") if name in DOF_NAMES[:3] else (1e6, "urad") for name in extra]
     rms = np.sqrt(np.mean(np.abs(others) ** 2, axis=0))
-    sizes = ", ".join(
-        f"{name} {value * (1e9 if name in DOF_NAMES[:3] else 1e6):.3g} "
-        f"{'nm' if name in DOF_NAMES[:3] else 'urad'} rms"
-        for name, value in zip(extra, rms, strict=True)
-    )
-    odds = "below 1e-300" if chance < 1e-300 else f"{chance:.1g}"
+    parts = zip(extra, rms, units, strict=True)
+    sizes = ", ".join(f"{name} {value * factor:.3g} {unit} rms" for name, value, (factor, unit) in parts)
     return [
         f"measured motion in {', '.join(extra)} ({sizes}) is left out of the fit and changes {changes} (rms)"
-        f"; without it the probability of these data is {odds}; fit it with --dof {','.join(wide)}"
+        f"; without it the probability of these data is {max(chance, 1e-300):.1g}; fit it with --dof "
+        f"{','.join(wide)}"
     ]

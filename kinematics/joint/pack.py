@@ -178,40 +178,41 @@ def pack(readings: Readings) -> Packed:
     visible = _visible(rows[live])
     factor = geometry.factor.T
     groups, single = _groups(used, root, readings.run)
-    parts = [_turned(value, root, factor, rows @ visible, lines) for lines in groups]
     room = max(48, _MOST_SINGLE // len(root))
     single = single[np.unique(np.linspace(0, len(single) - 1, min(room, len(single))).astype(int))]
-    nothing = np.zeros((len(root), 0), dtype=complex)
-    parts += [_Part(value[:, [k]], root[:, k], nothing, np.array([k])) for k in single]
-    tau, rho = readings.tau, readings.rho
+    groups += [single[k : k + 1] for k in range(len(single))]
+    parts = [_turned(value, root, factor, rows @ visible, lines) for lines in groups]
     weights = [part.power / part.power.sum() for part in parts]
-    places = [part.lines for part in parts]
-    static = len(geometry.factor) == 1
-    mean = [geometry.factor[lines].mean(axis=0) for lines in places if not static]
+
+    def mean(course: Array) -> Array:
+        return np.array([weight @ course[lines] for weight, lines in zip(weights, groups, strict=True)])
+
+    if len(geometry.factor) > 1:
+        geometry = replace(
+            geometry, factor=np.array([geometry.factor[lines].mean(axis=0) for lines in groups])
+        )
     return Packed(
-        _stack([part.y for part in parts]),
-        np.array([part.w for part in parts]),
-        np.array([part.y.shape[1] for part in parts]),
-        np.array([weight @ tau[lines] for weight, lines in zip(weights, places, strict=True)]),
-        np.array([weight @ rho[lines] for weight, lines in zip(weights, places, strict=True)]),
-        _stack([part.rest for part in parts]),
-        np.array([part.rest.shape[1] for part in parts]),
-        geometry if static else replace(geometry, factor=np.array(mean)),
-        visible,
-        scale,
-        np.flatnonzero(root.any(axis=1)),
+        y=_stack([part.y for part in parts]),
+        w=root[:, [lines[0] for lines in groups]].T,
+        columns=np.array([part.y.shape[1] for part in parts]),
+        tau=mean(readings.tau),
+        rho=mean(readings.rho),
+        rest=_stack([part.rest for part in parts]),
+        rest_columns=np.array([part.rest.shape[1] for part in parts]),
+        geometry=geometry,
+        visible=visible,
+        scale=scale,
+        live=np.flatnonzero(root.any(axis=1)),
     )
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Columns, root weights and noise of a group, the lines it is made of and their power."""
+    """Columns with motion, columns of noise, and the power of the motion at each line of a group."""
 
     y: ComplexArray
-    w: Array
     rest: ComplexArray
-    lines: NDArray[np.intp]
-    power: Array = field(default_factory=lambda: np.ones(1))
+    power: Array
 
 
 def _visible(rows: Array) -> Array:
@@ -251,21 +252,20 @@ def _turned(
 
     A factor that changes within the group is replaced by its mean there, in values and model alike.
     """
-    weight = root[:, lines[0]]
     y = value[:, lines]
+    if len(lines) == 1:
+        return _Part(y, y[:, :0], np.ones(1))
     own = factor
     if factor.shape[1] > 1:
         own = factor[:, lines].mean(axis=1, keepdims=True)
         y = y * (own / factor[:, lines])
-    z = np.linalg.lstsq(weight[:, None] * rows, y / own, rcond=1e-9)[0]
+    z = np.linalg.lstsq(root[:, lines[:1]] * rows, y / own, rcond=1e-9)[0]
     number = min(len(z), _COLUMNS, len(lines))
     noise = min(len(lines) - number, _NOISE_COLUMNS)
     draw = np.random.default_rng(len(lines)).normal(size=(len(lines), noise))
-    q = np.linalg.qr(np.hstack([z.conj().T, draw]))[0]
-    turned = y @ q
+    turned = y @ np.linalg.qr(np.hstack([z.conj().T, draw]))[0]
     power = np.sum(np.abs(z) ** 2, axis=0)
-    power = power if power.any() else np.ones(len(lines))
-    return _Part(turned[:, :number], weight, turned[:, number:], lines, power)
+    return _Part(turned[:, :number], turned[:, number:], power if power.any() else np.ones(len(lines)))
 
 
 def _stack(parts: list[ComplexArray]) -> ComplexArray:

@@ -103,6 +103,15 @@ def test_gains_that_differ_everywhere_are_one_cause():
     assert [cause.code for cause in found.causes] == ["gains_scattered"]
 
 
+def test_a_drift_in_the_order_of_the_file_is_one_cause():
+    recording = recorded(8, points=12)
+    course = 1.0 + 0.06 * np.repeat(np.linspace(-1.0, 1.0, 12), 3)
+    changed = replace(recording, velocity_m_s=recording.velocity_m_s * course[:, None])
+    found = diagnosed(changed)[2]
+    assert found.findings == ()
+    assert [cause.code for cause in found.causes] == ["drift_between_points"]
+
+
 @pytest.mark.parametrize("stated", [True, False])
 def test_noise_in_proportion_to_amplitude_accuses_no_channel(stated):
     accused, named = 0, 0

@@ -322,3 +322,37 @@ def test_channels_table_has_the_columns_of_the_contract(ear, tmp_path):
         "estimate",
         "p_value",
     ]
+
+
+def test_a_point_that_moves_with_the_other_body_is_named(tmp_path):
+    simulated(tmp_path, in_footplate=True, lines=24, stapes_points=8, bone_points=6, seed=2)
+    table = pd.read_csv(tmp_path / "points.csv")
+    point = table[table.body == "base"].point.iloc[2]
+
+    def renamed(table):
+        table["point"] = table.point.astype(str)
+        table.loc[(table.body == "base") & (table.point == str(point)), ["body", "point"]] = "stapes", "wrong"
+
+    for name in ("points.csv", "ldv.csv"):
+        rewrite(
+            tmp_path / name,
+            lambda table: (table.__setitem__("point", table.point.astype(str)), renamed(table)),
+        )
+    result = measured(tmp_path, fiducials="none")
+    told = [notice.text for notice in result.notices if notice.code == "label_swap"]
+    assert len(told) == 1
+    assert "wrong of body stapes" in told[0]
+    assert {one.point for one in result.channels if one.verdict != "ok"} == {"wrong"}
+
+
+def test_the_page_has_its_parts(ear):
+    """Verdicts, registration, shared errors, what would have been found, three figures, moving bodies."""
+    folder, _ = ear
+    made = motion_page(points2dof(folder / "ldv.csv"))
+    parts = {section.name: "".join(map(str, section.blocks)) for section in made.sections}
+    drawn = [name for name, text in parts.items() for _ in range(text.count('<figure class="drawing"'))]
+    assert drawn == ["Motion of the bodies", "Channels and verdicts", "Channels and verdicts"]
+    assert "<table" in parts["From the vibrometer to the footplate"]
+    assert "laser" in parts["Errors that all lines share"]
+    assert "gain of a channel" in parts["What would have been found"]
+    assert '<figure class="scene" data-scene' in made.html()
