@@ -184,7 +184,8 @@ def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
 def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
     """Look for faults in every body, all of its runs together."""
     placed = fitted.placed
-    lasers = Priors(*options.laser_sd.values())
+    sd = options.laser_sd
+    lasers = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
     runs = range(len(placed.runs))
     found = {}
     for number, body in enumerate(placed.bodies):

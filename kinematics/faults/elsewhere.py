@@ -58,7 +58,8 @@ def _loud_lines(readings: Readings, squares: Array) -> list[Cause]:
     loud = np.zeros(squares.shape[1], dtype=bool)
     loud[some] = middle > _LOUD_LINE * np.median(middle)
     stretches = np.count_nonzero(np.diff(loud.astype(int), prepend=0) == 1)
-    if not 1 < np.count_nonzero(loud) < min(_MOST_LOUD * len(loud), _LONGEST * stretches + 1):
+    count = int(np.count_nonzero(loud))
+    if not 1 < count < min(_MOST_LOUD * len(loud), _LONGEST * int(stretches) + 1):
         return []
     part = squares[:, loud]
     if np.median(np.nanmax(part, axis=0) / np.nansum(part, axis=0)) >= _ONE_CHANNEL:
