@@ -31,11 +31,12 @@ _SIZES = np.geomspace(1e-4, 0.5, 60)
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause that many channels share: stable code of the warning, and what was found, in words."""
+    """A cause that many channels share: code of the warning, what was found, and where most of it is."""
 
     code: str
     text: str
     step: str
+    channel: int | None = None
 
 
 def other_causes(now: Round) -> list[Cause]:
@@ -82,8 +83,9 @@ def _single_values(squares: Array) -> list[Cause]:
     if not 3 + 1e-3 * number < count < _MOST_FAR * number:
         return []
     worst = int(np.argmax(far.sum(axis=1)))
-    text = f"{count} of {number} values lie far off the rigid motion, most in channel {{{worst}}}"
-    return [Cause("sparse_outliers", text, "Fit with --robust huber, or look for drop-outs of the signal")]
+    text = f"{count} of {number} values lie far off the rigid motion"
+    step = "Fit with --robust huber, or look for drop-outs of the signal"
+    return [Cause("sparse_outliers", text, step, worst)]
 
 
 def _scatter(now: Round) -> list[Cause]:

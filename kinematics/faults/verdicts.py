@@ -14,19 +14,8 @@ from kinematics.measurement import BodyChannels, LeftOut
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-WORDS = (
-    "ok",
-    "gain",
-    "sign",
-    "direction",
-    "position",
-    "noise",
-    "label_swap",
-    "drift",
-    "flexible",
-    "zeros",
-    "unused",
-)
+WORDS = ("ok", *STEPS, "unused")
+"""The verdicts of dof.channels.csv."""
 
 
 @dataclass(frozen=True)
@@ -120,11 +109,8 @@ def fault_notices(body: BodyChannels, diagnosis: Diagnosis) -> list[Notice]:
         text = f"{culprit(finding, body)}: {verdict}, {describe(finding, body)}. {STEPS[verdict]}."
         notices.append(Notice(code, text))
     for cause in diagnosis.causes:
-        names = {str(channel): body.channel_name(channel) for channel in range(len(body.points))}
-        text = cause.text
-        for number, name in names.items():
-            text = text.replace(f"{{{number}}}", name)
-        notices.append(Notice(cause.code, f"body {body.body}: {text}. {cause.step}."))
+        most = "" if cause.channel is None else f", most in channel {body.channel_name(cause.channel)}"
+        notices.append(Notice(cause.code, f"body {body.body}: {cause.text}{most}. {cause.step}."))
     if diagnosis.noise_level != 1.0:
         text = (
             f"the noise of body {body.body} is {diagnosis.noise_level:.2g} times the stated one on all "

@@ -112,8 +112,8 @@ def _measured_texts(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[s
     rms = np.sqrt(np.mean(np.abs(others) ** 2, axis=0))
     parts = zip(extra, rms, units, strict=True)
     sizes = ", ".join(f"{name} {value * factor:.3g} {unit} rms" for name, value, (factor, unit) in parts)
+    odds = "below 1e-300" if chance < 1e-300 else f"{chance:.1g}"
     return [
         f"measured motion in {', '.join(extra)} ({sizes}) is left out of the fit and changes {changes} (rms)"
-        f"; without it the probability of these data is {max(chance, 1e-300):.1g}; fit it with --dof "
-        f"{','.join(wide)}"
+        f"; without it the probability of these data is {odds}; fit it with --dof {','.join(wide)}"
     ]
