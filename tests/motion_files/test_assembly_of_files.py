@@ -1,5 +1,6 @@
 """Several files as one measurement: bodies, runs, positions, lines, units, and what does not fit together."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -162,6 +163,43 @@ def test_what_does_not_belong_together_is_refused(name):
     with pytest.raises(StapeskitError) as caught:
         assemble([one(*rows)], facts=facts)
     assert things(caught) == [thing]
+
+
+IMPOSSIBLE = {
+    "the frequencies": {"freq_hz": -FREQ_HZ},
+    "the unit of the values": {"unit": "dB"},
+    "the values": {"value": np.full(4, np.inf, dtype=complex)},
+    "the coherence": {"coherence": 1.5},
+    "the number of averages": {"n_avg": 0.0},
+    "the standard deviations": {"sd": -1.0},
+    "a direction": {"channel": Channel("1", direction=2.0 * Z)},
+    "the coordinates of the points, in mm": {"channel": Channel("1", position_m=np.full(3, 1e10))},
+}
+
+
+@pytest.mark.parametrize("thing", IMPOSSIBLE)
+def test_what_no_motion_can_have_is_refused_whatever_the_format(thing):
+    """Two rows of one kind are one sentence."""
+    rows = [replace(row(point), **IMPOSSIBLE[thing]) for point in "12"]
+    rows = rows[:1] if "channel" in IMPOSSIBLE[thing] else rows
+    with pytest.raises(StapeskitError) as caught:
+        one(*rows)
+    assert things(caught) == [thing]
+
+
+def test_rows_in_any_order_and_unit_are_one_recording():
+    """rms in um/s from high to low frequencies against peak in m/s; coherence follows its lines."""
+    gamma = np.array([0.9, 0.8, 0.7, 0.6])
+    plain = replace(row(value=np.sqrt(2.0)), coherence=gamma, sd=np.sqrt(2.0) * gamma)
+    turned = replace(
+        row(value=1e6), freq_hz=FREQ_HZ[::-1], coherence=gamma[::-1], sd=1e6 * gamma[::-1], unit="um/s rms"
+    )
+    expected, found = one(plain), one(turned)
+    assert np.allclose(found.value, expected.value, rtol=1e-14)
+    assert np.array_equal(found.coherence, expected.coherence)
+    assert np.allclose(found.sd, expected.sd, rtol=1e-14)
+    assert found.amplitude_stated
+    assert not expected.amplitude_stated
 
 
 def test_a_point_that_the_points_file_lacks_is_refused(tmp_path):
