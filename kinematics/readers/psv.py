@@ -89,7 +89,7 @@ def point_table(sheet: Sheet) -> PointTable:
     units = {match[2] for match in found if match[2]}
     if None in numbers or len(units) > 1:
         raise refuse(sheet, "the position of a point", "three numbers, x = .. y = .. z = ..", shown(text))
-    scale = LENGTHS[plain(min(units))] if units else 1.0
+    scale = LENGTHS[plain(min(units)).lower()] if units else 1.0
     position = np.array(numbers, dtype=float) * scale
     return PointTable(sheet, number[1], position, bool(units), axis, source)
 
@@ -121,8 +121,13 @@ def turned_over(sheets: Sequence[Sheet]) -> list[PointTable]:
             Fault(f"the position of point {names[row]}", "one", "another one", sheet.where, "Export one scan")
             for row in np.flatnonzero(np.any(apart, axis=1)).tolist()
         ]
+    freq = [_frequency(sheet) for sheet in sheets]
+    place_of: dict[float, Sheet] = {}
+    for sheet, one in zip(sheets, freq, strict=True):
+        if place_of.setdefault(one, sheet) is not sheet:
+            got = f"{place_of[one].where} and {sheet.where}"
+            faults.append(Fault(f"the frequency {one:g} Hz", "there once", got, "", APART))
     raise_all(faults)
-    freq = np.array([_frequency(sheet) for sheet in sheets])
     numbers = np.stack([sheet.numbers for sheet in sheets])
     header, units = ("Frequency", *first.names), ("Hz", *first.units)
     return [
@@ -155,10 +160,11 @@ def treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
 def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:
     """Return names of the points, positions (row, 3), m, and whether their unit is stated."""
     low = [name.lower() for name in sheet.names]
-    numbers = sheet.numbers[:, next(low.index(name) for name in _INDEX if name in low)]
+    column = next((low.index(name) for name in _INDEX if name in low), None)
+    numbers = np.array([np.nan]) if column is None else sheet.numbers[:, column]
     if not np.all(numbers == np.round(numbers)) or len(np.unique(numbers)) < len(numbers):
-        want, step = "different whole numbers", "Export it again"
-        raise refuse(sheet, "the column Index", want, "others", step)
+        want, got = "one with a column Index of different whole numbers", shown(", ".join(sheet.names))
+        raise refuse(sheet, "the table", want, got, "Export it again")
     names = [f"{number:.0f}" for number in numbers.tolist()]
     if not {"x", "y", "z"} <= set(low):
         return names, np.full((len(names), 3), np.nan), True

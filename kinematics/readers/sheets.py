@@ -98,7 +98,10 @@ def sheets_of(path: Path, faults: list[Fault]) -> list[Sheet]:
         rows = lines[region.first : region.stop]
         sheets.append(_with_numbers(sheet, rows, region, faults))
     if not sheets:
-        want, step = "one line of names above rows of numbers", "Export it again as text, with its header"
+        want, step = (
+            "one line of names above rows of numbers",
+            "Export it again with its header, or take it out of the folder",
+        )
         faults.append(Fault("the table", want, "none", path.name, step))
     return sheets
 
@@ -217,7 +220,7 @@ def _with_numbers(sheet: Sheet, rows: Sequence[str], region: _Region, faults: li
             faults.append(Fault(thing, "a number", shown(cells[bad]), where, step))
         else:
             sound.append([value for value in values if value is not None])
-    numbers = np.array(sound, dtype=float).reshape(-1, width)
+    numbers = np.array(sound, dtype=float).reshape(len(sound), width)
     return Sheet(sheet.where, sheet.names, sheet.units, numbers, sheet.fields)
 
 

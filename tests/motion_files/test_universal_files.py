@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import kinematics
-from kinematics.api import points2dof
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
@@ -188,13 +189,14 @@ def test_a_genuine_export_is_fitted_as_by_plain_least_squares(tmp_path):
     """x, beta, gamma of 25 points with one head along -x, against numpy's least squares a line."""
     path = tmp_path / "surface.unv"
     path.write_bytes(gzip.decompress((DATA / "surface_h1_receptance.unv.gz").read_bytes()))
-    result = points2dof(path, body=("probe=1-25",), dof="x,beta,gamma")
-    recording = read_file(path, FileFacts())
-    _, y, z = recording.points_m.T
-    base = recording.directions[:, :1] * np.column_stack([np.ones(25), z, -y])
-    expected = np.linalg.lstsq(base, recording.value, rcond=None)[0]
-    found = result.motion.q[0, 0].T
-    assert np.max(np.abs(found - expected)) < 1e-12 * np.max(np.abs(expected))
+    measured = read_measurement([path], facts=FileFacts(body=("probe=1-25",)))
+    body = measured.bodies[0]
+    beams = beam_set(body.body, body.arms_m, body.directions, ("x", "beta", "gamma"))
+    fitted = fit_lines(beams, body.value[0], np.ones(1), measured.per_displacement)
+    _, y, z = body.positions_m.T
+    base = body.directions[:, :1] * np.column_stack([np.ones(25), z, -y])
+    expected = np.linalg.lstsq(base, body.value[0], rcond=None)[0]
+    assert np.max(np.abs(fitted.q.T - expected)) < 1e-12 * np.max(np.abs(expected))
 
 
 @pytest.mark.shared

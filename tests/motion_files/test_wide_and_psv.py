@@ -159,7 +159,7 @@ def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
 
 
 SCANS = {
-    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequencies"),
+    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequency 400 Hz"),
     "two scans": (
         [
             fastscan(400, PLACES_M, VELOCITY[:, :, 0]),
