@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ct_inertia.scan.scan import Scan
 
 _SMOOTH_VOXELS = 1.0  # of labels for a picture of their surface
+_READING = ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype", "byte_order", "header_bytes")
 _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
 
 
@@ -148,24 +149,17 @@ def _slices(
     from ct_inertia.scan.open_scan import open_scan
 
     given = content["provenance"]["parameters"]
-    known = {
-        key: given[key] for key in ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype") if key in given
-    }
-    known |= {key: given[key] for key in ("byte_order", "header_bytes") if key in given}
+    known = {key: given[key] for key in _READING if key in given}
     options = MassOptions.read({**known, "file": scan_file}, "mass.json", {key: key for key in given})
     scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
     used = used_box(labels == STAPES) or (slice(0, 1),) * 3
-    margin = [int(np.ceil(_MARGIN_MM / h)) for h in grid.spacing_mm[::-1]]
-    part = [
-        slice(max(s.start - m, 0), min(s.stop + m, n))
-        for s, m, n in zip(used, margin, labels.shape, strict=True)
-    ]
-    start = np.array([one.start for one in part[::-1]])
-    first = np.rint(scan.index_points(grid.scan_points(start))).astype(np.int64)
-    size = np.array([one.stop - one.start for one in part[::-1]])
-    x, y, z = (slice(int(a), int(a + n)) for a, n in zip(first, size, strict=True))
-    transform = scan.scan_from_index.copy()
-    transform[:3, 3] = scan.scan_points(first)
-    grey = scan.read((z, y, x)).astype(np.float32)
-    box = (part[0], part[1], part[2])
-    return Slices(grey, labels[box].astype(np.uint8), transform, first, np.ones(3, dtype=np.int64))
+    z, y, x = (
+        slice(max(part.start - int(np.ceil(_MARGIN_MM / h)), 0), part.stop + int(np.ceil(_MARGIN_MM / h)))
+        for part, h in zip(used, grid.spacing_mm[::-1], strict=True)
+    )
+    labelled = grid.part((z, y, x))
+    first = np.rint(scan.index_points(labelled.origin_mm)).astype(np.int64)
+    ends = zip(first[::-1], (first + labelled.size)[::-1], strict=True)
+    seen = scan.part(tuple(slice(int(begin), int(end)) for begin, end in ends))  # type: ignore[arg-type]
+    grey, shown = seen.read().astype(np.float32), labels[z, y, x].astype(np.uint8)
+    return Slices(grey, shown, seen.scan_from_index, first, np.ones(3, dtype=np.int64))
