@@ -185,8 +185,7 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
     )
     turned = (
         f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, "
-        "the ear is "
-        "a mirror image. Check a known asymmetry in the report."
+        "the ear is a mirror image. Check a known asymmetry in the report."
     )
     work.notices += [
         *mesh.notices,
@@ -331,8 +330,7 @@ def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateF
     if work.measured is not None:
         text = (
             "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. "
-            "If the scan "
-            "holds one, give --plate-fiducials, or label it (--labels)."
+            "If the scan holds one, give --plate-fiducials, or label it (--labels)."
         )
         work.notices.append(Notice("plate_not_found", text))
     return None

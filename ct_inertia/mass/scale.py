@@ -34,9 +34,8 @@ class VoxelScale:
         spacing = ",".join(f"{self.factor * value:.7g}" for value in spacing_mm)
         text = (
             f"The voxel size was corrected by {100.0 * (self.factor - 1.0):+.3f} ± {100.0 * self.sd:.3f} % "
-            f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm "
-            "of the scan "
-            f"as it is stored; --spacing {spacing} corrects those too."
+            f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm of "
+            f"the scan as it is stored; --spacing {spacing} corrects those too."
         )
         return Notice("voxel_scale_corrected", text)
 

@@ -133,9 +133,8 @@ def unusual_notice(sizes: Mapping[str, float]) -> list[Notice]:
     if not unusual:
         return []
     text = (
-        f"Outside of what is published of human stapedes: {'; '.join(unusual)}. Check the voxel spacing (1 "
-        "% of it "
-        "is 3 % of the volume), the density, and in the report what was measured."
+        f"Outside of what is published of human stapedes: {'; '.join(unusual)}. Check the voxel spacing (1 % "
+        "of it is 3 % of the volume), the density, and in the report what was measured."
     )
     return [Notice("outside_published_sizes", text)]
 
@@ -153,8 +152,7 @@ def size_notice(reasons: Sequence[str]) -> Notice:
     """Return the warning for a body that somebody named."""
     text = (
         f"The body has {', '.join(reasons)}: it cannot be a whole human stapes. Check what was measured in "
-        "the report, "
-        "the voxel spacing, and the unit of a mesh."
+        "the report, the voxel spacing, and the unit of a mesh."
     )
     return Notice("size_implausible", text)
 
@@ -163,8 +161,7 @@ def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> StapeskitEr
     """Return the error for a body that cannot be a stapes, with the warnings about the scan's border."""
     step = (
         "Name the stapes with --seed X,Y,Z (a point inside it, scan mm) or --labels, leave other bone out "
-        "with --box "
-        "or --threshold, and check the voxel spacing"
+        "with --box or --threshold, and check the voxel spacing"
     )
     border = [notice.text for notice in notices if notice.code == "touches_border"]
     got = f"no object that can be a stapes: the likeliest has {', '.join(reasons)}"

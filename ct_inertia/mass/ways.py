@@ -150,11 +150,10 @@ def assumed_notice() -> Notice:
     """Return the warning that the density was assumed, with what it moves and how to state one's own."""
     value, sd = ASSUMED_DENSITY.value, ASSUMED_DENSITY.sd
     text = (
-        f"Nothing says what the stapes weighs: a density of bone of {value:g} ± {sd:g} kg/m3 is assumed, "
-        "and its "
-        "standard deviation is in every interval. M, K and D scale with it, frequencies and mode shapes do "
-        "not. "
-        "State your own with --mass-mg M+-SD (a balance), --calibration FILE.toml or --density RHO+-SD."
+        f"Nothing says what the stapes weighs: a density of bone of {value:g} ± {sd:g} kg/m3 is assumed, and "
+        "its standard deviation is in every interval. M, K and D scale with it, frequencies and mode shapes "
+        "do not. State your own with --mass-mg M+-SD (a balance), --calibration FILE.toml or --density "
+        "RHO+-SD."
     )
     return Notice("density_assumed", text)
 
@@ -185,8 +184,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
             percent = 100.0 * apart / lead.body.mass_kg
             text = (
                 f"The mass by {WAYS[other.way].words} is {MASS.text(apart, '+.3g')} ({percent:+.1f} %) off "
-                "that by "
-                f"{WAYS[lead.way].words}, which is used; their standard deviations explain "
+                f"that by {WAYS[lead.way].words}, which is used; their standard deviations explain "
                 f"{MASS.text(limit, '.2g')}. Check voxel size, density and balance."
             )
             notices.append(Notice("masses_disagree", text))
