@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.frames.footplate import FootplateFrame
-from ct_inertia.surface.repair import MendedMesh
-from ct_inertia.surface.surface import as_mesh, enclosed_moments
+from ct_inertia.surface.repair import MendedMesh, pieces, signed_volume
 from stapeskit.faults import StapeskitError
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
@@ -198,9 +197,5 @@ def check_mesh(mesh: MendedMesh, name: str) -> None:
 
 def body_volumes(mesh: MendedMesh) -> list[float]:
     """Return the enclosed volume, mm3, of every connected piece of a mesh; negative for a cavity."""
-    pieces = as_mesh(mesh.vertices_mm, mesh.faces).connectivity("all")
-    of = np.asarray(pieces.cell_data["RegionId"])
-    faces = np.asarray(pieces.regular_faces, dtype=np.int64)
-    points = np.asarray(pieces.points, dtype=float)
-    volumes = [enclosed_moments(points, faces[of == piece])[0] for piece in np.unique(of)]
+    volumes = [signed_volume(mesh.vertices_mm, mesh.faces[piece]) for piece in pieces(mesh.faces)]
     return [volume for volume in volumes if volume != 0.0]

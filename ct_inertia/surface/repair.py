@@ -146,7 +146,7 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Mende
     if turned:
         text = f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned outward."
         notices.append(Notice("surface_turned", text))
-    solid = [piece for piece in _pieces(faces) if signed_volume(vertices, faces[piece]) > 0.0]
+    solid = [piece for piece in pieces(faces) if signed_volume(vertices, faces[piece]) > 0.0]
     if len(solid) > 1:
         text = (
             f"{name} holds {len(solid)} separate bodies: they are added, and count twice where they overlap."
@@ -245,7 +245,7 @@ def _split(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return sorted(parts, key=len, reverse=True)
 
 
-def _pieces(faces: Faces) -> list[NDArray[np.intp]]:
+def pieces(faces: Faces) -> list[NDArray[np.intp]]:
     """Return the faces of each connected piece, the largest first."""
     edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
     return _split(_groups(edges, int(faces.max()) + 1)[faces[:, 0]])
@@ -256,7 +256,7 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str
     from ct_inertia.surface.meshlab import filled
     from ct_inertia.surface.winding import winding_surface
 
-    if sum(len(boundary_edges(faces[piece])) > 0 for piece in _pieces(faces)) == 1:
+    if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) == 1:
         mesh = filled(vertices, faces)
         if mesh is not None and not len(boundary_edges(mesh[1])):
             return *mesh, "its holes were filled"
@@ -272,7 +272,7 @@ def _oriented(vertices: Array, faces: Faces, name: str) -> tuple[Faces, int]:
     if open_walks(faces):
         coherent = _coherent(vertices, faces)
         turned = np.any(coherent != faces, axis=1)
-        for piece in _pieces(faces):
+        for piece in pieces(faces):
             if 2 * np.count_nonzero(turned[piece]) > len(piece):
                 turned[piece] = ~turned[piece]
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
