@@ -39,7 +39,7 @@ def motion_scene(result: MotionResult) -> Scene:
     directions = ("anterior", "lateral", "")
     if result.mass is not None:
         z_is = (result.mass.record.raw.get("frames") or {}).get("z_is") or ""
-        directions = ("anterior", "lateral", str(z_is))
+        directions = ("anterior", "lateral", "" if z_is == "unknown" else str(z_is))
     caption = (
         "Measured motion in footplate axes, enlarged; colours of points are their verdicts. Choose a "
         "frequency with the slider."
