@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -173,6 +173,7 @@ class Scene:
     def content(self) -> str:
         """Return the scene as JSON that can stand within a page."""
         meshes = [self._mesh(mesh) for mesh in self.surfaces if len(mesh.faces)]
+        placed = [replace(line, points_mm=self._placed(line.points_mm)) for line in self.lines]
         low, high = self._span()
         data = {
             "meshes": meshes,
@@ -186,7 +187,7 @@ class Scene:
                 }
                 for point in self.points
             ],
-            "lines": [*self._axes(), *(self._line(line) for line in self.lines)],
+            "lines": [*self._axes(), *(_drawn(line) for line in placed)],
             "motions": [motion.content() for motion in self.motions],
             "middle": (0.5 * (low + high)).tolist(),
             "reach": max(0.5 * float(np.linalg.norm(high - low)), 1e-6),
@@ -224,30 +225,21 @@ class Scene:
             "faces": _packed(faces.astype("<u2")),
         }
 
-    def _line(self, line: Line) -> dict[str, Any]:
-        return {
-            "at": self._placed(line.points_mm).tolist(),
-            "colour": line.colour,
-            "group": line.group,
-            "label": line.label,
-            "arrow": line.arrow,
-            "width": line.width,
-            "body": line.body,
-        }
-
     def _axes(self) -> list[dict[str, Any]]:
+        ends = zip("xyz", self.axis_mm * np.eye(3), self.directions, strict=True)
         return [
-            {
-                "at": [[0.0, 0.0, 0.0], (self.axis_mm * way).tolist()],
-                "colour": AXIS_COLOURS[name],
-                "group": "axes",
-                "label": f"{name} {direction}".strip(),
-                "arrow": True,
-                "width": 2.6,
-                "body": "",
-            }
-            for name, way, direction in zip("xyz", np.eye(3), self.directions, strict=True)
-        ]
+            _drawn(
+                Line(name, np.array([np.zeros(3), end]), AXIS_COLOURS[name], "axes", True,
+                     f"{name} {direction}".strip(), arrow=True, width=2.6)
+            )
+            for name, end, direction in ends
+        ]  # fmt: skip
+
+
+def _drawn(line: Line) -> dict[str, Any]:
+    """Return a line, its points in the frame whose axes are drawn, as the viewer reads it."""
+    names = ("colour", "group", "label", "arrow", "width", "body")
+    return {"at": line.points_mm.tolist(), **{name: getattr(line, name) for name in names}}
 
 
 def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array, Faces]:
