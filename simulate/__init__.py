@@ -35,9 +35,9 @@ It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.jso
   whose plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
 * ``cohort``: many ears with a planted law.
 * ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
-  ``RECORDING_WRITERS`` and ``SCAN_WRITERS`` (Experiment.format, Scan.format in a study; ``ply`` is the exact
+  the tables ``WRITERS`` in simulate.files (Experiment.format, Scan.format in a study; ``ply`` is the exact
   surface of the stapes in place of a volume). ``write_labels(path, placed)``: the true segmentation.
-* Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``solid_of_field``, ``stapes_solid(Stapes(...))``,
+* Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``stapes_solid(Stapes(...))``,
   ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition;
   ``coverage_of(solid, shape, voxel_mm)``: exact partial volumes of one body.
 
@@ -48,16 +48,14 @@ Stated standard deviations of a study are true: density (Ear.density_sd, drawn),
 
 from simulate.cohort import Population, cohort
 from simulate.coverage import coverage_of
-from simulate.ear import FIDUCIALS_MM, Ear, Placed, footplate_outline
-from simulate.faults import KINDS, MeasurementFault, TrueState, apply_fault
-from simulate.files.recordings import WRITERS as RECORDING_WRITERS
+from simulate.ear import FIDUCIALS_MM, Ear, footplate_outline
+from simulate.faults import KINDS, MeasurementFault
 from simulate.files.recordings import write_recording
 from simulate.files.volumes import WRITERS as SCAN_WRITERS
-from simulate.files.volumes import label_volume, write_labels, write_scan
+from simulate.files.volumes import write_labels, write_scan
 from simulate.footplate import footplate_frame
 from simulate.ligament import (
     LAWS,
-    PAPER_DAMPING,
     PAPER_STIFFNESS,
     Ligament,
     Ring,
@@ -69,25 +67,18 @@ from simulate.ligament import (
 from simulate.mass import MassProperties, displaced, graded_mass, point_mass, uniform_mass
 from simulate.motion import motion_of
 from simulate.points import scattered_points
-from simulate.scanner import Renderer, Scan, render
+from simulate.scanner import Scan, render
 from simulate.shaker import base_motion, resonant_motion
-from simulate.solids import Moments, Solid, box, ellipsoid, joined, ring, rod, solid_of_field
+from simulate.solids import Moments, Solid, box, ellipsoid, ring, rod
 from simulate.stapes import STAPES, Stapes, stapes_solid
 from simulate.study import Truth, simulate_recording, simulate_study, simulate_truth
-from simulate.vibrometer import (
-    Experiment,
-    Recording,
-    measure,
-    measure_motion,
-)
+from simulate.vibrometer import Experiment, Recording, measure_motion
 
 __all__ = [
     "FIDUCIALS_MM",
     "KINDS",
     "LAWS",
-    "PAPER_DAMPING",
     "PAPER_STIFFNESS",
-    "RECORDING_WRITERS",
     "SCAN_WRITERS",
     "STAPES",
     "Ear",
@@ -96,17 +87,13 @@ __all__ = [
     "MassProperties",
     "MeasurementFault",
     "Moments",
-    "Placed",
     "Population",
     "Recording",
-    "Renderer",
     "Ring",
     "Scan",
     "Solid",
     "Stapes",
-    "TrueState",
     "Truth",
-    "apply_fault",
     "base_motion",
     "box",
     "cohort",
@@ -118,9 +105,6 @@ __all__ = [
     "footplate_frame",
     "footplate_outline",
     "graded_mass",
-    "joined",
-    "label_volume",
-    "measure",
     "measure_motion",
     "motion_of",
     "point_mass",
@@ -133,7 +117,6 @@ __all__ = [
     "simulate_recording",
     "simulate_study",
     "simulate_truth",
-    "solid_of_field",
     "stapes_motion",
     "stapes_solid",
     "uniform_mass",
