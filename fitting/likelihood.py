@@ -167,13 +167,19 @@ class Likelihood:
     def act(self, theta: Array, motion: ComplexArray, parts: Parts | None = None) -> ComplexArray:
         """Return B(theta) times motions (lines or 1, 2 m, c): the whole physics, (lines, n, c)."""
         data, parts = self.data, self.parts(theta) if parts is None else parts
-        turn, m = data.turns(theta[self.at["shared"]]), len(data.measured)
-        structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
-        base = parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
+        structure, base = self._moved(theta, motion, parts)
         deflecting, loading = self.shapes(theta)
         load = loading @ self._seen_mass(parts.mass)
         elastic = self._dynamic(theta, parts) @ (deflecting @ (structure - base))
         return np.asarray(elastic - (data.omega**2)[:, None, None] * (load @ structure))
+
+    def _moved(
+        self, theta: Array, motion: ComplexArray, parts: Parts
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return the motion of structure and base (lines, m, c) with the shared errors and factors."""
+        turn, m = self.data.turns(theta[self.at["shared"]]), len(self.data.measured)
+        structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
+        return structure, parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
 
     def _dynamic(self, theta: Array, parts: Parts) -> ComplexArray:
         """Return the dynamic stiffness (lines, n, n)."""
@@ -210,32 +216,33 @@ class Likelihood:
         white = np.sqrt(2.0) * self.look(theta)[0].ravel()
         return np.concatenate([white.real, white.imag, self.root @ theta - self.offset])
 
+    def entry_slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
+        """Return dB/d(K, D) times motions (lines, 2 m, c), (p, lines, n, c)."""
+        parts = self.parts(theta)
+        structure, base = self._moved(theta, motion, parts)
+        deflection = self.shapes(theta)[0] @ (structure - base)
+        elastic = (parts.factor[:, None, None] * basis(self.n)[:, None]) @ deflection
+        return np.concatenate([elastic, parts.loss[:, None, None] * elastic])
+
     def slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
         """Return dB/dtheta times motions (lines, 2 m, c), (p, lines, n, c)."""
-        data, parts, m = self.data, self.parts(theta), len(self.data.measured)
         free = slice(self.at["law"].start, self.at["shared"].start)
         steps = [
             self.act(theta + h, motion) - self.act(theta - h, motion)
             for h in _STEP * np.eye(self.count)[free]
         ]
-        deflecting, _ = self.shapes(theta)
-        turn = data.turns(theta[self.at["shared"]])
-        structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])
-        base = parts.base[:, None, None] * (turn[:, 1] @ motion[:, m:])
-        deflection = deflecting @ (structure - base)
-        elastic = (parts.factor[:, None, None] * basis(self.n)[:, None]) @ deflection
-        columns = [elastic, parts.loss[:, None, None] * elastic]
+        columns = [self.entry_slopes(theta, motion)]
         if steps:
             columns.append(np.array(steps) / (2.0 * _STEP))
-        if data.sources:
-            columns.append(self._shared_slopes(theta, parts, motion, structure))
+        if self.data.sources:
+            columns.append(self._shared_slopes(theta, motion))
         return np.concatenate(columns)
 
-    def _shared_slopes(
-        self, theta: Array, parts: Parts, motion: ComplexArray, structure: ComplexArray
-    ) -> ComplexArray:
+    def _shared_slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
         """Return the columns of the shared errors, in which B is linear: they move motion and mass."""
         data, m, width = self.data, len(self.data.measured), motion.shape[2]
+        parts = self.parts(theta)
+        structure, _ = self._moved(theta, motion, parts)
         deflecting, loading = self.shapes(theta)
         square = (data.omega**2)[:, None, None]
         elastic = self._dynamic(theta, parts) @ deflecting

@@ -168,13 +168,24 @@ def standard_draws(count: int, size: int, seed: int = 0) -> Array:
     return np.concatenate([half, -half])
 
 
-def posterior(found: Fit, plane: InPlane | None, draws: int = 2000, seed: int = 0) -> Posterior:
-    """Draw K and D about the footplate centre: K = K' + Y K_cc Y^T."""
+def posterior(
+    found: Fit, plane: InPlane | None, draws: int = 2000, seed: int = 0, bent: Array | None = None
+) -> Posterior:
+    """Draw K and D about the footplate centre: K = K' + Y K_cc Y^T.
+
+    Parameters
+    ----------
+    bent : ndarray, (k, p, t), optional
+        Second order of K and D in the shared errors (`fitting.solve.bend`).
+    """
     size, n = len(found.theta), found.likelihood.n
     normal = standard_draws(draws, size + (0 if plane is None else len(plane.entries)), seed)
     spread = normal[:, :size] @ root_of(found.covariance).T
     scale, count = entry_scale(found), found.at["entries"].stop
-    own_estimate, own = found.theta[:count] * scale, (found.theta[:count] + spread[:, :count]) * scale
+    first = spread[:, :count]
+    for error, second in zip(spread.T[found.at["shared"]], () if bent is None else bent, strict=False):
+        first = first - error[:, None] * (spread @ second.T)
+    own_estimate, own = found.theta[:count] * scale, (found.theta[:count] + first) * scale
     if found.likelihood.model.law == "fractional" and found.law.free:  # D's unit depends on the exponent
         change = found.data.reference ** -spread[:, found.at["law"]]
         own[:, count // 2 :] *= change

@@ -19,6 +19,7 @@ from fitting.laws import Law
 from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
 from fitting.plane import (
+    PISTON_DOF,
     InPlane,
     Posterior,
     coupling_scale,
@@ -26,7 +27,7 @@ from fitting.plane import (
     in_plane,
     posterior,
 )
-from fitting.solve import Fit, entry_scale
+from fitting.solve import Fit, bend, entry_scale
 from stapeskit.arrays import Array
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -100,7 +101,9 @@ class KDFit(Result):
     @cached_property
     def draws(self) -> Posterior:
         """K and D about the footplate centre as draws of their joint distribution."""
-        return posterior(self.found, self.solution.plane, _DRAWS)
+        many = len(self.dof) > len(PISTON_DOF) and self.solution.textbook is None
+        bent = bend(self.found) if many and self.found.data.sources else None
+        return posterior(self.found, self.solution.plane, _DRAWS, bent=bent)
 
     @property
     def stiffness(self) -> Array:

@@ -304,6 +304,28 @@ def entry_scale(found: Fit, places: Sequence[int] | None = None) -> Array:
     return np.concatenate([product * reference**2, product * reference ** (2.0 - found.law.time_power)])
 
 
+def bend(found: Fit) -> Array:
+    """Return S (k, p, t): changes d of theta, with errors z in it, bend K and D by -sum z_k S_k d.
+
+    The equations are linear in K and D and bilinear in them and the shared errors: what d leaves of them in
+    second order, K and D make good. A shift e of the reference point moves K44 by e K34 and by e^2 K33: where
+    data are precise, the cloud of likely K is curved by more than it is thick.
+    """
+    likelihood, theta, at = found.likelihood, found.theta, found.at
+    _, whitening, _, fitted = likelihood.look(theta)
+
+    def columns(theta: Array) -> Array:
+        white = (whitening @ likelihood.slopes(theta, fitted[:, :, None]))[..., 0].reshape(len(theta), -1).T
+        return np.concatenate([white.real, white.imag])
+
+    here = columns(theta)
+    inverse = np.linalg.pinv(here[:, at["entries"]], rcond=1e-12)
+    bent = [inverse @ (columns(theta + unit) - here) for unit in np.eye(len(theta))[at["shared"]]]
+    twice = np.ones(len(theta))
+    twice[at["shared"]] = 0.5  # a pair of errors is met in both orders
+    return np.reshape(bent, (-1, *inverse.shape[:1], len(theta))) * twice
+
+
 def weak_spread(found: Fit) -> Array:
     """Return columns E (p, k): by E E^T the mean square error of weak entries exceeds the covariance.
 

@@ -13,8 +13,11 @@ from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.mass import inertia_of
 from fitting.plan import StatedMass
 from fitting.plane import plane_model
+from fitting.solve import bend
 from fitting.solve import fit as solve
+from simulate.ligament import ring_ligament
 from stapeskit.records.motion import SharedErrors
+from stapeskit.spatial import DOF_NAMES
 from tests.fit.fit_cases import (
     BASE,
     DOF,
@@ -212,3 +215,32 @@ def test_solver_settles_from_a_far_start():
     far = solve(data, model, 10.0 * near.theta, 1.0)
     assert far.chi2 == pytest.approx(near.chi2, rel=1e-8)
     assert far.theta == pytest.approx(near.theta, rel=1e-4, abs=1e-6)
+
+
+def test_second_order_of_shared_errors_is_that_of_a_fit_with_them():
+    """With errors z of 100 um, K of a refit differs from the second order by their third power alone."""
+    freq, q = exact_motion(30, in_plane=0.1, ligament=ring_ligament(), directions="yxz")
+    names = tuple(f"footplate_frame.{axis}" for axis in "xyz")
+    maps = np.stack([frame_maps()[:3]] * 2, axis=1)
+    slopes = np.einsum("kbij,rblj->krbli", maps, q)
+    covariance = np.broadcast_to(1e-6 * np.eye(6) * np.mean(np.abs(q) ** 2, axis=(0, 1, 2)), (*q.shape, 6))
+    motion = record(freq, q, covariance, shared=SharedErrors(names, 1e-8 * np.eye(3), slopes))
+    data = data_of(motion, inertia_of(StatedMass(six_parameters(), {}), DOF_NAMES), DOF_NAMES)
+    found = solve(data, Model())
+    bent, at, ones = bend(found), found.at, np.ones(data.count)
+    left = []
+    for size in (1.0, 0.5):
+        z = size * np.array([0.3, 1.0, -0.5])
+
+        def entries(sign, z=z):
+            mass = data.mass + np.tensordot(sign * z, data.mass_changes, 1)
+            turned = data.corrected(sign * z, (ones, ones), mass)
+            return solve(turned, Model()).theta[at["entries"]]
+
+        ahead, behind = entries(1.0), entries(-1.0)
+        change = np.concatenate([0.5 * (ahead - behind), z])
+        second = -np.tensordot(z, bent, 1) @ change
+        exact = 0.5 * (ahead + behind) - found.theta[at["entries"]]
+        left.append((np.abs(exact).max(), np.abs(exact - second).max()))
+    assert left[0][1] < 0.1 * left[0][0]
+    assert left[1][1] < left[0][1] / 6.0  # of order three or more

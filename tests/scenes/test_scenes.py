@@ -36,8 +36,6 @@ def test_scene(name: str, tmp_path: Path) -> None:
         distance, limit = chain.fit_distance(found)
         assert distance < limit
     for quantity, stated in found.stated().items():
-        if quantity in ("stiffness", "damping") and not scene.kd_has_bars:
-            continue
         growth = np.array(stated) / np.array(bars[name][quantity])
         assert np.max(growth) < GROWTH, f"{quantity}: {growth}"
     wanted = {
