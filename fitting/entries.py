@@ -39,6 +39,12 @@ def diagonal(n: int) -> list[int]:
     return [int(place) for place in np.diag(_places(n))]
 
 
+@cache
+def diagonals(n: int) -> list[int]:
+    """Return the places of the diagonals of K and D among the parameters."""
+    return [*diagonal(n), *(n * (n + 1) // 2 + place for place in diagonal(n))]
+
+
 def symmetric(entries: Array, n: int) -> Array:
     """Return symmetric matrices (..., n, n) of their independent entries (..., n (n + 1) / 2)."""
     return np.asarray(entries)[..., _places(n)]

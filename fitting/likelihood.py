@@ -173,9 +173,7 @@ class Likelihood:
         elastic = self._dynamic(theta, parts) @ (deflecting @ (structure - base))
         return np.asarray(elastic - (data.omega**2)[:, None, None] * (load @ structure))
 
-    def _moved(
-        self, theta: Array, motion: ComplexArray, parts: Parts
-    ) -> tuple[ComplexArray, ComplexArray]:
+    def _moved(self, theta: Array, motion: ComplexArray, parts: Parts) -> tuple[ComplexArray, ComplexArray]:
         """Return the motion of structure and base (lines, m, c) with the shared errors and factors."""
         turn, m = self.data.turns(theta[self.at["shared"]]), len(self.data.measured)
         structure = parts.structure[:, None, None] * (turn[:, 0] @ motion[:, :m])

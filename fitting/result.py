@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from fitting.montecarlo import Scatter
+    from fitting.unknowns import Unknown
     from fitting.verdict import Verdict
 
 _DRAWS = 2000
@@ -124,6 +125,13 @@ class KDFit(Result):
     def values(self) -> Array:
         """Entries of K and D in that order."""
         return self.draws.estimate
+
+    @property
+    def unknowns(self) -> list[tuple[Unknown, float, float]]:
+        """What is estimated beside K, D, law and shared errors, each with its value and sd in its unit."""
+        at, found = self.found.at["extra"], self.found
+        sds = np.sqrt(np.diag(found.covariance)[at]).tolist()
+        return list(zip(found.likelihood.model.extras, found.theta[at].tolist(), sds, strict=True))
 
     @cached_property
     def _to_centre(self) -> Array:

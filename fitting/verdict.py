@@ -108,8 +108,9 @@ def _rank(code: str) -> tuple[int, int]:
 
 
 def unused_codes(motion_provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return warnings that do not concern a motion: plate and handedness where all marks are in the scan."""
-    frames = motion_provenance.get("registered_in")
-    if not isinstance(frames, list | tuple) or set(frames) != {"scan"}:
-        return ()
-    return ("plate", "handedness_unconfirmed")
+    """Return warnings that do not concern a motion whose marks are all in scan coordinates.
+
+    It does not use the plate, and its registration would not fit if scan or vibrometer alone were mirrored.
+    """
+    all_in_scan = motion_provenance.get("registered_in") == ["scan"]
+    return ("plate", "handedness_unconfirmed") if all_in_scan else ()

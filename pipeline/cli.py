@@ -70,9 +70,9 @@ def _one(path: object, chosen: RunOptions) -> Outcome:
     from pathlib import Path
 
     from pipeline.report import summary_rows, write_figures
-    from pipeline.run import FILES, once, run_study
+    from pipeline.run import FILES, run_study
     from stapeskit.command import printable, progress_line
-    from stapeskit.warnings import Notice
+    from stapeskit.warnings import Notice, once
 
     told: list[Notice] = []
 

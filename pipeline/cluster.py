@@ -38,7 +38,7 @@ def run_on_dask(address: str) -> Runner:
             columns = ([str(studies[name]) for name in names], [str(out / name) for name in names])
             futures = client.map(_run_order, *columns, [force] * len(names), pure=False)
             known = dict(zip(futures, names, strict=True))
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 if future.status == "finished":
                     ended(known[future], future.result())
                 else:

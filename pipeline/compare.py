@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.cohort.ears import Ear, Quantity, quantities, read_ear
+from pipeline.cohort.ears import Ear, Quantity, quantities, read_ears
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.report import page
-from stapeskit.report.quantities import MASS, ShownUnit, matrix_units, plus_minus
+from stapeskit.report.quantities import plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,21 +30,40 @@ class Difference:
 
     Attributes
     ----------
-    values, sd : tuple of float
-        Of the first and the second, SI.
+    quantity : Quantity
+        With the values of the first and the second.
     difference, difference_sd : float
-        Second minus first; errors that both share (a density of the same statement) cancel.
+        Second minus first, SI; errors that both share (a density of the same statement) cancel.
     p_value : float
         Of no difference, two-sided.
     """
 
-    name: str
-    unit: str
-    values: tuple[float, float]
-    sd: tuple[float, float]
+    quantity: Quantity
     difference: float
     difference_sd: float
     p_value: float
+
+    def row(self) -> tuple[str, ...]:
+        """Return name, first, second, difference, p."""
+        numbers = (*zip(self.quantity.values, self.quantity.sd, strict=True), (self.difference, self.difference_sd))
+        unit = self.quantity.shown
+        texts = (plus_minus(float(unit.of(value)), float(unit.of(sd))) for value, sd in numbers)
+        return (self.quantity.title_with_unit, *texts, f"{self.p_value:.2g}")
+
+    def numbers(self) -> Mapping[str, Any]:
+        """Return a row of compare.csv, SI."""
+        (first, second), (first_sd, second_sd) = self.quantity.values, self.quantity.sd
+        return {
+            "quantity": self.quantity.name,
+            "unit_si": self.quantity.unit,
+            "first": first,
+            "first_sd": first_sd,
+            "second": second,
+            "second_sd": second_sd,
+            "difference": self.difference,
+            "difference_sd": self.difference_sd,
+            "p_value": self.p_value,
+        }
 
 
 @dataclass(frozen=True)
@@ -57,25 +76,7 @@ class Comparison:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return a row a quantity: name, first, second, difference, p."""
-        shown: list[tuple[str, ...]] = []
-        for entry in self.differences:
-            unit = _unit(entry)
-            first, second = (
-                plus_minus(float(unit.of(value)), float(unit.of(sd)))
-                for value, sd in zip(entry.values, entry.sd, strict=True)
-            )
-            change = plus_minus(float(unit.of(entry.difference)), float(unit.of(entry.difference_sd)))
-            name = entry.name.replace("_", " ")
-            shown.append(
-                (
-                    f"{name} ({unit.symbol})" if unit.symbol else name,
-                    first,
-                    second,
-                    change,
-                    f"{entry.p_value:.2g}",
-                )
-            )
-        return shown
+        return [entry.row() for entry in self.differences]
 
 
 def compare(first: Path, second: Path) -> Comparison:
@@ -86,21 +87,13 @@ def compare(first: Path, second: Path) -> Comparison:
     StapeskitError
         A folder holds no finished study, or the two have other degrees of freedom.
     """
-    faults, ears = list[Fault](), list[Ear]()
-    for folder in (Path(first), Path(second)):
-        try:
-            ears.append(read_ear(folder, folder.resolve().name))
-        except (OSError, LookupError, ValueError, TypeError) as error:
-            expected = "a folder with mass.json and kd.json of a finished study"
-            faults.append(Fault(str(folder), expected, error, "", "Run scan2kd on its study first"))
-    raise_all(faults)
-    one, other = ears
+    folders = Path(first), Path(second)
+    one, other = read_ears((folder, folder.resolve().name, {}) for folder in folders)
     if one.kd["dof"] != other.kd["dof"]:
         got = f"{', '.join(one.kd['dof'])} and {', '.join(other.kd['dof'])}"
         raise StapeskitError.of("degrees of freedom", "the same in both results", got)
-    motions = _motion(Path(first)), _motion(Path(second))
-    found = tuple(_difference(row) for row in quantities([one, other]) if np.all(np.isfinite(row.values)))
-    return Comparison((one, other), motions, found)
+    rows = (row for row in quantities([one, other]) if np.all(np.isfinite(row.values)))
+    return Comparison((one, other), (_motion(folders[0]), _motion(folders[1])), tuple(map(_difference, rows)))
 
 
 def _motion(folder: Path) -> RigidMotion | None:
@@ -112,19 +105,9 @@ def _motion(folder: Path) -> RigidMotion | None:
 def _difference(row: Quantity) -> Difference:
     from scipy.special import ndtr
 
-    own = np.where(np.isfinite(row.own_sd), row.own_sd, row.sd)
-    sd = float(np.hypot(*own))
+    sd = float(np.hypot(*np.where(np.isfinite(row.own_sd), row.own_sd, row.sd)))
     change = float(row.values[1] - row.values[0])
-    p = float(2.0 * ndtr(-abs(change) / sd)) if sd > 0.0 else float("nan")
-    values, sds = (tuple(float(value) for value in pair) for pair in (row.values, row.sd))
-    return Difference(row.name, row.unit, (values[0], values[1]), (sds[0], sds[1]), change, sd, p)
-
-
-def _unit(entry: Difference) -> ShownUnit:
-    letter, *dof = entry.name.split("_")
-    if letter in ("K", "D"):
-        return matrix_units(letter, dof)[0][1]
-    return MASS if letter == "mass" else ShownUnit(entry.unit, 1.0)
+    return Difference(row, change, sd, float(2.0 * ndtr(-abs(change) / sd)) if sd > 0.0 else float("nan"))
 
 
 def responses(ear: Ear, motion: RigidMotion) -> tuple[Array, ComplexArray]:
@@ -169,8 +152,7 @@ def compare_page(comparison: Comparison) -> Page:
     head = ("quantity", one.name, other.name, "difference", "p")
     words = (
         "p of no difference, from the errors of each result alone: what both share (one stated density) "
-        "cancels. No "
-        "correction is made for the number of rows."
+        "cancels. No correction is made for the number of rows."
     )
     made.add(page.table(head, comparison.rows(), file="compare"), page.text(words))
     caption = "Piston motion of the stapes over that of the bone, as measured."
@@ -195,20 +177,6 @@ def write_comparison(
     outputs = Outputs("stapeskit compare", out, FILES, inputs, force)
     with outputs.staged() as stage:
         compare_page(comparison).write(stage / FILES[0])
-        rows = [_numbers(entry) for entry in comparison.differences]
+        rows = [entry.numbers() for entry in comparison.differences]
         pd.DataFrame(rows).to_csv(stage / FILES[1], index=False, lineterminator="\n")
     return list(outputs.paths())
-
-
-def _numbers(entry: Difference) -> Mapping[str, Any]:
-    return {
-        "quantity": entry.name,
-        "unit_si": entry.unit,
-        "first": entry.values[0],
-        "first_sd": entry.sd[0],
-        "second": entry.values[1],
-        "second_sd": entry.sd[1],
-        "difference": entry.difference,
-        "difference_sd": entry.difference_sd,
-        "p_value": entry.p_value,
-    }

@@ -22,7 +22,7 @@ from stapeskit.provenance import record, sha256, versions
 from stapeskit.records.mass import read_mass_json
 from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.results import Result
-from stapeskit.warnings import Notice
+from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,17 +44,6 @@ EXTRA = ("plate.ply", "scan_crop.nrrd", "kd.csv")
 """Of these, what is written with ``all_files`` only: nine files a run are enough for most."""
 
 Tell = Callable[[Sequence[Notice]], None]
-
-
-def once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Return each warning once; one that has travelled names the stage of its origin before its text."""
-    kept: dict[tuple[str, str], Notice] = {}
-    for notice in notices:
-        text = notice.text
-        for source in ("motion: ", "mass: "):
-            text = text.removeprefix(source)
-        kept.setdefault((notice.code, text), notice)
-    return tuple(kept.values())
 
 
 @dataclass(frozen=True, repr=False)
@@ -253,7 +242,7 @@ def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:
         Every fault that shows without computing: files, columns, units, names of bodies and fiducials.
     """
     from ct_inertia.ct2mass import check_inputs as check_scan
-    from kinematics.points2dof import check_inputs as check_measurement
+    from kinematics.inputs import check_inputs as check_measurement
 
     faults: list[Fault] = []
     for each in outputs:

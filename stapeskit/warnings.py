@@ -81,6 +81,15 @@ def unique(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     return tuple(dict.fromkeys(notices))
 
 
+def once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Drop warnings that were passed on: a later stage puts that of their origin before the text."""
+    kept: dict[tuple[str, str], Notice] = {}
+    for notice in notices:
+        text = notice.text.removeprefix("motion: ").removeprefix("mass: ")
+        kept.setdefault((notice.code, text), notice)
+    return tuple(kept.values())
+
+
 def page() -> str:
     """Write the table as Markdown, a section for each room."""
     lines = [

@@ -203,8 +203,7 @@ def axes_figure(fit: KDFit) -> Figure | None:
 def budget_figure(fit: KDFit) -> Figure:
     """Draw which sources the variance of each diagonal entry comes from."""
     n = len(fit.dof)
-    half = n * (n + 1) // 2
-    places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
+    places = entries.diagonals(n)
     whole = np.maximum(np.diag(fit.covariance)[places], 1e-300)
     shares = {name: np.maximum(np.diag(part)[places], 0.0) / whole for name, part in fit.budget.items()}
     largest = sorted(shares, key=lambda name: -float(shares[name].max()))[:_MOST_SOURCES]

@@ -226,18 +226,16 @@ def _value(value: Value) -> dict[str, float | None]:
 
 def _unknowns(fit: KDFit) -> list[dict[str, Any]]:
     """Return what is estimated beside K, D, law and shared errors."""
-    found, listed = fit.found, []
-    for place, unknown in enumerate(found.likelihood.model.extras, found.at["extra"].start):
-        listed.append(
-            {
-                "name": unknown.name,
-                "value": float(found.theta[place]),
-                "sd": float(np.sqrt(found.covariance[place, place])),
-                "unit": unknown.unit,
-                "asked_for": unknown.name in fit.options.unknowns,
-            }
-        )
-    return listed
+    return [
+        {
+            "name": unknown.name,
+            "value": value,
+            "sd": sd,
+            "unit": unknown.unit,
+            "asked_for": unknown.name in fit.options.unknowns,
+        }
+        for unknown, value, sd in fit.unknowns
+    ]
 
 
 def _causes(fit: KDFit) -> dict[str, Any] | None:

@@ -270,9 +270,6 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     if bands is not None:
         text = f"One K and one D over the whole band: p = {bands.p_value:.2g}; {bands.words()}."
         blocks.append(page.text(text))
-        blocks += _drawn(
-            figures, "bands", "Local K and D over those of the whole band.", "factors of K and D"
-        )
     if fit.solution.laws:
         compared = [
             (name, one.law.formula, float(one.chi2), "yes" if one.explained else "no")
@@ -291,9 +288,7 @@ def _size(value: float, sd: float, unit: str) -> str:
 
 
 def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
-    n = len(fit.dof)
-    half = n * (n + 1) // 2
-    places = [*entries.diagonal(n), *(half + place for place in entries.diagonal(n))]
+    places = entries.diagonals(len(fit.dof))
     words = shown_sources(fit.budget)
     variances = {words[source]: np.diag(part)[places] for source, part in fit.budget.items()}
     size = np.abs(fit.values[places])

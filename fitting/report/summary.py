@@ -11,7 +11,6 @@ from stapeskit.report.quantities import diagonal_unit, plus_minus
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
-    from fitting.unknowns import Unknown
 
 # Principal axes are found to a right angle: a standard deviation of half of it says nothing.
 _ANY_TURN_DEG = 45.0
@@ -43,8 +42,7 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     ratio_text = f"{fit.found.level:.3f} ({fit.found.n_dof})" if fit.found.n_dof > 0 else "none left"
     rows.append(("chi2 per degree of freedom", ratio_text))
     rows.append(("in-plane motion", inplane_words(fit)))
-    for unknown, place in _unknowns(fit):
-        value, sd = float(fit.found.theta[place]), float(np.sqrt(fit.found.covariance[place, place]))
+    for unknown, value, sd in fit.unknowns:
         rows.append((unknown.name, f"{plus_minus(value, sd)} {unknown.unit}, part of the model"))
     best = fit.solution.search.best
     if fit.solution.search.scores:
@@ -53,11 +51,6 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
             outcome = "NO, and nothing that was tried explains it"
         rows.append(("is the model right?", outcome))
     return rows
-
-
-def _unknowns(fit: KDFit) -> list[tuple[Unknown, int]]:
-    extras = fit.found.likelihood.model.extras
-    return list(zip(extras, range(fit.found.at["extra"].start, fit.found.at["extra"].stop), strict=True))
 
 
 def inplane_words(fit: KDFit) -> str:

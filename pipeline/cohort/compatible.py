@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,45 @@ from pipeline.cohort.ears import Ear
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
-_LEAVE_OUT = "Leave one of them out"
+
+def _measurement(ear: Ear) -> str:
+    """Return what identifies the vibrometer files of an ear; its motion, where they are not recorded."""
+    provenance = ear.kd.get("provenance") or {}
+    if provenance.get("measured"):
+        return " ".join(sorted(provenance["measured"].values()))
+    return str(((provenance.get("inputs") or {}).get("motion") or {}).get("hash") or "")
+
+
+def _subject_and_side(ear: Ear) -> tuple[str, str] | None:
+    subject, side = str(ear.about.get("subject") or ""), ear.side or str(ear.about.get("side") or "")
+    return (subject, side) if subject and side else None
+
+
+def _body_of_scan(ear: Ear) -> str:
+    """Return what identifies the body in a scan, which may hold several ears, each with its seed or box."""
+    provenance = ear.mass.get("provenance") or {}
+    scan = str(((provenance.get("inputs") or {}).get("scan") or {}).get("hash") or "")
+    stated = provenance.get("parameters") or {}
+    places = [f"{key} {stated[key]}" for key in ("seed_mm", "box_mm", "stapes_label") if stated.get(key)]
+    return " ".join([scan, *places]) if scan else ""
+
+
+_ONE_EAR: Mapping[str, Callable[[Ear], Hashable]] = {
+    "the same measured motion": _measurement,
+    "exactly the same K": lambda ear: str(ear.kd["stiffness_si"]),
+    "the same identifier [study] ear": lambda ear: str(ear.about.get("ear", "")),
+    "the same subject and side": _subject_and_side,
+}
+"""What two ears cannot have in common."""
+
+_ALIKE: Mapping[str, Callable[[Ear], str]] = {
+    "degrees of freedom": lambda ear: ",".join(ear.kd["dof"]),
+    "estimator": lambda ear: str(ear.kd["estimator"]),
+    "damping law": lambda ear: str((ear.kd.get("model") or {}).get("damping_law")),
+    "cochlea": lambda ear: str(ear.about.get("cochlea", "")),
+    "incus": lambda ear: str(ear.about.get("incus", "")),
+}
+"""What all ears must have in common; all but the first may differ in a mixed cohort."""
 
 
 def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
@@ -22,7 +60,73 @@ def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
     mix : bool
         Allow different estimators, damping laws and states of cochlea and incus.
     """
-    return [*_repeated_ears(ears), *_contradicting_sides(ears), *_differences(ears, mix)]
+    found = [] if ears else [Fault("the cohort", "of at least one ear", "none")]
+    for ear in ears:
+        stated = ear.about.get("side")
+        if ear.side and stated not in (None, "", ear.side):
+            got = f"{stated} and {ear.side}"
+            thing = f"the side of {ear.name}"
+            found.append(Fault(thing, "the same in [study] and [scan]", got, ear.folder, "Correct one"))
+    return [*_repeated(ears), *found, *_differences(ears, mix)]
+
+
+def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Hashable, list[Ear]]:
+    """Return the ears by a key."""
+    groups = defaultdict(list)
+    for ear in ears:
+        groups[key(ear)].append(ear)
+    return groups
+
+
+def _shared(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> list[list[Ear]]:
+    """Return the groups of ears that have a key in common; empty keys count for nothing."""
+    return [them for name, them in _groups(ears, key).items() if len(them) > 1 and name not in (None, "")]
+
+
+def _repeated(ears: Sequence[Ear]) -> list[Fault]:
+    """Return a fault for each group of ears that are one."""
+    times = Counter(ear.folder for ear in ears)
+    texts = [f"{folder} twice" for folder, count in times.items() if count > 1]
+    reported: set[frozenset[str]] = set()
+    for what, key in _ONE_EAR.items():
+        for members in _shared(ears, key):
+            folders = frozenset(ear.folder for ear in members)
+            if len(folders) > 1 and folders not in reported:
+                reported.add(folders)
+                texts.append(f"{what} in {_listed(members)}")
+    return [Fault("an ear", "in a cohort once", text, "", "Leave one of them out") for text in texts]
+
+
+def _listed(ears: Sequence[Ear]) -> str:
+    return ", ".join(f"{ear.name} ({ear.folder})" for ear in ears)
+
+
+def _differences(ears: Sequence[Ear], mix: bool) -> list[Fault]:
+    """Return a fault for everything that must be the same in all ears and is not."""
+    faults = []
+    for number, (what, key) in enumerate(_ALIKE.items()):
+        groups = _groups(ears, key)
+        if len(groups) < 2 or (mix and number):
+            continue
+        kinds = (
+            f"{value or 'not stated'}: {', '.join(ear.name for ear in them)}"
+            for value, them in groups.items()
+        )
+        step = "Make a cohort of each kind" + (", or allow a mixed one with --mix" if number else "")
+        faults.append(Fault(f"the {what}", "the same in all ears of a cohort", "; ".join(kinds), "", step))
+    return faults
+
+
+def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
+    """Return a warning about ears whose masses come from one body of one scan."""
+    shared = _shared(ears, _body_of_scan)
+    if not shared:
+        return []
+    text = (
+        f"Ears with the same body of the same scan: {'; '.join(map(_listed, shared))}. Either one ear is "
+        "there more than once, or a study names the scan of another ear."
+    )
+    return [Notice("scan_shared", text)]
 
 
 def reasons_to_exclude(ears: Sequence[Ear], use_all: bool = False) -> dict[str, str]:
@@ -35,12 +139,15 @@ def reasons_to_exclude(ears: Sequence[Ear], use_all: bool = False) -> dict[str, 
     """
     reasons = {}
     for ear in ears:
-        diagonal = zip(ear.kd["parameters"], _diagonal(ear.kd.get("covariance_si")), strict=False)
-        entries = {name: variance for name, variance in diagonal if name[-1] == name[-2]}
-        unknown = [name for name, variance in entries.items() if not 0.0 < variance < float("inf")]
-        inertia = _diagonal(ear.mass["inertial_parameters"].get("covariance_si") or [[1.0]])
-        if not all(0.0 <= variance < float("inf") for variance in inertia):
-            unknown.append("the mass")
+        variances = _diagonal(ear.kd.get("covariance_si"))
+        entries = {
+            name: value
+            for name, value in zip(ear.kd["parameters"], variances, strict=False)
+            if name[-1] == name[-2]
+        }
+        unknown = [name for name, value in entries.items() if not 0.0 < value < np.inf]
+        inertia = _diagonal(ear.mass["inertial_parameters"].get("covariance_si"))
+        unknown += [] if all(0.0 <= value < np.inf for value in inertia) else ["the mass"]
         if unknown or not entries:
             reasons[ear.folder] = f"no finite standard deviation of {', '.join(unknown) or 'K and D'}"
         elif ear.verdict == "do not use" and not use_all:
@@ -50,114 +157,4 @@ def reasons_to_exclude(ears: Sequence[Ear], use_all: bool = False) -> dict[str, 
 
 
 def _diagonal(covariance: object) -> list[float]:
-    if covariance is None:
-        return []
-    return [float(value) for value in np.diag(np.array(covariance, dtype=float))]
-
-
-def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
-    """Return a fault for each way in which an ear is there more than once."""
-    times = Counter(ear.folder for ear in ears)
-    twice = [folder for folder, count in times.items() if count > 1]
-    faults = [Fault("an ear", "in a cohort once", f"{folder} twice", "", _LEAVE_OUT) for folder in twice]
-    alike: dict[str, list[Hashable]] = {
-        "the same measured motion": [_measurement(ear) for ear in ears],
-        "exactly the same K": [str(ear.kd["stiffness_si"]) for ear in ears],
-        "the same identifier [study] ear": [str(ear.about.get("ear", "")) for ear in ears],
-        "the same subject and side": [_subject_and_side(ear) for ear in ears],
-    }
-    reported: set[frozenset[str]] = set()
-    for what, keys in alike.items():
-        for members in _groups(ears, keys):
-            names = frozenset(ear.folder for ear in members)
-            if len(names) > 1 and names not in reported:
-                reported.add(names)
-                listed = ", ".join(f"{ear.name} ({ear.folder})" for ear in members)
-                faults.append(Fault("an ear", "in a cohort once", f"{what} in {listed}", "", _LEAVE_OUT))
-    return faults
-
-
-def _groups(ears: Sequence[Ear], keys: Sequence[Hashable]) -> list[list[Ear]]:
-    """Return the ears that share a key; empty keys count for nothing."""
-    groups = defaultdict(list)
-    for ear, key in zip(ears, keys, strict=True):
-        if key not in (None, ""):
-            groups[key].append(ear)
-    return [members for members in groups.values() if len(members) > 1]
-
-
-def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
-    """Return a warning about ears whose masses come from one body of one scan."""
-    shared = _groups(ears, [_scan(ear) for ear in ears])
-    if not shared:
-        return []
-    listed = "; ".join(", ".join(f"{ear.name} ({ear.folder})" for ear in members) for members in shared)
-    text = (
-        f"Ears with the same body of the same scan: {listed}. Either one ear is there more than once, or a "
-        "study names the scan of another ear."
-    )
-    return [Notice("scan_shared", text)]
-
-
-def _measurement(ear: Ear) -> str:
-    """Return what identifies the vibrometer files of an ear; its motion, where they are not recorded."""
-    provenance = ear.kd.get("provenance") or {}
-    measured = provenance.get("measured")
-    if measured:
-        return " ".join(sorted(measured.values()))
-    return str(((provenance.get("inputs") or {}).get("motion") or {}).get("hash") or "")
-
-
-def _scan(ear: Ear) -> str:
-    """Return what identifies the body in a scan, which may hold several ears, each with its seed or box."""
-    provenance = ear.mass.get("provenance") or {}
-    scan = str(((provenance.get("inputs") or {}).get("scan") or {}).get("hash") or "")
-    stated = provenance.get("parameters") or {}
-    places = [f"{key} {stated[key]}" for key in ("seed_mm", "box_mm", "stapes_label") if stated.get(key)]
-    return " ".join([scan, *places]) if scan else ""
-
-
-def _subject_and_side(ear: Ear) -> tuple[str, str] | None:
-    subject = str(ear.about.get("subject") or "")
-    side = ear.side or str(ear.about.get("side") or "")
-    return (subject, side) if subject and side else None
-
-
-def _contradicting_sides(ears: Sequence[Ear]) -> list[Fault]:
-    step = "Correct the wrong one"
-    return [
-        Fault(
-            f"the side of {ear.name}",
-            "the same in [study] and [scan]",
-            f"{ear.about['side']} and {ear.side}",
-            ear.folder,
-            step,
-        )
-        for ear in ears
-        if ear.side and ear.about.get("side") not in (None, "", ear.side)
-    ]
-
-
-def _differences(ears: Sequence[Ear], mix: bool) -> list[Fault]:
-    """Return a fault for everything that must be the same in all ears and is not."""
-    checks = {"degrees of freedom": [",".join(ear.kd["dof"]) for ear in ears]}
-    if not mix:
-        checks |= {
-            "estimator": [str(ear.kd["estimator"]) for ear in ears],
-            "damping law": [str((ear.kd.get("model") or {}).get("damping_law")) for ear in ears],
-            "cochlea": [str(ear.about.get("cochlea", "")) for ear in ears],
-            "incus": [str(ear.about.get("incus", "")) for ear in ears],
-        }
-    faults = []
-    for what, values in checks.items():
-        if len(set(values)) < 2:
-            continue
-        groups = defaultdict(list)
-        for ear, value in zip(ears, values, strict=True):
-            groups[value or "not stated"].append(ear.name)
-        listed = "; ".join(f"{value}: {', '.join(names)}" for value, names in groups.items())
-        step = "Make a cohort of each kind"
-        if what != "degrees of freedom":
-            step += ", or allow a mixed one with --mix"
-        faults.append(Fault(f"the {what}", "the same in all ears of a cohort", listed, "", step))
-    return faults
+    return [] if covariance is None else [float(v) for v in np.diag(np.array(covariance, dtype=float))]

@@ -15,16 +15,14 @@ from stapeskit.faults import Fault, StapeskitError, raise_all
 
 @dataclass(frozen=True)
 class Coding:
-    """How one covariate becomes columns.
+    """How one covariate becomes columns: a number scaled, a text one column for each group but the first.
 
     Attributes
     ----------
     centre, scale : float
         Mean and standard deviation over the ears, of a number.
-    groups : tuple of str
-        Values of a text; the first is the reference and has no column. Empty for a number.
-    shares : tuple of float
-        Share of the ears in each group with a column, which centres it.
+    groups, shares : tuple of str, tuple of float
+        Values of a text, and the share of the ears in each but the first, which centres its column.
     """
 
     name: str
@@ -39,14 +37,13 @@ class Coding:
         Raises
         ------
         StapeskitError
-            The value is of another kind than those of the cohort.
+            The value is missing, or of another kind than those of the cohort.
         """
+        wanted = f"one of {', '.join(self.groups)}" if self.groups else "a number"
+        if str(value) not in self.groups if self.groups else not _is_number(value):
+            raise StapeskitError.of(f"the covariate {self.name}", wanted, value)
         if not self.groups:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise StapeskitError.of(f"the covariate {self.name}", "a number", value)
             return [(float(value) - self.centre) / self.scale]
-        if str(value) not in self.groups:
-            raise StapeskitError.of(f"the covariate {self.name}", f"one of {', '.join(self.groups)}", value)
         pairs = zip(self.groups[1:], self.shares, strict=True)
         return [float(str(value) == group) - share for group, share in pairs]
 
@@ -64,23 +61,8 @@ class Covariates:
         return tuple(coding.name for coding in self.codings)
 
     def of_ear(self, about: Mapping[str, Any]) -> Array:
-        """Return the columns (c,) of a further ear.
-
-        Raises
-        ------
-        StapeskitError
-            A covariate is missing, or has a value that the cohort does not have.
-        """
-        missing = [name for name in self.names if about.get(name) in (None, "")]
-        raise_all(
-            Fault(f"the covariate {name}", "given for the ear to be predicted", "none") for name in missing
-        )
-        return np.array([entry for coding in self.codings for entry in coding.columns(about[coding.name])])
-
-
-def no_covariates(ears: int) -> Covariates:
-    """Return covariates without any column."""
-    return Covariates((), np.zeros((ears, 0)))
+        """Return the columns (c,) of a further ear; errors are those of `Coding.columns`."""
+        return np.array([entry for one in self.codings for entry in one.columns(about.get(one.name))])
 
 
 def described(ear: Ear) -> dict[str, Any]:
@@ -88,13 +70,8 @@ def described(ear: Ear) -> dict[str, Any]:
     return {**({"side": ear.side} if ear.side else {}), **ear.about}
 
 
-def covariates_of(ears: Sequence[Ear], names: Sequence[str]) -> Covariates:
+def covariates_of(ears: Sequence[Ear], names: Sequence[str] = ()) -> Covariates:
     """Return the covariates of the ears as centred columns.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Numbers are scaled to a standard deviation of 1; texts have a column for each value but the first.
 
     Raises
     ------
@@ -102,44 +79,41 @@ def covariates_of(ears: Sequence[Ear], names: Sequence[str]) -> Covariates:
         An ear lacks a covariate, a covariate is the same in all ears, mixes numbers with texts or has another
         value in nearly every ear, or one follows from the others: all of it in one error.
     """
-    faults: list[Fault] = []
     known = [described(ear) for ear in ears]
-    codings = []
-    for name in dict.fromkeys(names):
-        found = _coding(name, [about.get(name) for about in known], [ear.name for ear in ears])
-        if isinstance(found, Fault):
-            faults.append(found)
-        else:
-            codings.append(found)
-    raise_all(faults)
-    rows = [[entry for coding in codings for entry in coding.columns(about[coding.name])] for about in known]
+    made = [_coding(name, {ear.folder: about.get(name) for ear, about in zip(ears, known, strict=True)})
+            for name in dict.fromkeys(names)]  # fmt: skip
+    raise_all([one for one in made if isinstance(one, Fault)])
+    codings = tuple(one for one in made if isinstance(one, Coding))
+    rows = [[entry for one in codings for entry in one.columns(about[one.name])] for about in known]
     columns = np.array(rows, dtype=float).reshape(len(ears), -1)
     if np.linalg.matrix_rank(columns, tol=1e-9) < columns.shape[1]:
-        listed = ", ".join(coding.name for coding in codings)
-        step = "Leave one of them out"
+        listed, step = ", ".join(coding.name for coding in codings), "Leave one of them out"
         raise StapeskitError.of("the covariates", "independent of each other", listed, "", step)
-    return Covariates(tuple(codings), columns)
+    return Covariates(codings, columns)
 
 
-def _coding(name: str, values: Sequence[Any], ears: Sequence[str]) -> Coding | Fault:
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _coding(name: str, values: Mapping[str, Any]) -> Coding | Fault:
     """Return how a covariate is coded, or why it cannot be."""
     thing = f"the covariate {name}"
-    missing = [ear for ear, value in zip(ears, values, strict=True) if value in (None, "")]
+    missing = [ear for ear, value in values.items() if value in (None, "")]
     if missing:
         step = f"Add {name} to [study] or [study.covariates] of these ears, or leave the covariate out"
         return Fault(thing, "given for every ear", f"none for {', '.join(missing)}", "", step)
-    numeric = [isinstance(value, int | float) and not isinstance(value, bool) for value in values]
-    if any(numeric) and not all(numeric):
+    numeric = {_is_number(value) for value in values.values()}
+    if len(numeric) > 1:
         return Fault(thing, "a number in every ear or a text in every ear", "both")
-    texts = [str(value) for value in values]
+    texts = [str(value) for value in values.values()]
     groups = tuple(sorted(set(texts)))
     if len(groups) < 2:
-        step = "Leave the covariate out"
-        return Fault(thing, "different in some ears", f"{groups[0]} in all", "", step)
-    if all(numeric):
-        numbers = np.array(values, dtype=float)
+        return Fault(thing, "different in some ears", f"{groups[0]} in all", "", "Leave the covariate out")
+    if True in numeric:
+        numbers = np.array(list(values.values()), dtype=float)
         return Coding(name, float(numbers.mean()), float(numbers.std(ddof=1)))
-    if len(groups) > len(values) // 2:
+    if len(groups) > len(texts) // 2:
         step = "A text must name groups of ears; a quantity must be a number"
         return Fault(thing, "the same in groups of ears", f"{len(groups)} values", "", step)
-    return Coding(name, groups=groups, shares=tuple(texts.count(g) / len(texts) for g in groups[1:]))
+    return Coding(name, groups=groups, shares=tuple(texts.count(group) / len(texts) for group in groups[1:]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from pathlib import Path
@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.report.quantities import si_unit
+from stapeskit.faults import Fault, raise_all
+from stapeskit.report.quantities import MASS, ShownUnit, matrix_units, si_unit
+from stapeskit.warnings import from_json, once
 
 SHARED_SOURCES = ("density", "calibration", "voxel_size", "mass")
 """Sources of errors of the mass that ears can share."""
@@ -52,8 +54,7 @@ class Ear:
     @property
     def warnings(self) -> int:
         """How many different warnings there are; those of the scan stand in both files and count once."""
-        notices = (*self.mass.get("warnings", ()), *self.kd.get("warnings", ()))
-        return len({(notice["code"], notice["text"]) for notice in notices})
+        return len(once(from_json([*self.mass.get("warnings", ()), *self.kd.get("warnings", ())])))
 
     @property
     def damping_exponent(self) -> float:
@@ -77,6 +78,25 @@ def read_ear(folder: Path, name: str, about: Mapping[str, Any] | None = None) ->
         found[file] = content
     side = found["mass.json"]["frames"].get("side") or ""
     return Ear(name, Path(folder).name, side, found["mass.json"], found["kd.json"], about or {})
+
+
+def read_ears(sources: Iterable[tuple[Path, str, Mapping[str, Any]]]) -> list[Ear]:
+    """Read studies by folder, name and what is known of the ear.
+
+    Raises
+    ------
+    StapeskitError
+        Folders that hold no finished study, all in one error.
+    """
+    ears, faults = list[Ear](), list[Fault]()
+    for folder, name, about in sources:
+        try:
+            ears.append(read_ear(folder, name, about))
+        except (OSError, LookupError, ValueError, TypeError, AttributeError) as error:
+            expected = "a folder with mass.json and kd.json of a finished study"
+            faults.append(Fault(str(folder), expected, error, "", "Run scan2kd on its study first"))
+    raise_all(faults)
+    return ears
 
 
 def unique_names(ears: Sequence[Ear]) -> list[str]:
@@ -107,21 +127,39 @@ def source_id(ear: Ear, source: str) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of every ear, SI.
+    """One number of every ear.
 
     Attributes
     ----------
+    unit : str
+        SI.
+    shown : ShownUnit
+        In which people see it.
     values, sd : ndarray, (ears,)
-        NaN where an ear has none.
+        SI; NaN where an ear has none.
     own_sd : ndarray, (ears,)
         Without errors that all ears share.
     """
 
     name: str
     unit: str
+    shown: ShownUnit
     values: Array
     sd: Array
     own_sd: Array
+
+    @property
+    def title(self) -> str:
+        """Its name for people: K(y, alpha), mode 1 frequency."""
+        letter, *dof = self.name.split("_")
+        if letter in ("K", "D"):
+            return f"{letter}({', '.join(dict.fromkeys(dof))})"
+        return self.name.replace("_", " ").replace("mode", "mode ")
+
+    @property
+    def title_with_unit(self) -> str:
+        """The same with its unit, where it has one."""
+        return f"{self.title} ({self.shown.symbol})" if self.shown.symbol else self.title
 
     def homogeneity(self) -> tuple[float, int, float]:
         """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
@@ -147,62 +185,64 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears; right ears as their mirror images on the left."""
     common = [source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1]
     right = np.array([ear.side == "right" for ear in ears])
-    sds = [ear.mass["mass_matrix"]["standard_deviation_si"][0][0] for ear in ears]
-    shared = [_shared_variance_of_mass(ear, common) for ear in ears]
-    rows = [_quantity("mass", "kg", [ear.mass["mass_kg"] for ear in ears], sds, shared)]
+    rows = [_quantity("mass", "kg", MASS, [_mass_of(ear, common) for ear in ears])]
     dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
     exponent = common_damping_exponent(ears)
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for first, second in combinations_with_replacement(dof, 2):
-            turns = ((first in _ODD) != (second in _ODD)) & right
-            values = [_entry(ear, f"{key}_si", first, second) for ear in ears]
-            sds = [_entry(ear, f"{key}_sd_si", first, second) for ear in ears]
-            shared = [_shared_variance_of_entry(ear, common, letter, first, second) for ear in ears]
+            turned = ((first in _ODD) != (second in _ODD)) & right
+            values = [_entry(ear, common, letter, key, first, second) for ear in ears]
             unit = si_unit(letter, first, second, exponent)
-            signed = np.where(turns, -1.0, 1.0) * np.array(values, dtype=float)
-            rows.append(_quantity(f"{letter}_{first}_{second}", unit, signed, sds, shared))
+            shown = matrix_units(letter, (first, second), exponent)[0][1]
+            signs = np.where(turned, -1.0, 1.0)
+            rows.append(_quantity(f"{letter}_{first}_{second}", unit, shown, values, signs))
     for mode in range(max((len(ear.kd.get("modes") or []) for ear in ears), default=0)):
-        for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "")):
-            values = [_mode(ear, mode, name) for ear in ears]
-            sd_name = "frequency_sd_hz" if unit else "damping_ratio_sd"
-            sds = [_mode(ear, mode, sd_name) for ear in ears]
-            name = name.removesuffix("_hz")
-            rows.append(_quantity(f"mode{mode + 1}_{name}", unit, values, sds, [0.0] * len(ears)))
+        for name, unit, sd in (
+            ("frequency_hz", "Hz", "frequency_sd_hz"),
+            ("damping_ratio", "", "damping_ratio_sd"),
+        ):
+            values = [_mode(ear, mode, name, sd) for ear in ears]
+            full = f"mode{mode + 1}_{name.removesuffix('_hz')}"
+            rows.append(_quantity(full, unit, ShownUnit(unit, 1.0), values))
     return rows
 
 
-def _quantity(name: str, unit: str, values: Any, sds: Sequence[Any], shared: Sequence[float]) -> Quantity:
-    value, sd = np.array(values, dtype=float), np.array(sds, dtype=float)
-    variance = sd**2 - np.array(shared)
+_Number = tuple[float | None, float | None, float]
+"""Value, standard deviation, and the variance by errors that all ears share."""
+
+
+def _quantity(
+    name: str, unit: str, shown: ShownUnit, numbers: Sequence[_Number], signs: Array | float = 1.0
+) -> Quantity:
+    value, sd, shared = np.array(numbers, dtype=float).T
+    variance = sd**2 - shared
     # what rounding leaves of a difference is no error of an ear
     own = np.sqrt(np.where(variance < 1e-9 * sd**2, 0.0, variance))
-    return Quantity(name, unit, value, sd, own)
+    return Quantity(name, unit, shown, signs * value, sd, own)
 
 
-def _shared_variance_of_mass(ear: Ear, common: Sequence[str]) -> float:
+def _mass_of(ear: Ear, common: Sequence[str]) -> _Number:
     parts = ear.mass["inertial_parameters"].get("contributions_si") or {}
-    return float(sum(parts[source][0][0] for source in common if source in parts))
+    shared = sum(parts[source][0][0] for source in common if source in parts)
+    return ear.mass["mass_kg"], ear.mass["mass_matrix"]["standard_deviation_si"][0][0], float(shared)
 
 
-def _shared_variance_of_entry(ear: Ear, common: Sequence[str], letter: str, first: str, second: str) -> float:
+def _entry(ear: Ear, common: Sequence[str], letter: str, key: str, first: str, second: str) -> _Number:
     dof, budget = list(ear.kd["dof"]), ear.kd.get("budget") or {}
     if first not in dof or second not in dof:
-        return 0.0
-    name = f"{letter}{dof.index(first) + 1}{dof.index(second) + 1}"
-    return float(sum((budget.get(f"mass.{source}", {}).get(name) or 0.0) ** 2 for source in common))
+        return None, None, 0.0
+    row, column = dof.index(first), dof.index(second)
+    name = f"{letter}{row + 1}{column + 1}"
+    parts = [budget.get(f"mass.{source}", {}).get(name) or 0.0 for source in common]
+    value, sd = (ear.kd.get(f"{key}{ending}") for ending in ("_si", "_sd_si"))
+    shared = float(sum(part**2 for part in parts))
+    return value and value[row][column], sd and sd[row][column], shared
 
 
-def _entry(ear: Ear, key: str, first: str, second: str) -> float | None:
-    dof = list(ear.kd["dof"])
-    if first not in dof or second not in dof or ear.kd.get(key) is None:
-        return None
-    value: float | None = ear.kd[key][dof.index(first)][dof.index(second)]
-    return value
-
-
-def _mode(ear: Ear, mode: int, key: str) -> float | None:
+def _mode(ear: Ear, mode: int, key: str, sd_key: str) -> _Number:
     modes = ear.kd.get("modes") or []
-    return modes[mode].get(key) if mode < len(modes) else None
+    found = modes[mode] if mode < len(modes) else {}
+    return found.get(key), found.get(sd_key), 0.0
 
 
 def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:

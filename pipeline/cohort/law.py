@@ -78,6 +78,11 @@ class LogPairs:
         """Degrees of freedom of the scatter about the law."""
         return self.n - 2 - self.covariates.shape[1]
 
+    @property
+    def shared_variance(self) -> float:
+        """Mean variance of ln y by errors that ears share."""
+        return float(np.mean(np.sum(self.shared[:, 1] ** 2, axis=1)))
+
     def has_independent_covariates(self) -> bool:
         """Return whether no covariate follows from the others or is the same in all ears."""
         design = np.column_stack([np.ones(self.n), self.covariates])

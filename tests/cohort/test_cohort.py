@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cohort.cohort import LEAST_EARS, cohort, cohort_of
+from pipeline.cohort.cohort import cohort, cohort_of
 from pipeline.cohort.ears import quantities, read_ear
+from pipeline.cohort.laws import LEAST_EARS
 from pipeline.cohort.page import FILES
 from stapeskit.faults import StapeskitError
 from tests.cohort.simulated_ears import ear

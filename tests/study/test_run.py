@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from pipeline.report import study_page, summary_rows
+from pipeline.cohort.ears import read_ear
+from pipeline.report import study_page, summary_rows, write_figures
 from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
 from pipeline.study import read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
+from stapeskit.warnings import Notice
 
 
 def test_k_and_d_lie_within_their_uncertainty(finished: StudyResult, small: tuple[Path, Truth]) -> None:
@@ -64,26 +66,46 @@ def test_a_finished_scan_is_not_measured_again(
     assert again.fit.found.data.count < finished.fit.found.data.count
 
 
-def test_what_is_finished_stays_when_a_later_stage_fails(
-    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
-) -> None:
+def copied(small: tuple[Path, Truth], folder: Path, fit: str = "", study: str = "") -> Path:
+    """Return the study in another folder, with further keys."""
     for path in small[0].iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    fiducials = (tmp_path / "fiducials.csv").read_text().splitlines()
-    moved = [
-        fiducials[0],
-        *(",".join([row.split(",")[0], *("9.9" for _ in row.split(",")[1:])]) for row in fiducials[1:]),
-    ]
-    (tmp_path / "fiducials.csv").write_text("\n".join(moved) + "\n")
-    out = tmp_path / "out"
-    with pytest.raises(StapeskitError):
-        scan2kd(tmp_path / "study.toml", out=out)
-    assert not (out / "kd.json").exists()
+        (folder / path.name).write_bytes(path.read_bytes())
+    file = folder / "study.toml"
+    text = file.read_text().replace("[fit]", f"[fit]\n{fit}").replace("[study]", f"[study]\n{study}")
+    file.write_text(text)
+    return file
+
+
+def test_what_is_finished_stays_when_a_later_stage_fails(
+    small: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, out = copied(small, tmp_path, "band_hz = [6000, 7000]"), tmp_path / "out"
+    reported: list[Notice] = []
+    with pytest.raises(StapeskitError) as raised:
+        run_study(study, out, tell=reported.extend)
+    assert raised.value.faults[0].thing == "the band"
+    assert {notice.code for notice in reported} >= {"plate_axis_sign"}
+    made = {path.name for path in out.iterdir()}
+    assert {"mass.json", "dof.csv", "dof.h5"} <= made
+    assert "kd.json" not in made
+    written = (out / "mass.json").stat().st_mtime_ns
+    copied(small, tmp_path)
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fitting.dof2kd.fit_of", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study, out)
+    result = run_study(study, out)
+    assert result.reused == ("scan",)
+    assert (out / "mass.json").stat().st_mtime_ns == written
+    assert (out / "report.html").exists()
 
 
 def test_cheap_checks_come_first(small: tuple[Path, Truth], tmp_path: Path) -> None:
-    for path in small[0].iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    copied(small, tmp_path)
     text = (tmp_path / "ldv.csv").read_text().splitlines()
     cells = text[2].split(",")
     cells[text[0].split(",").index("freq_hz")] = "-5"
@@ -108,10 +130,25 @@ def test_confirmed_warnings_do_not_lower_the_verdict(
     small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
 ) -> None:
     codes = [reason.code for reason in finished.fit.verdict.reasons]
-    for path in small[0].iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    study = tmp_path / "study.toml"
     listed = ", ".join(f'"{code}"' for code in codes)
-    study.write_text(study.read_text().replace("[study]", f"[study]\nconfirmed = [{listed}]"))
+    study = copied(small, tmp_path, study=f"confirmed = [{listed}]")
     shutil.copytree(finished.out, tmp_path / "out")
     assert run_study(study, tmp_path / "out").fit.verdict.level == "believe"
+
+
+def test_every_figure_of_the_report_as_pdf_and_svg(finished: StudyResult, tmp_path: Path) -> None:
+    names = {path.name for path in write_figures(finished, tmp_path / "figures")}
+    drawn = {"responses_run_1", "principal_axes", "residuals", "budget", "stapes", "motion", "points"}
+    assert {f"{name}.{kind}" for name in drawn for kind in ("pdf", "svg")} <= names
+    assert (tmp_path / "figures" / "budget.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_warning_of_the_scan_counts_once(finished: StudyResult) -> None:
+    ear = read_ear(finished.out, "ear")
+    assert ear.warnings == len(finished.notices)
+    assert len(ear.mass["warnings"]) <= ear.warnings
+
+
+def test_the_stiffness_in_the_plane_is_measured_and_not_assumed(finished: StudyResult) -> None:
+    assert finished.fit.plane is not None
+    assert finished.fit.plane.determined
