@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from fitting.data import Data
@@ -86,25 +87,18 @@ def band_factors(found: Fit) -> BandFactors | None:
         for name, change in (("k", _stiffer), ("d", _lossier))
         for number, mask in enumerate(masks)
     ]
-    _, whitening, _, fitted = likelihood.look(theta)
-    columns = whitening @ likelihood.slopes_of(theta, table, fitted[:, :, None])
-    white = np.sqrt(2.0) * columns[..., 0].reshape(len(table), -1).T
-    new = np.concatenate([white.real, white.imag, np.zeros((len(likelihood.root), len(table)))])
+    new, free = likelihood.outside(theta, table)
     own = np.sum(new**2, axis=0).reshape(2, bands)
     contrasts = np.linalg.qr(np.column_stack([np.ones(bands), np.eye(bands)[:, 1:]]))[0][:, 1:]
     turned = np.kron(np.eye(2), contrasts)
-    basis = np.linalg.qr(likelihood.jacobian(theta))[0]
-    free = new @ turned
-    free = free - basis @ (basis.T @ free)
+    free = free @ turned
     level = max(1.0, found.level / found.noise)
     inverse = np.linalg.inv(free.T @ free)
     values = -inverse @ (free.T @ likelihood.residuals(theta))
     covariance = level * turned @ inverse @ turned.T
     factors = (turned @ values).reshape(2, bands)
     share = own / own.sum(axis=1, keepdims=True)
-    middle = np.eye(2 * bands) - np.kron(np.eye(2), np.ones((bands, 1))) @ np.stack(
-        [np.concatenate([share[0], np.zeros(bands)]), np.concatenate([np.zeros(bands), share[1]])]
-    )
+    middle = np.eye(2 * bands) - block_diag(*(np.outer(np.ones(bands), own) for own in share))
     centred = (middle @ factors.ravel()).reshape(2, bands)
     sd = np.sqrt(np.maximum(np.diag(middle @ covariance @ middle.T), 0.0)).reshape(2, bands)
     chi2 = float(values @ (free.T @ free) @ values) / level

@@ -1,4 +1,4 @@
-"""Where the uncertainty of K and D comes from: what goes away where a source is known exactly."""
+"""Where the uncertainty of K and D comes from: the variance that vanishes when a source is known exactly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INPLANE_STIFFNESS, PLANE = "inplane_stiffness", "ligament_plane"
 
 
 def budget_of(fit: KDFit) -> dict[str, Array]:
-    """Return the covariance (p, p) by source; of shared errors what goes away where one is known exactly."""
+    """Return the covariance (p, p) by source; of a shared error what vanishes when it is known."""
     found, start = fit.found, fit.found.at["shared"].start
     whole = fit.about_centre(found.covariance)
     sources = {NOISE: fit.noise_covariance}

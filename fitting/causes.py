@@ -1,4 +1,4 @@
-"""What may be wrong beside noise: a table of unknowns with how large and how likely they are."""
+"""Possible errors other than noise: a table of unknowns with prior size and probability."""
 
 from __future__ import annotations
 

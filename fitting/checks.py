@@ -127,7 +127,7 @@ def _misfit(fit: KDFit) -> Iterator[Notice]:
     far = outlying_hz(fit)
     if len(far):
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
-        text = f"{len(far)} of {found.data.count} lines lie farther off than noise brings them"
+        text = f"{len(far)} of {found.data.count} lines are outliers with respect to the noise of the others"
         yield Notice("outliers", f"{text} (at {listed} Hz); they were given little weight.")
     bands = fit.solution.bands
     if bands is not None and bands.p_value < SIGNIFICANT_P:
@@ -167,7 +167,7 @@ def _adopted(fit: KDFit) -> Iterator[Notice]:
 
 
 def _causes(fit: KDFit) -> Iterator[Notice]:
-    """Report the best explanation beside the model, what it changes and what it cannot be kept apart from."""
+    """Report the best explanation, its effect on K and D, and the explanations that are as likely."""
     best = fit.solution.search.best
     if best is None or best.name.removeprefix("law_") in fit.solution.laws_alike:
         return

@@ -12,6 +12,7 @@ from stapeskit.command import Outcome, progress_line, run
 
 if TYPE_CHECKING:
     from fitting.options import KDFiles, KDOptions
+    from fitting.result import KDFit
 
 # Matrices are small: threads of BLAS cost more than they save, most of all on a busy machine. Before numpy is
 # loaded.
@@ -54,11 +55,9 @@ def work(words: Sequence[str]) -> Outcome:
 
 
 def _fit(options: KDOptions, files: KDFiles) -> Outcome:
-    from fitting.dof2kd import find_mass, fit_of, mass_source
+    from fitting.dof2kd import find_mass, fit_files
     from fitting.exports import file_names, write_into
     from stapeskit.outputs import Outputs
-    from stapeskit.provenance import record
-    from stapeskit.records.motion import read_motion
 
     motion_file = files.motion
     assert motion_file is not None  # noqa: S101
@@ -69,37 +68,24 @@ def _fit(options: KDOptions, files: KDFiles) -> Outcome:
     outputs = Outputs("dof2kd", out.parent, file_names(out.name, files.export), inputs, files.force)
     outputs.check()
     with progress_line(not files.quiet) as progress:
-        progress("reading motion and mass")
-        source, motion = mass_source(mass_file, options), read_motion(motion_file)
-        provenance = record({"motion": motion_file, "mass": mass_file}, options.given())
-        progress("fitting stiffness and damping")
-        fit = fit_of(motion, source, options, provenance, motion_file.name, files.force, report=progress)
+        fit = fit_files(motion_file, mass_file, options, force=files.force, report=progress)
         progress("drawing the page")
         with outputs.staged() as folder:
             write_into(fit, folder, out.name, files.export)
-        drawn = [] if files.figures is None else save_figures(fit, files.figures)
+        drawn = _save_figures(fit, files.figures) if files.figures is not None else []
     rows = list(fit.summary())
     if files.mass is None:
-        rows.append(("mass", f"{mass_file} (found beside the motion)"))
-    written = (*outputs.paths(), *drawn)
+        rows.append(("mass", f"{mass_file} (found next to the motion)"))
     content = fit.content() if files.as_json else {}
+    written = (*outputs.paths(), *drawn)
     return Outcome(fit.title, rows, fit.notices, written, content, files.as_json, files.quiet)
 
 
-def save_figures(fit: object, folder: Path) -> list[Path]:
-    """Write every figure of a fit as PDF and SVG."""
+def _save_figures(fit: KDFit, folder: Path) -> list[Path]:
     from fitting.report.figures import all_figures
-    from stapeskit.outputs import Outputs
-    from stapeskit.report.figures import style
+    from stapeskit.report.figures import save_figures
 
-    figures = all_figures(fit)  # type: ignore[arg-type]
-    names = [f"{name}.{kind}" for name in figures for kind in ("pdf", "svg")]
-    outputs = Outputs("dof2kd figures", folder, names, ())
-    with outputs.staged() as stage, style():
-        for name, drawing in figures.items():
-            for kind in ("pdf", "svg"):
-                drawing.savefig(stage / f"{name}.{kind}")
-    return [folder / name for name in names]
+    return save_figures("dof2kd figures", all_figures(fit), folder)
 
 
 def _plan(files: KDFiles) -> Outcome:

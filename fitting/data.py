@@ -248,7 +248,7 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
         ("axes", motion.axes, "footplate"),
     ):
         if value != wanted:
-            step = "Make the file with points2dof anew"
+            step = "Run points2dof again"
             faults.append(Fault(f"the motion's {name}", wanted, value, "", step))
     raise_all(faults)
 

@@ -81,7 +81,7 @@ def dof2kd(
     motion : path, RigidMotion or result of points2dof
     mass : path or result of ct2mass, MassMatrix, or array_like, (n, n)
         An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: the
-        mass.json beside the file of the motion.
+        mass.json next to the file of the motion.
     force : bool
         Use a mass that is not the one whose frames the motion was computed with, with a warning.
     confirmed : sequence of str
@@ -96,22 +96,43 @@ def dof2kd(
     --------
     >>> fit = dof2kd(motion, mass=mass, band=(400, 5000))  # doctest: +SKIP
     """
-    chosen = KDOptions.of(**options)
-    file = Path(motion) if isinstance(motion, str | os.PathLike) else None
-    if mass is None:
-        mass = find_mass(file)
-    source = mass_source(mass, chosen)
-    moved = read_motion(file) if file is not None else motion
-    moved = moved if isinstance(moved, RigidMotion) else moved.motion  # type: ignore[union-attr]
-    inputs = {"motion": file, "mass": source.source}
-    provenance = record(inputs, chosen.given(), ["stapeskit.dof2kd"])
-    return fit_of(
-        moved, source, chosen, provenance, "the motion" if file is None else file.name, force, confirmed
+    return fit_files(
+        motion, mass, KDOptions.of(**options), force=force, confirmed=confirmed, command=["stapeskit.dof2kd"]
     )
 
 
+def fit_files(
+    motion: str | os.PathLike[str] | RigidMotion | HasMotion,
+    mass: MassInput | MassMatrix | ArrayLike | None,
+    options: KDOptions,
+    *,
+    force: bool = False,
+    confirmed: Sequence[str] = (),
+    command: Sequence[str] | None = None,
+    report: Progress = no_progress,
+) -> KDFit:
+    """Read motion and mass, where they are files, and fit; see `dof2kd`.
+
+    Parameters
+    ----------
+    command : sequence of str, optional
+        For the provenance; None: the command line of this process.
+    report : callable
+        Gets the step at work.
+    """
+    file = Path(motion) if isinstance(motion, str | os.PathLike) else None
+    report("reading motion and mass")
+    source = mass_source(find_mass(file) if mass is None else mass, options)
+    moved = read_motion(file) if file is not None else motion
+    moved = moved if isinstance(moved, RigidMotion) else moved.motion  # type: ignore[union-attr]
+    provenance = record({"motion": file, "mass": source.source}, options.given(), command)
+    report("fitting stiffness and damping")
+    name = "the motion" if file is None else file.name
+    return fit_of(moved, source, options, provenance, name, force, confirmed, report)
+
+
 def find_mass(motion: Path | None) -> Path:
-    """Return the mass.json beside a motion, or the only one of a folder ``*_mass`` beside it.
+    """Return the mass.json next to a motion, or the only one of a folder ``*_mass`` there.
 
     Raises
     ------
@@ -127,7 +148,7 @@ def find_mass(motion: Path | None) -> Path:
     if motion is None or len(found) != 1:
         got = "nothing" if not found else ", ".join(str(path.relative_to(folder)) for path in found)
         step = "ct2mass writes mass.json; a plain M.csv serves as well"
-        raise StapeskitError.of("--mass", "a mass.json, or one beside the motion", got, "", step)
+        raise StapeskitError.of("--mass", "a mass.json, or one next to the motion", got, "", step)
     return found[0]
 
 

@@ -112,12 +112,7 @@ class Search:
 def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
     """Return unknowns outside the model to first order, likeliest first: the efficient score of each."""
     likelihood, theta = found.likelihood, found.theta
-    _, whitening, _, fitted = likelihood.look(theta)
-    columns = whitening @ likelihood.slopes_of(theta, table, fitted[:, :, None])
-    white = np.sqrt(2.0) * columns[..., 0].reshape(len(table), -1).T
-    new = np.concatenate([white.real, white.imag, np.zeros((len(likelihood.root), len(table)))])
-    basis = np.linalg.qr(likelihood.jacobian(theta))[0]
-    free = new - basis @ (basis.T @ new)
+    _, free = likelihood.outside(theta, table)
     information = np.maximum(np.sum(free**2, axis=0), 1e-12)
     values, sds = -(free.T @ likelihood.residuals(theta)) / information, 1.0 / np.sqrt(information)
     scores = [

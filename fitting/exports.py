@@ -16,6 +16,7 @@ import numpy as np
 from fitting import entries
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.spatial import dof_indices
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -38,23 +39,18 @@ def entry_csv(fit: KDFit) -> str:
 
 
 def _entry_columns(fit: KDFit) -> dict[str, Sequence[Any]]:
-    units = entries.units(fit.dof)
     rows, columns = entries.upper(len(fit.dof))
-    places = list(zip(rows, columns, strict=True)) * 2
-    noise = np.sqrt(np.maximum(np.diag(fit.noise_covariance), 0.0))
-    stated = [units[row][column] for row, column in places]
-    half = len(places) // 2
-    stated[half:] = [fit.law.damping_unit(unit) for unit in stated[half:]]
+    units = [entries.units(fit.dof)[row][column] for row, column in zip(rows, columns, strict=True)]
     return {
         "entry": fit.parameters,
-        "row": [fit.dof[row] for row, _ in places],
-        "column": [fit.dof[column] for _, column in places],
+        "row": [fit.dof[place] for place in rows] * 2,
+        "column": [fit.dof[place] for place in columns] * 2,
         "value": fit.values.tolist(),
         "sd": np.sqrt(np.diag(fit.covariance)).tolist(),
-        "noise_only_sd": noise.tolist(),
+        "noise_only_sd": np.sqrt(np.maximum(np.diag(fit.noise_covariance), 0.0)).tolist(),
         "lower_95": fit.intervals[:, 0].tolist(),
         "upper_95": fit.intervals[:, 1].tolist(),
-        "unit": stated,
+        "unit": [*units, *map(fit.law.damping_unit, units)],
     }
 
 
@@ -82,30 +78,6 @@ def matlab(fit: KDFit) -> bytes:
     return stream.getvalue()
 
 
-def _six(fit: KDFit) -> Iterator[tuple[str, Array]]:
-    """Yield K, D and M in six degrees of freedom x, y, z, rotations about them; zero where they have none."""
-    from stapeskit.spatial import DOF_NAMES
-
-    places = [DOF_NAMES.index(name) for name in fit.dof]
-    mass = fit.solution.inertia.matrix if fit.solution.inertia.complete else None
-    for letter, part in (("K", fit.stiffness), ("D", fit.damping), ("M", fit.mass)):
-        whole = np.zeros((6, 6))
-        whole[np.ix_(places, places)] = part
-        yield letter, mass if letter == "M" and mass is not None else whole
-
-
-def _check_viscous(fit: KDFit) -> str:
-    """Return how D is to be used: C of a viscous dashpot, or a structural damping matrix."""
-    if fit.law.name == "viscous":
-        return "C"
-    if fit.law.name == "hysteretic":
-        return "structural"
-    step = "Fit with --damping viscous or hysteretic, or use the export prior"
-    raise StapeskitError.of(
-        "--export fe", "asked for with viscous or hysteretic damping", fit.law.name, "", step
-    )
-
-
 _HEAD = (
     "K, D, M of the suspension and the body, SI (m, kg, s, N, rad); footplate axes: y lateral, x anterior.",
     "Node 1: the body at the footplate centre; node 2: its surroundings (base) at the same place.",
@@ -113,18 +85,37 @@ _HEAD = (
 )
 
 
+def _two_nodes(fit: KDFit) -> Iterator[tuple[str, Array]]:
+    """Yield K, D and M as matrices (12, 12) of two nodes with six degrees of freedom, zero in others.
+
+    Raises
+    ------
+    StapeskitError
+        The damping law has no matrix that finite elements take.
+    """
+    if fit.law.name not in ("viscous", "hysteretic"):
+        wanted = "asked for with viscous or hysteretic damping"
+        step = "Fit with --damping viscous or hysteretic, or use the export prior"
+        raise StapeskitError.of("--export fe", wanted, fit.law.name, "", step)
+    places, inertia = dof_indices(fit.dof), fit.solution.inertia
+    between, on_first = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([1.0, 0.0])
+    for letter, part, nodes in (
+        ("K", fit.stiffness, between),
+        ("D", fit.damping, between),
+        ("M", fit.mass, on_first),
+    ):
+        own = np.zeros((6, 6))
+        own[np.ix_(places, places)] = part
+        yield letter, np.kron(nodes, inertia.matrix if letter == "M" and inertia.complete else own)
+
+
 def ansys(fit: KDFit) -> str:
     """Return MATRIX27 elements with real constants (Ansys Element Reference, MATRIX27, KEYOPT(2) = 0)."""
-    kind = _check_viscous(fit)
     lines = [*(f"! {line}" for line in _HEAD), "/PREP7", "N,1,0,0,0", "N,2,0,0,0"]
     options = {"K": 4, "D": 5, "M": 2}
-    for number, (letter, part) in enumerate(_six(fit), 1):
-        if letter == "D" and kind == "structural":
+    for number, (letter, full) in enumerate(_two_nodes(fit), 1):
+        if letter == "D" and fit.law.name == "hysteretic":
             lines.append("! D is structural: imaginary part of the stiffness (hysteretic); enter it as such")
-        full = np.zeros((12, 12))
-        full[:6, :6] = part
-        if letter != "M":
-            full[:6, 6:], full[6:, :6], full[6:, 6:] = -part, -part, part
         lines += [f"ET,{number},MATRIX27", f"KEYOPT,{number},3,{options[letter]}"]
         values = full[np.triu_indices(12)]  # row by row of the upper triangle, 78 constants
         for first in range(0, len(values), 6):
@@ -136,15 +127,11 @@ def ansys(fit: KDFit) -> str:
 
 def abaqus(fit: KDFit) -> str:
     """Return a *USER ELEMENT, LINEAR with stiffness, damping and mass matrices (Abaqus Keywords Guide)."""
-    kind = _check_viscous(fit)
-    names = {"K": "STIFFNESS", "D": "VISCOUS DAMPING" if kind == "C" else "STRUCTURAL DAMPING", "M": "MASS"}
+    damping = "VISCOUS DAMPING" if fit.law.name == "viscous" else "STRUCTURAL DAMPING"
+    names = {"K": "STIFFNESS", "D": damping, "M": "MASS"}
     lines = [*(f"** {line}" for line in _HEAD), "*NODE", "1, 0., 0., 0.", "2, 0., 0., 0."]
     lines += ["*USER ELEMENT, LINEAR, NODES=2, TYPE=U1", "1, 2, 3, 4, 5, 6"]
-    for letter, part in _six(fit):
-        full = np.zeros((12, 12))
-        full[:6, :6] = part
-        if letter != "M":
-            full[:6, 6:], full[6:, :6], full[6:, 6:] = -part, -part, part
+    for letter, full in _two_nodes(fit):
         lines.append(f"*MATRIX, TYPE={names[letter]}")
         for row in range(12):  # lower triangle by rows, four numbers a line
             words = [f"{value:.9e}" for value in full[row, : row + 1]]

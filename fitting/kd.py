@@ -45,7 +45,7 @@ class Solution:
     laws_alike : tuple of str
         Those that the data cannot distinguish from the chosen one.
     search : Search
-        What the data call for beside the model.
+        Further unknowns that the data call for.
     textbook : Textbook or None
         Another estimator than maximum likelihood.
     weak : ndarray, (p, k)

@@ -211,8 +211,7 @@ class Likelihood:
 
     def residuals(self, theta: Array) -> Array:
         """Return the rows of the least-squares problem: their squares sum to chi2 with priors."""
-        white = np.sqrt(2.0) * self.look(theta)[0].ravel()
-        return np.concatenate([white.real, white.imag, self.root @ theta - self.offset])
+        return np.concatenate([_real_rows(self.look(theta)[0]), self.root @ theta - self.offset])
 
     def entry_slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
         """Return dB/d(K, D) times motions (lines, 2 m, c), (p, lines, n, c)."""
@@ -263,24 +262,32 @@ class Likelihood:
             columns[heavy] -= square * (changes[:, None] @ structure)
         return columns
 
-    def slopes_of(self, theta: Array, unknowns: Sequence[Unknown], motion: ComplexArray) -> ComplexArray:
-        """Return dB/dvalue at zero times motions, (unknowns, lines, n, c), of unknowns outside the model."""
-        parts, columns = self.parts(theta), []
+    def white(self, theta: Array, columns: ComplexArray) -> Array:
+        """Return columns of the equations (k, lines, n, 1) as rows of the least-squares problem, (r, k)."""
+        return _real_rows((self.look(theta)[1] @ columns)[..., 0]).T
+
+    def outside(self, theta: Array, unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
+        """Return the columns (r, u) of unknowns that are not in the model, and what it cannot absorb of them.
+
+        They are those of dB/dvalue at zero and at the fitted motion.
+        """
+        fitted, parts, columns = self.look(theta)[3][:, :, None], self.parts(theta), []
         for unknown in unknowns:
             ends = []
             for step in (_STEP, -_STEP):
                 changed = replace(parts)
                 unknown.change(step, changed, self.data)
-                ends.append(self.act(theta, motion, changed))
+                ends.append(self.act(theta, fitted, changed))
             columns.append((ends[0] - ends[1]) / (2.0 * _STEP))
-        return np.array(columns)
+        white = self.white(theta, np.array(columns))
+        new = np.concatenate([white, np.zeros((len(self.root), len(unknowns)))])
+        basis = np.linalg.qr(self.jacobian(theta))[0]
+        return new, new - basis @ (basis.T @ new)
 
     def jacobian(self, theta: Array) -> Array:
         """Return the derivative of the rows by theta; J^T r is the exact gradient."""
-        _, whitening, _, fitted = self.look(theta)
-        columns = whitening @ self.slopes(theta, fitted[:, :, None])
-        white = np.sqrt(2.0) * columns[..., 0].reshape(self.count, -1).T
-        return np.concatenate([white.real, white.imag, self.root])
+        fitted = self.look(theta)[3][:, :, None]
+        return np.concatenate([self.white(theta, self.slopes(theta, fitted)), self.root])
 
     def reduced(self, theta: Array) -> tuple[Array, Array]:
         """Return the QR form of the least-squares problem: residuals (p + 1,) and Jacobian (p + 1, p).
@@ -323,3 +330,9 @@ class Likelihood:
         shares, turned = np.linalg.eigh(np.eye(len(size)) - half @ added @ half.T)
         inverse = half.T @ (turned / np.maximum(shares, _LEAST_INFORMATION)) @ turned.T @ half
         return inverse @ hessian @ inverse, inverse
+
+
+def _real_rows(white: ComplexArray) -> Array:
+    """Return white residuals (..., lines, n) as real rows (..., 2 lines n) of unit variance."""
+    flat = np.sqrt(2.0) * white.reshape(*white.shape[:-2], -1)
+    return np.concatenate([flat.real, flat.imag], axis=-1)

@@ -58,7 +58,7 @@ def scatter(
     Parameters
     ----------
     report : callable, optional
-        Told how long it will take once the first repetition is done.
+        Gets the expected duration after the first repetition.
 
     Notes
     -----

@@ -75,7 +75,7 @@ class KDOptions(Options):
             recommended=True,
         ),
     ] = "ml"
-    robust: Annotated[Literal["none", "t4"], Opt("t4: lines far off have little weight (Student's t)")] = (
+    robust: Annotated[Literal["none", "t4"], Opt("t4: outlying lines have little weight (Student's t)")] = (
         "none"
     )
     damping: Annotated[
@@ -210,13 +210,13 @@ class KDFiles(Options):
     ] = None
     mass: Annotated[
         ReadFile | None,
-        Opt("mass.json of ct2mass, or M.csv; left out: the mass.json beside the motion", example="mass.json"),
+        Opt("mass.json of ct2mass, or M.csv; left out: the one next to the motion", example="mass.json"),
     ] = None
     plan: Annotated[ReadFile | None, Opt("a planned measurement: what it can reach", example="plan.toml")] = (
         None
     )
     out: Annotated[JsonFile | None, Opt("default kd.json; plan.json with --plan")] = None
-    export: Annotated[Words, Opt("further files beside it: fe, prior", example=["fe", "prior"])] = ()
+    export: Annotated[Words, Opt("further files: fe, prior", example=["fe", "prior"])] = ()
     figures: Annotated[Folder | None, Opt("folder for every figure as PDF and SVG", example="figures")] = None
     force: Annotated[Flag, Opt("replace files that this command did not write; use another mass.json")] = (
         False

@@ -94,7 +94,7 @@ class Plan(Options):
     gain_sd_percent: Annotated[Sd, Opt("of each laser")] = 1.0
     phase_sd_deg: Annotated[Sd, Opt("of each laser")] = 0.5
     delay_sd_us: Annotated[Sd, Opt("of each laser")] = 1.0
-    mass_sd_percent: Annotated[Sd, Opt("of the density; unused beside a mass.json")] = 3.0
+    mass_sd_percent: Annotated[Sd, Opt("of the density; unused with a mass.json")] = 3.0
 
     @property
     def layouts(self) -> tuple[Layout, Layout]:

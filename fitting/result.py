@@ -128,7 +128,7 @@ class KDFit(Result):
 
     @property
     def unknowns(self) -> list[tuple[Unknown, float, float]]:
-        """What is estimated beside K, D, law and shared errors, each with its value and sd in its unit."""
+        """Further estimated unknowns, each with its value and sd in its unit."""
         at, found = self.found.at["extra"], self.found
         sds = np.sqrt(np.diag(found.covariance)[at]).tolist()
         return list(zip(found.likelihood.model.extras, found.theta[at].tolist(), sds, strict=True))

@@ -106,15 +106,12 @@ def start_of(likelihood: Likelihood, theta: Array | None = None, rounds: int = 3
         theta[entries] = np.tile(vector(np.eye(n)), 2)
     y = likelihood.data.y[:, :, None]
     for _ in range(rounds):
-        whitening = likelihood.look(theta)[1]
         half = theta.copy()
         half[entries] = 0.0
-        columns = (whitening @ likelihood.slopes(theta, y)[entries])[..., 0].reshape(entries.stop, -1).T
-        constant = -(whitening @ likelihood.act(half, y))[..., 0].ravel()
-        rows = np.concatenate([columns.real, columns.imag])
+        rows = likelihood.white(theta, likelihood.entry_slopes(theta, y))
+        wanted = -likelihood.white(theta, likelihood.act(half, y)[None])[:, 0]
         size = np.linalg.norm(rows, axis=0)
         size = np.where(size > 0.0, size, 1.0)
-        wanted = np.concatenate([constant.real, constant.imag])
         theta = theta.copy()
         theta[entries] = np.linalg.lstsq(rows / size, wanted, rcond=1e-12)[0] / size
     return theta
@@ -312,15 +309,13 @@ def bend(found: Fit) -> Array:
     data are precise, the cloud of likely K is curved by more than it is thick.
     """
     likelihood, theta, at = found.likelihood, found.theta, found.at
-    _, whitening, _, fitted = likelihood.look(theta)
-
-    def columns(theta: Array) -> Array:
-        white = (whitening @ likelihood.slopes(theta, fitted[:, :, None]))[..., 0].reshape(len(theta), -1).T
-        return np.concatenate([white.real, white.imag])
-
-    here = columns(theta)
-    inverse = np.linalg.pinv(here[:, at["entries"]], rcond=1e-12)
-    bent = [inverse @ (columns(theta + unit) - here) for unit in np.eye(len(theta))[at["shared"]]]
+    fitted = likelihood.look(theta)[3][:, :, None]
+    here = likelihood.slopes(theta, fitted)
+    inverse = np.linalg.pinv(likelihood.white(theta, here[at["entries"]]), rcond=1e-12)
+    bent = [
+        inverse @ likelihood.white(theta, likelihood.slopes(theta + unit, fitted) - here)
+        for unit in np.eye(len(theta))[at["shared"]]
+    ]
     twice = np.ones(len(theta))
     twice[at["shared"]] = 0.5  # a pair of errors is met in both orders
     return np.reshape(bent, (-1, *inverse.shape[:1], len(theta))) * twice
@@ -331,8 +326,8 @@ def weak_spread(found: Fit) -> Array:
 
     Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than
     noise does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where
-    it has risen by that of a 95 % interval, at what noise feigns of information on the way (where the entry
-    is larger it is more); all unknowns move along.
+    it has risen by that of a 95 % interval, with the largest information on the way that is noise of the
+    regressor (it grows with the entry); all unknowns move along.
     """
     places = diagonal(found.likelihood.n)
     sd = np.sqrt(np.diag(found.covariance)[places])
@@ -348,7 +343,7 @@ def _reach(found: Fit, place: int, sd: float) -> Array | None:
     covariance, inverse, model = found.covariance, found.inverse, found.likelihood.model
     value = float(np.sum(found.likelihood.residuals(found.theta) ** 2))
     along = covariance[:, place] / covariance[place, place]
-    feigned = covariance[place, place] / inverse[place, place]
+    overstated = covariance[place, place] / inverse[place, place]
     farthest = _FARTHEST * max(sd, abs(found.theta[place]))
     near, low, far, theta = 0.0, 0.0, 1.96 * sd, found.theta
     while True:
@@ -359,8 +354,8 @@ def _reach(found: Fit, place: int, sd: float) -> Array | None:
             there, known = found.likelihood.covariance(theta)
         except np.linalg.LinAlgError:
             return None
-        feigned = max(feigned, there[place, place] / known[place, place])
-        target, high = 1.96 * np.sqrt(feigned), float(np.sqrt(max(risen - value, 0.0)))
+        overstated = max(overstated, there[place, place] / known[place, place])
+        target, high = 1.96 * np.sqrt(overstated), float(np.sqrt(max(risen - value, 0.0)))
         if high >= target or far >= farthest:
             break
         near, low, far = far, high, min(2.0 * far, farthest)

@@ -84,7 +84,7 @@ def estimate(
     if not constrained:  # rows in SI, as the paper has them
         weights = likelihood.row_units @ data.root_mass
         weights = weights / weights.max()
-    columns = weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[entries]
+    columns = weights[:, None] * likelihood.entry_slopes(theta, data.y[:, :, None])
     columns = columns[..., 0].reshape(entries.stop, -1).T
     rest = theta.copy()
     rest[entries] = 0.0
@@ -171,7 +171,7 @@ def _bias(
         point = theta.copy()
         point[entries] -= bias
         operator = weights[:, None] * likelihood.act(point, every)
-        slopes = weights[:, None] * likelihood.slopes(point, every.repeat(data.count, 0))[entries]
+        slopes = weights[:, None] * likelihood.entry_slopes(point, every.repeat(data.count, 0))
         pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, slopes.conj(), optimize=True).real
         bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
     return np.asarray(bias)

@@ -1,4 +1,4 @@
-"""What a model may leave open beside K, D, damping law and shared errors: one row of a table each.
+"""Further unknowns of a model than K, D, damping law and shared errors: one row of a table each.
 
 An `Unknown` changes the parts of the equations of motion by its value. The likelihood, its derivatives, the
 search for causes, ``--unknowns``, kd.json and the page follow from the row.

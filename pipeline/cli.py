@@ -74,11 +74,11 @@ def _one(path: object, chosen: RunOptions) -> Outcome:
     from stapeskit.command import printable, progress_line
     from stapeskit.warnings import Notice, once
 
-    told: list[Notice] = []
+    reported: list[Notice] = []
 
     def tell(notices: Sequence[Notice]) -> None:
-        fresh = once([*told, *notices])[len(told) :]
-        told.extend(fresh)
+        fresh = once([*reported, *notices])[len(reported) :]
+        reported.extend(fresh)
         for notice in () if chosen.quiet else fresh:
             sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
 

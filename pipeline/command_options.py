@@ -25,9 +25,9 @@ class RunOptions(Options):
     figures: Annotated[Folder | None, Opt("folder for every figure of the report as PDF and SVG", _RUN)] = (
         None
     )
-    force: Annotated[
-        Flag, Opt("make every stage anew; replace files that this command did not write", _RUN)
-    ] = False
+    force: Annotated[Flag, Opt("repeat every stage; replace files that this command did not write", _RUN)] = (
+        False
+    )
     as_json: Annotated[Flag, Opt("print the whole result as JSON", _RUN, name="json")] = False
     quiet: Annotated[Flag, Opt("print nothing but errors", _RUN)] = False
 

@@ -45,10 +45,10 @@ class Difference:
 
     def row(self) -> tuple[str, ...]:
         """Return name, first, second, difference, p."""
-        numbers = (*zip(self.quantity.values, self.quantity.sd, strict=True), (self.difference, self.difference_sd))
-        unit = self.quantity.shown
+        of, unit = self.quantity, self.quantity.shown
+        numbers = (*zip(of.values, of.sd, strict=True), (self.difference, self.difference_sd))
         texts = (plus_minus(float(unit.of(value)), float(unit.of(sd))) for value, sd in numbers)
-        return (self.quantity.title_with_unit, *texts, f"{self.p_value:.2g}")
+        return (of.title_with_unit, *texts, f"{self.p_value:.2g}")
 
     def numbers(self) -> Mapping[str, Any]:
         """Return a row of compare.csv, SI."""

@@ -29,12 +29,9 @@ def methods(result: StudyResult) -> str:
     sources = list_some((name.replace("_", " ").replace("mass.", "mass: ") for name in fit.budget), 20)
     return (
         f"The mass matrix of the stapes was computed from {scan} and its {known}, about the centre of the "
-        "footplate. "
-        f"Rigid motion of {' and '.join(motion.bodies)} was fitted to the readings of the laser Doppler "
-        "vibrometer. "
-        f"Stiffness and damping ({fit.law.name}) of the annular ligament for {', '.join(fit.dof)} were "
-        "estimated by "
-        f"{_ESTIMATORS[fit.options.estimator]} at {data.count} lines between {low:.4g} and {high:.4g} Hz. "
-        "Standard "
-        f"deviations contain: {sources}. Computed with stapeskit {__version__}."
+        f"footplate. Rigid motion of {' and '.join(motion.bodies)} was fitted to the readings of the laser "
+        f"Doppler vibrometer. Stiffness and damping ({fit.law.name}) of the annular ligament for "
+        f"{', '.join(fit.dof)} were estimated by {_ESTIMATORS[fit.options.estimator]} at {data.count} lines "
+        f"between {low:.4g} and {high:.4g} Hz. Standard deviations contain: {sources}. Computed with "
+        f"stapeskit {__version__}."
     )

@@ -88,7 +88,7 @@ def _is(recognise: Callable[[], object]) -> bool:
 
 
 def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> Path:
-    """Write a study.toml beside the files of an ear and return its path.
+    """Write a study.toml next to the files of an ear and return its path.
 
     Parameters
     ----------

@@ -94,29 +94,23 @@ def moving_stapes(result: StudyResult, pictured: Any) -> Scene:
     from ct_inertia.report.sections import scene
     from kinematics.report.motion import motion_scene
     from stapeskit.report.scene3d import Motion
+    from stapeskit.spatial import dof_indices
 
     shown, measured = scene(result.mass, pictured), motion_scene(result.moved)
     modes: list[Motion] = []
     for number, mode in enumerate(result.fit.modes.pairs, 1):
         amplitudes = np.zeros(6, dtype=complex)
-        amplitudes[[_place(name) for name in result.fit.dof]] = mode.shape
+        amplitudes[dof_indices(result.fit.dof)] = mode.shape
         modes.append(Motion(f"mode {number}: {mode.frequency_hz:.0f} Hz", amplitudes, mode.frequency_hz))
     caption = (
         "The stapes in its scan with the modes of the fit and the measured motion, enlarged. Drag to turn, "
-        "wheel to "
-        "zoom, right button or shift to move."
+        "wheel to zoom, right button or shift to move."
     )
     return replace(shown, motions=[*modes, *measured.motions], title="The moving stapes", caption=caption)
 
 
-def _place(dof: str) -> int:
-    from stapeskit.spatial import DOF_NAMES
-
-    return DOF_NAMES.index(dof)
-
-
 def truth_table(result: StudyResult, path: Path) -> Any:
-    """Return true values of a simulated ear beside those that were found."""
+    """Compare the true values of a simulated ear with those that were found."""
     truth = json.loads(path.read_text(encoding="utf-8"))
     fit = result.fit
     rows = [("mass", MASS.text(float(truth["mass_kg"]), ".4g"), _mass_text(result.mass))]
@@ -147,8 +141,7 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
     from fitting.report.figures import all_figures
     from fitting.rim import rim_figure, rim_stiffness
     from kinematics.report.figures import geometry_figure, residual_figure, spectra_figure
-    from stapeskit.outputs import Outputs
-    from stapeskit.report.figures import style
+    from stapeskit.report.figures import save_figures
 
     pictured = pictured_from(result.out, result.mass, result.study.scan.file)
     rim = rim_stiffness(result.fit, result.study.scan.side or "")
@@ -158,14 +151,8 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
         "cut": slices_figure(result.mass, pictured),
         "rim": None if rim is None else rim_figure(rim),
         "motion": spectra_figure(result.moved.motion),
-        "residuals": residual_figure(result.moved),
+        "channel_residuals": residual_figure(result.moved),
         "points": geometry_figure(result.moved),
     }
     drawn = {name: drawing for name, drawing in figures.items() if drawing is not None}
-    names = [f"{name}.{kind}" for name in drawn for kind in ("pdf", "svg")]
-    outputs = Outputs("scan2kd figures", Path(folder), names, (), force)
-    with outputs.staged() as stage, style():
-        for name, drawing in drawn.items():
-            for kind in ("pdf", "svg"):
-                drawing.savefig(stage / f"{name}.{kind}")
-    return [outputs.folder / name for name in names]
+    return save_figures("scan2kd figures", drawn, folder, force)

@@ -62,7 +62,7 @@ class StudyResult(Result):
     fit : KDFit
         Stiffness and damping.
     reused : tuple of str
-        Stages that were not made anew.
+        Stages that were not repeated.
     """
 
     study: Study
@@ -144,7 +144,7 @@ def scan2kd(study: Path | str, *, out: Path | str | None = None, force: bool = F
     out : path, optional
         Folder of the results; default ``<study name>_out`` in the current folder.
     force : bool
-        Compute every stage anew, and replace files at the names of outputs that are not known as written by
+        Repeat every stage, and replace files at the names of outputs that are not known as written by
         scan2kd.
 
     Raises

@@ -59,7 +59,7 @@ class SeveralResult:
 
 
 Runner = Callable[[Mapping[str, Path], Path, bool, Callable[[str, End], None]], None]
-"""Runs studies by name into subfolders of a folder, anew where forced, and reports each end."""
+"""Runs studies by name into subfolders of a folder (every stage again where forced), reports each end."""
 
 
 def run_here(jobs: int) -> Runner:
@@ -134,7 +134,7 @@ def run_studies(
     runner : callable
         `run_here`, or `pipeline.cluster.run_on_dask`.
     force : bool
-        Make every stage anew, and replace files that are not known as made here.
+        Repeat every stage, and replace files that are not known as written by scan2kd.
     report : callable
         Gets a line as each study ends.
 

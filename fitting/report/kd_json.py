@@ -15,8 +15,8 @@ from fitting.likelihood import LOAD, PLANE
 from fitting.model import NORMALISATION
 from fitting.plane import INPLANE_DOF
 from fitting.ring import RingTest, Value, ring_test
-from fitting.solve import bic
-from stapeskit.arrays import finite_or_none
+from fitting.solve import bic, entry_scale
+from stapeskit.arrays import Array, finite_or_none
 from stapeskit.records.json_files import as_json
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ SCHEMA = "stapeskit.kd/1"
 
 def kd_json(fit: KDFit) -> dict[str, Any]:
     """Return a result as JSON-able data, SI; what cannot be given is null."""
-    stiffness_sd, damping_sd = fit.standard_deviation
     noise = fit.noise_standard_deviation
     content = {
         "schema": SCHEMA,
@@ -38,18 +37,12 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
         "model": _model(fit),
         "estimator": fit.options.estimator,
         "mass_matrix_si": fit.mass,
-        "stiffness_si": fit.stiffness,
-        "stiffness_sd_si": stiffness_sd,
-        "damping_si": fit.damping,
-        "damping_sd_si": damping_sd,
+        **_pair(fit.values, np.sqrt(np.diag(fit.covariance)), len(fit.dof)),
         "noise_only_sd_si": {"stiffness": noise[0], "damping": noise[1]},
         "parameters": list(fit.parameters),
         "covariance_si": fit.covariance,
-        "intervals_95_si": dict(zip(fit.parameters, fit.intervals.tolist(), strict=True)),
-        "budget": {
-            source: dict(zip(fit.parameters, np.sqrt(np.maximum(np.diag(part), 0.0)).tolist(), strict=True))
-            for source, part in fit.budget.items()
-        },
+        "intervals_95_si": _named(fit, fit.intervals),
+        "budget": {source: _named(fit, _sd_of(part)) for source, part in fit.budget.items()},
         "stable": fit.modes.stable,
         "max_real_eigenvalue_1_s": fit.modes.max_real_1_s,
         "passive": dict(zip(("stiffness", "damping"), fit.passive, strict=True)),
@@ -70,6 +63,26 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
         content["monte_carlo"] = fit.scatter.as_json(fit)
     plain: dict[str, Any] = as_json(content)
     return plain
+
+
+def _named(fit: KDFit, values: Array) -> dict[str, Any]:
+    """Return values of the parameters by their names."""
+    return dict(zip(fit.parameters, values.tolist(), strict=True))
+
+
+def _sd_of(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _pair(values: Array, sds: Array, n: int) -> dict[str, Array]:
+    """Return K and D with their standard deviations as matrices."""
+    (stiffness, damping), (stiffness_sd, damping_sd) = entries.split(values, n), entries.split(sds, n)
+    return {
+        "stiffness_si": stiffness,
+        "stiffness_sd_si": stiffness_sd,
+        "damping_si": damping,
+        "damping_sd_si": damping_sd,
+    }
 
 
 def _model(fit: KDFit) -> dict[str, Any]:
@@ -159,11 +172,7 @@ def _ligament(fit: KDFit) -> dict[str, Any] | None:
     plane, height = fit.plane, fit.height
     if plane is None or height is None:
         return None
-    n = len(fit.dof)
-    own_sd = np.sqrt(np.mean((fit.draws.plane_draws - fit.draws.plane_estimate) ** 2, axis=0))
-    stiffness, damping = entries.split(fit.draws.plane_estimate, n)
-    stiffness_sd, damping_sd = entries.split(own_sd, n)
-    inside, inside_sd = entries.split(plane.entries, 3), entries.split(np.sqrt(np.diag(plane.covariance)), 3)
+    off = fit.draws.plane_draws - fit.draws.plane_estimate
     value, sd = height
     return {
         "height_mm": 1e3 * value,
@@ -174,19 +183,13 @@ def _ligament(fit: KDFit) -> dict[str, Any] | None:
         "coupling_columns": list(INPLANE_DOF),
         "about_ligament_plane": {
             "about": "footplate centre, raised by the height along y",
-            "stiffness_si": stiffness,
-            "stiffness_sd_si": stiffness_sd,
-            "damping_si": damping,
-            "damping_sd_si": damping_sd,
+            **_pair(fit.draws.plane_estimate, np.sqrt(np.mean(off**2, axis=0)), len(fit.dof)),
         },
         "inplane": {
             "dof": list(INPLANE_DOF),
             "determined": plane.determined,
             "p_value": plane.p_value,
-            "stiffness_si": inside[0],
-            "stiffness_sd_si": inside_sd[0],
-            "damping_si": inside[1],
-            "damping_sd_si": inside_sd[1],
+            **_pair(plane.entries, _sd_of(plane.covariance), 3),
         },
     }
 
@@ -225,7 +228,7 @@ def _value(value: Value) -> dict[str, float | None]:
 
 
 def _unknowns(fit: KDFit) -> list[dict[str, Any]]:
-    """Return what is estimated beside K, D, law and shared errors."""
+    """Return the further estimated unknowns."""
     return [
         {
             "name": unknown.name,
@@ -239,7 +242,7 @@ def _unknowns(fit: KDFit) -> list[dict[str, Any]]:
 
 
 def _causes(fit: KDFit) -> dict[str, Any] | None:
-    """Return what was searched for beside the model: scores, refits with their odds, the best explanation."""
+    """Return the search for causes: scores, refits with their odds, the best explanation."""
     search = fit.solution.search
     if not search.scores:
         return None
@@ -287,11 +290,7 @@ def found_from(sd: float, prior_sd: float, chance: float) -> float:
 
 def _fit(fit: KDFit) -> dict[str, Any]:
     found, book = fit.found, fit.solution.textbook
-    bias = np.zeros(len(fit.parameters))
-    if book is not None:
-        from fitting.solve import entry_scale
-
-        bias = book.bias * entry_scale(found)
+    bias = np.zeros(len(fit.parameters)) if book is None else book.bias * entry_scale(found)
     return {
         "chi2": found.chi2,
         "n_dof": found.n_dof,
@@ -301,7 +300,7 @@ def _fit(fit: KDFit) -> dict[str, Any]:
         "converged": found.converged,
         "active_constraints": list(active_constraints(fit)),
         "noise_covariance_scaled_by": max(1.0, found.level),
-        "estimated_bias_si": dict(zip(fit.parameters, bias.tolist(), strict=True)),
+        "estimated_bias_si": _named(fit, bias),
     }
 
 
@@ -327,7 +326,7 @@ def _identifiability(fit: KDFit) -> dict[str, Any]:
         "worst_combinations": [
             {"relative_sd": finite_or_none(sd), "entries": parts} for sd, parts in fit.combinations[:3]
         ],
-        "cramer_rao_bound_si": dict(zip(fit.parameters, fit.bound.tolist(), strict=True)),
+        "cramer_rao_bound_si": _named(fit, fit.bound),
         "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D",
     }
 

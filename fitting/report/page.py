@@ -144,67 +144,61 @@ def _modes(fit: KDFit) -> list[Markup]:
         return [page.text("No mode oscillates: all eigenvalues are real.")]
     derived, rows = fit.derived, []
     for place, mode in enumerate(fit.modes.pairs):
-        shape = [
-            f"{size:.3g} ± {sd:.1g}"
-            for size, sd in zip(np.abs(mode.shape), derived.shape_sd[place], strict=True)
-        ]
         values = (
             (mode.frequency_hz, derived.frequency_sd_hz[place]),
             (mode.undamped_frequency_hz, derived.undamped_sd_hz[place]),
             (mode.damping_ratio, derived.ratio_sd[place]),
         )
-        rows.append((f"mode {place + 1}", *(Quantity(float(v), float(s)) for v, s in values), *shape))
+        shape = zip(np.abs(mode.shape), derived.shape_sd[place], strict=True)
+        numbers = (Quantity(float(value), float(sd)) for value, sd in values)
+        rows.append((f"mode {place + 1}", *numbers, *(f"{size:.3g} ± {sd:.1g}" for size, sd in shape)))
     head = ("", "damped (Hz)", "undamped (Hz)", "damping ratio", *(f"|{name}|" for name in fit.dof))
-    blocks = [page.table(head, rows, f"Shapes: {NORMALISATION}.", file="modes")]
-    if fit.modes.overdamped_roots_1_s:
-        roots = ", ".join(f"{root:.4g}" for root in fit.modes.overdamped_roots_1_s)
-        blocks.append(page.text(f"Overdamped roots: {roots} 1/s."))
-    return blocks
+    roots = ", ".join(f"{root:.4g}" for root in fit.modes.overdamped_roots_1_s)
+    caption = f"Shapes: {NORMALISATION}." + (f" Overdamped roots: {roots} 1/s." if roots else "")
+    return [page.table(head, rows, caption, file="modes")]
+
+
+_MILLIMETRE, _DEGREE = ShownUnit("mm", 1e3), ShownUnit("°", 180.0 / np.pi)
+_AXES = (
+    ("origin x", _MILLIMETRE),
+    ("origin z", _MILLIMETRE),
+    ("angle about +y", _DEGREE),
+    ("along y", STIFFNESS),
+    ("about the axis near x", ROTATION_STIFFNESS),
+    ("about the axis near z", ROTATION_STIFFNESS),
+)
+"""Principal axes as people see them (`fitting.axes.NAMES`)."""
 
 
 def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
-    values, sd = fit.derived.axes, fit.derived.axes_sd
-    if values is None or sd is None:
+    values, sds = fit.derived.axes, fit.derived.axes_sd
+    if values is None or sds is None:
         return []
-    millimetre, degree = ShownUnit("mm", 1e3), ShownUnit("°", 180.0 / np.pi)
-    units = (millimetre, millimetre, degree, STIFFNESS, ROTATION_STIFFNESS, ROTATION_STIFFNESS)
-    names = (
-        "origin x",
-        "origin z",
-        "angle about +y",
-        "along y",
-        "about the axis near x",
-        "about the axis near z",
-    )
     rows = [
-        (name, Quantity(float(value), float(spread), unit))
-        for name, value, spread, unit in zip(names, values, sd, units, strict=True)
+        (name, Quantity(float(value), float(sd), unit))
+        for (name, unit), value, sd in zip(_AXES, values, sds, strict=True)
     ]
-    caption = (
-        "The point and the rotation about y that uncouple piston and rocking (paper, Fig. 6); this is not "
-        "eig(K)."
-    )
+    caption = "The point and the turn about y that uncouple piston and rocking (paper, Fig. 6); not eig(K)."
     blocks = [page.table(("", "principal axes of K"), rows, caption, file="principal_axes")]
     blocks += _drawn(figures, "principal_axes", "Origin and axes on the footplate.", "principal axes")
     ring = ring_of(fit)
     if ring is not None:
-        about_x, about_z = ring.rocking_ratio
+        shear, loss = (plus_minus(part.value, part.sd) for part in (ring.shear_pa, ring.loss_factor))
         text = (
-            f"A uniform ring of the same piston stiffness around this footplate would be {about_x:.2f} (near "
-            f"x) and {about_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even "
-            "ligament. Its shear modulus times thickness over width is "
-            f"{plus_minus(ring.shear_pa.value, ring.shear_pa.sd)} Pa, its loss factor "
-            f"{plus_minus(ring.loss_factor.value, ring.loss_factor.sd)} in the middle of the band."
-        )
-        blocks.append(page.text(text))
-        band = float(fit.found.data.freq_hz.min()), float(fit.found.data.freq_hz.max())
-        rise = causal_rise(fit.law, ring.loss_factor.value, band)
+            "A uniform ring of the same piston stiffness around this footplate would be {:.2f} (near x) "
+            "and {:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. Its "
+            f"shear modulus times thickness over width is {shear} Pa, its loss factor {loss} in the middle "
+            "of the band."
+        ).format(*ring.rocking_ratio)
+        freq = fit.found.data.freq_hz
+        rise = causal_rise(fit.law, ring.loss_factor.value, (float(freq.min()), float(freq.max())))
         if rise is not None:
-            text = (
-                f"{fit.law.name} damping with a constant K is not causal: with this loss factor K of a real "
-                f"ligament rises by {100.0 * rise:.0f} % over the band (Kramers and Kronig)."
+            text += (
+                f" {fit.law.name.capitalize()} damping with a constant K is not causal: with this loss "
+                f"factor K of a real ligament rises by {100.0 * rise:.0f} % over the band (Kramers and "
+                "Kronig)."
             )
-            blocks.append(page.text(text))
+        blocks.append(page.text(text))
     return blocks
 
 
@@ -213,74 +207,65 @@ def _plane(fit: KDFit) -> list[Markup]:
     if plane is None or fit.height is None:
         return []
     height, sd = (1e3 * value for value in fit.height)
-    source = (
-        "from the in-plane motion" if plane.determined else "assumed: 2.2 ± 1.5 times the piston stiffness"
-    )
-    inside = entries.split(plane.entries, 3)[0]
-    inside_sd = entries.split(np.sqrt(np.diag(plane.covariance)), 3)[0]
+    source = "from the in-plane motion" if plane.determined else "assumed: 2.2 ± 1.5 times the piston's"
+    values, sds = (entries.split(part, 3)[0] for part in (plane.entries, np.sqrt(np.diag(plane.covariance))))
+    along_x, along_z = (plus_minus(values[place, place], sds[place, place]) for place in (0, 1))
     text = (
         f"The ligament's plane is {plus_minus(height, sd)} mm above the footplate centre. In this plane the "
-        f"stiffness along x is {plus_minus(inside[0, 0], inside_sd[0, 0])} N/m, along z "
-        f"{plus_minus(inside[1, 1], inside_sd[1, 1])} N/m ({source}). K and D about that plane are in "
-        "kd.json."
+        f"stiffness is {along_x} N/m along x and {along_z} N/m along z ({source}). K and D about that plane "
+        f"are in kd.json. Equations of motion: {equation(fit)}."
     )
-    return [page.text(text), page.text(f"Equations of motion: {equation(fit)}.")]
+    return [page.text(text)]
 
 
 def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
-    found, search = fit.found, fit.solution.search
+    found, search, bands = fit.found, fit.solution.search, fit.solution.bands
     text = f"chi2 = {found.chi2:.1f} for {found.n_dof} degrees of freedom (p = {found.p_value:.2g}). "
-    best = search.best
-    if best is not None:
-        text += f"The best explanation beside the model is {best.title}."
+    if search.best is not None:
+        text += f"The best explanation is {search.best.title}. "
     elif search.scores:
-        text += (
-            "No further unknown is called for." if found.explained else "Nothing that was tried explains it."
-        )
+        none = "No further unknown is called for. "
+        text += none if found.explained else "Nothing that was tried explains it. "
+    if bands is not None:
+        text += f"One K and one D over the whole band: p = {bands.p_value:.2g}; {bands.words()}."
     blocks = [page.text(text)]
     if search.alternatives:
         rows = [
-            (other.title, _size(other.value, other.sd, other.unit),
-             f"e^{other.log_odds:.0f}", "yes" if other.found.explained else "no",
-             Quantity(float(weight), None, PERCENT))
+            (
+                other.title,
+                f"{plus_minus(other.value, other.sd)} {other.unit}".strip()
+                if other.sd
+                else f"{other.value:g}",
+                f"e^{other.log_odds:.0f}",
+                _YES[other.found.explained],
+                Quantity(float(weight), None, PERCENT),
+            )
             for other, weight in zip(search.alternatives, search.weights, strict=True)
-        ]  # fmt: skip
+        ]
         head = ("explanation", "size", "odds against none", "explains the data", "weight")
         caption = "Intervals of K and D are averaged over these explanations with their weights."
         blocks.append(page.table(head, rows, caption, file="explanations"))
-    if search.scores:
-        least = [
-            (
-                score.unknown.title,
-                Quantity(found_from(score.sd, score.unknown.sd, score.unknown.chance)),
-                score.unknown.unit,
-            )
-            for score in search.scores
-            if not score.unknown.family and score.unknown.only is None
-        ]
+    least = [
+        (one.title, Quantity(found_from(score.sd, one.sd, one.chance)), one.unit)
+        for score in search.scores
+        if not (one := score.unknown).family and one.only is None
+    ]
+    if least:
         table = page.table(("error that these data can reveal", "from", ""), least, file="found_from")
         blocks.append(page.folded("From which size errors are found", table))
-    blocks += _drawn(
-        figures,
-        "residuals",
-        "No pattern (left) and a straight line (right) mean that the model holds.",
-        "residuals",
-    )
-    bands = fit.solution.bands
-    if bands is not None:
-        text = f"One K and one D over the whole band: p = {bands.p_value:.2g}; {bands.words()}."
-        blocks.append(page.text(text))
+    caption = "No pattern (left) and a straight line (right) mean that the model holds."
+    blocks += _drawn(figures, "residuals", caption, "residuals")
     if fit.solution.laws:
         compared = [
-            (name, one.law.formula, float(one.chi2), "yes" if one.explained else "no")
+            (name, one.law.formula, float(one.chi2), _YES[one.explained])
             for name, one in fit.solution.laws.items()
         ]
-        blocks.append(
-            page.table(
-                ("damping law", "dynamic stiffness", "chi2", "explains the data"), compared, words=True
-            )
-        )
+        columns = ("damping law", "dynamic stiffness", "chi2", "explains the data")
+        blocks.append(page.table(columns, compared, words=True))
     return blocks
+
+
+_YES = {True: "yes", False: "no"}
 
 
 def _size(value: float, sd: float, unit: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,7 @@ def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
     return [*_repeated(ears), *found, *_differences(ears, mix)]
 
 
-def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Hashable, list[Ear]]:
+def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Any, list[Ear]]:
     """Return the ears by a key."""
     groups = defaultdict(list)
     for ear in ears:

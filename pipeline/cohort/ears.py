@@ -53,7 +53,7 @@ class Ear:
 
     @property
     def warnings(self) -> int:
-        """How many different warnings there are; those of the scan stand in both files and count once."""
+        """How many different warnings there are; those of the scan are in both files and count once."""
         return len(once(from_json([*self.mass.get("warnings", ()), *self.kd.get("warnings", ())])))
 
     @property

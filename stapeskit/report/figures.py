@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -154,6 +155,20 @@ def draw(drawing: Figure, vector: bool | None = None) -> tuple[bytes, str]:
             return stream.getvalue(), "png"
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _compact(stream.getvalue()), "svg"
+
+
+def save_figures(
+    command: str, figures: Mapping[str, Figure], folder: Path, force: bool = False
+) -> list[Path]:
+    """Write figures by name as PDF and SVG into a folder, whole or not at all; return their paths."""
+    from stapeskit.outputs import Outputs
+
+    names = [f"{name}.{kind}" for name in figures for kind in ("pdf", "svg")]
+    outputs = Outputs(command, Path(folder), names, (), force)
+    with outputs.staged() as stage, style():
+        for name in names:
+            figures[Path(name).stem].savefig(stage / name)
+    return [outputs.folder / name for name in names]
 
 
 def _points(drawing: Figure) -> int:
