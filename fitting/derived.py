@@ -9,8 +9,9 @@ import numpy as np
 
 from fitting import entries
 from fitting.axes import principal_axes
+from fitting.draws import standard_draws
 from fitting.model import moved_eigenvalues
-from fitting.plane import PISTON_DOF, standard_draws
+from fitting.plane import PISTON_DOF
 from stapeskit.arrays import Array
 
 if TYPE_CHECKING:

@@ -192,6 +192,25 @@ class Likelihood:
         own = self.row_units.T @ self.row_units
         return np.asarray(own @ mass @ own)
 
+    def response(self, theta: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Return measured structure, base and simulated response (lines, n), and its slopes (lines, n, p).
+
+        Simulated is the motion of the rows for the measured base motion and the load of other measured motion
+        (paper, Eq. 8), with the shared errors and factors at theta; slopes are those by K and D.
+        """
+        data, parts, square = self.data, self.parts(theta), (self.data.omega**2)[:, None, None]
+        structure, base = self._moved(theta, data.y[:, :, None], parts)
+        rows = self.row_units
+        load = self.shapes(theta)[1] @ self._seen_mass(parts.mass)
+        other = load - load @ rows.T @ rows
+        dynamic = self._dynamic(theta, parts)
+        system = dynamic - square * (load @ rows.T)
+        simulated = np.linalg.solve(system, dynamic @ (rows @ base) + square * (other @ structure))
+        pull = basis(self.n) @ (rows @ base - simulated)[:, None]
+        pull = np.concatenate([pull, parts.loss[:, None, None, None] * pull], axis=1)
+        slopes = np.linalg.solve(system, pull[..., 0].swapaxes(1, 2))
+        return (rows @ structure)[..., 0], (rows @ base)[..., 0], simulated[..., 0], slopes
+
     def look(self, theta: Array) -> tuple[ComplexArray, ...]:
         """Return white residuals (lines, n), what whitens, C B^H W^H, fitted motion; the last is kept."""
         if self._known is not None and np.array_equal(self._known[0], theta):

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fitting.draws import unit_errors
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.frames import cross_matrix
@@ -263,13 +264,9 @@ def _numbers(cells: list[str], place: Place, faults: list[Fault]) -> list[float]
 
 def parameter_changes(contributions: Mapping[str, Array]) -> dict[str, Array]:
     """Return the changes (k, 6, 6) of a mass matrix by errors of unit variance, by source."""
-    changes = {}
-    for source, covariance in contributions.items():
-        size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        if np.any(size > 0.0):
-            safe = np.where(size > 0.0, size, 1.0)
-            values, vectors = np.linalg.eigh(np.asarray(covariance) / np.outer(safe, safe))
-            kept = values > 1e-9 * values[-1]
-            roots = (vectors[:, kept] * np.sqrt(values[kept])).T * safe
-            changes[source] = np.stack([matrix_from_parameters(root) for root in roots])
-    return changes
+    errors = {source: unit_errors(np.asarray(part)) for source, part in contributions.items()}
+    return {
+        source: np.stack([matrix_from_parameters(error) for error in rows])
+        for source, rows in errors.items()
+        if len(rows)
+    }

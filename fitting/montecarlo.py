@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fitting.draws import root_of
 from fitting.likelihood import Likelihood, Prior
-from fitting.plane import in_plane, posterior, root_of
+from fitting.plane import in_plane, posterior
 from fitting.solve import fit
 from stapeskit.arrays import Array, ComplexArray
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from fitting.calibrated import calibrated
 from fitting.data import Data
+from fitting.draws import root_of, standard_draws
 from fitting.entries import split, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
 from fitting.solve import Fit, entry_scale, minimise, start_of
@@ -154,20 +155,6 @@ class Posterior:
     plane: InPlane | None
 
 
-def standard_draws(count: int, size: int, seed: int = 0) -> Array:
-    """Return normal draws (count, size) of exactly zero mean and unit covariance, in mirrored pairs.
-
-    Odd moments vanish: what is linear in the draws has the covariance that was asked for, without sampling
-    error.
-    """
-    rng = np.random.default_rng(seed)
-    half = rng.standard_normal((count // 2, size))
-    if count // 2 > size:
-        values, vectors = np.linalg.eigh(half.T @ half / len(half))
-        half = half @ (vectors / np.sqrt(values)) @ vectors.T
-    return np.concatenate([half, -half])
-
-
 def posterior(
     found: Fit, plane: InPlane | None, draws: int = 2000, seed: int = 0, bent: Array | None = None
 ) -> Posterior:
@@ -207,24 +194,6 @@ def _lifted(couplings: Array, inside: Array, n: int) -> Array:
     turned = couplings.reshape(len(couplings), n, -1)
     parts = [vector(turned @ part @ turned.swapaxes(1, 2)) for part in split(inside, 3)]
     return np.concatenate(parts, axis=1)
-
-
-def root_of(covariance: Array) -> Array:
-    """Return R with R R^T the covariance, which may be singular.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The covariance is not finite, or smaller than numbers can be.
-    """
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        correlation = covariance / np.outer(size, size)
-    if not np.all(np.isfinite(correlation)):
-        raise np.linalg.LinAlgError("an entry has collapsed")
-    values, vectors = np.linalg.eigh(correlation)
-    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def heights(coupling: Array, covariance: Array) -> tuple[float, float]:

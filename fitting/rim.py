@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.draws import root_of, standard_draws
 from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
@@ -89,13 +90,9 @@ def rim_stiffness(fit: KDFit, side: str = "", seed: int = 1) -> RimStiffness | N
     if outline is None or fit.dof != DOF:
         return None
     points = np.asarray(outline, dtype=float)[:, [0, -1]]
-    rng = np.random.default_rng(seed)
     count = len(fit.values) // 2
-    covariance = fit.covariance[:count, :count]
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    roots, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    spread = size[:, None] * axes * np.sqrt(np.maximum(roots, 0.0))
-    drawn = fit.values[:count] + rng.standard_normal((_DRAWS, count)) @ spread.T
+    normal = standard_draws(_DRAWS, count, seed)
+    drawn = fit.values[:count] + normal @ root_of(fit.covariance[:count, :count]).T
     ratios = np.array([linear_ratio(points, entries) for entries in drawn])
     return RimStiffness(points, linear_ratio(points, fit.values[:count]), ratios.std(axis=0), side)
 

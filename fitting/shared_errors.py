@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.draws import unit_errors
 from fitting.mass import FRAME_SOURCE, Inertia, frame_slopes, parameter_changes
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import DOF_NAMES
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from fitting.data import Data
     from stapeskit.records.motion import RigidMotion, SharedErrors
 
-# Eigenvalues of a correlation matrix below this are combinations without an error.
-_NO_ERROR = 1e-9
 # A recorded change grows with frequency where that leaves less than this share of what a constant map leaves:
 # noise of readings leaves all of it, a delay less than a hundredth.
 _GROWS = 0.25
@@ -100,19 +99,15 @@ def _unit_errors(covariance: Array, names: Sequence[str]) -> tuple[Array, list[s
     from scipy.sparse.csgraph import connected_components
 
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    safe = np.where(size > 0.0, size, 1.0)
-    correlation = covariance / np.outer(safe, safe)
-    _, block = connected_components(csr_matrix(np.abs(correlation) > _NO_ERROR), directed=False)
+    _, block = connected_components(csr_matrix(covariance != 0.0), directed=False)
     rows, sources = [np.zeros((0, len(size)))], []
     for number in dict.fromkeys(block[size > 0.0].tolist()):
         members = np.flatnonzero(block == number)
-        values, vectors = np.linalg.eigh(correlation[np.ix_(members, members)])
-        for value, direction in zip(values, vectors.T, strict=True):
-            if value > _NO_ERROR:
-                row = np.zeros(len(size))
-                row[members] = size[members] * direction * np.sqrt(value)
-                rows.append(row[None])
-                sources.append(names[members[int(np.argmax(np.abs(direction)))]].partition(".")[0])
+        own = unit_errors(covariance[np.ix_(members, members)])
+        rows.append(np.zeros((len(own), len(size))))
+        rows[-1][:, members] = own
+        largest = np.argmax(np.abs(own / np.where(size[members] > 0.0, size[members], np.inf)), axis=1)
+        sources += [names[member].partition(".")[0] for member in members[largest]]
     return np.concatenate(rows), sources
 
 

@@ -47,42 +47,19 @@ class Responses:
 
 def responses(fit: KDFit, run: int = 0) -> Responses:
     """Simulate the structure from measured base motion and load (paper, Eq. 8)."""
-    found = fit.found
-    data, likelihood, theta = found.data, found.likelihood, found.theta
+    found, data = fit.found, fit.found.data
     chosen = data.run == run
-    rows, m = data.rows, len(data.measured)
-    unit = data.root_mass / data.amplitude
-    parts = likelihood.parts(theta)
-    turn = data.turns(theta[found.at["shared"]])
-    turn = np.broadcast_to(turn, (data.count, *turn.shape[1:]))[chosen]
-    structure = parts.structure[chosen, None] * (turn[:, 0] @ data.y[chosen, :m, None])[..., 0]
-    base = parts.base[chosen, None] * (turn[:, 1] @ data.y[chosen, m:, None])[..., 0]
-    omega = data.omega[chosen]
-    _, loading = likelihood.shapes(theta)
-    load = loading @ likelihood._seen_mass(parts.mass)
-    own = load[:, rows]
-    other = load.copy()
-    other[:, rows] = 0.0
-    stiffness, damping = entries.split(theta[found.at["entries"]], likelihood.n)
-    dynamic = parts.factor[chosen, None, None] * (stiffness + parts.loss[chosen, None, None] * damping)
-    dynamic = dynamic - (omega**2)[:, None, None] * parts.added
-    system = dynamic - (omega**2)[:, None, None] * own
-    force = (dynamic @ base[:, rows, None])[..., 0] + (omega**2)[:, None] * (structure @ other.T)
-    simulated = np.linalg.solve(system, force[..., None])[..., 0]
-    basis = entries.basis(likelihood.n)
-    pull = np.einsum("kij,lj->lik", basis, base[:, rows] - simulated)
-    pull = np.concatenate([pull, parts.loss[chosen, None, None] * pull], axis=2)
-    slopes = np.linalg.solve(system, pull)
+    structure, base, simulated, slopes = (part[chosen] for part in found.likelihood.response(found.theta))
     along = (slopes * (simulated / np.maximum(np.abs(simulated), 1e-300)).conj()[..., None]).real
     count = found.at["entries"].stop
     variance = np.einsum("lip,pq,liq->li", along, found.covariance[:count, :count], along)
-    noise = np.einsum("lii->li", data.covariance[chosen]).real[:, rows] / 2.0
-    scale = 1.0 / unit[rows]
+    noise = np.einsum("lii->li", data.covariance[chosen]).real[:, data.rows] / 2.0
+    scale = data.amplitude / data.root_mass[data.rows]
     return Responses(
         data.freq_hz[chosen],
-        structure[:, rows] * scale,
-        np.asarray(simulated * scale, dtype=complex),
-        base[:, rows] * scale,
+        structure * scale,
+        simulated * scale,
+        base * scale,
         np.sqrt(np.maximum(noise, 0.0)) * scale,
         np.sqrt(np.maximum(variance, 0.0)) * scale,
     )
