@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import StapeskitError
 from stapeskit.options import toml
 from stapeskit.outputs import MANIFEST, Outputs, written_in
 
@@ -49,7 +48,8 @@ def look(folder: Path) -> Found:
         lower = path.name.lower()
         if path.name in made or (path / MANIFEST).is_file():
             continue  # results of an earlier command
-        if path.name.startswith(".") or lower.endswith((".toml", ".json", ".md", ".html")):
+        other = lower.endswith((".toml", ".json", ".md", ".html")) and not lower.endswith(".mrk.json")
+        if path.name.startswith(".") or other:
             continue
         if lower in names:
             found.others[names[lower]] = path
@@ -107,12 +107,11 @@ def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> P
     found = look(folder)
     scan = _one("scan", found.scans, folder, ask)
     ldv = _one("vibrometer file", found.measurements, folder, ask)
-    answers = {name: _answer(ask, question, check) for name, (question, check) in QUESTIONS.items()}
+    answers = {name: _answer(ask, name, scan) for name in QUESTIONS}
     outputs = Outputs("stapeskit new", folder, [STUDY], [], force)
     with outputs.staged() as stage:
-        (stage / STUDY).write_text(
-            study_text(folder.resolve().name, scan, ldv, found, answers), encoding="utf-8"
-        )
+        text = study_text(folder.resolve().name, scan, ldv, found.others, answers)
+        (stage / STUDY).write_text(text, encoding="utf-8")
     return folder / STUDY
 
 
@@ -131,80 +130,63 @@ def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
     return chosen[0]
 
 
-def _density(text: str) -> None:
+QUESTIONS = {
+    "density": "Density of the bone, kg/m3, as VALUE+-SD (empty: 1900+-200 is assumed): ",
+    "side": "Left or right ear (empty: not known): ",
+    "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
+}
+"""What no file says: options of ct2mass, which check the answers."""
+
+
+def _answer(ask: Ask | None, name: str, scan: Path) -> str:
+    """Return a right answer, or an empty one; a wrong one is asked again."""
     from ct_inertia.options import MassOptions
 
-    MassOptions.of(scan=Path(__file__), density=text)
-
-
-def _side(text: str) -> None:
-    raise_all([] if text in ("left", "right") else [Fault("the side", "left or right", text)])
-
-
-def _direction(text: str) -> None:
-    try:
-        good = len(parts := [float(part) for part in text.split(",")]) == 3 and math.hypot(*parts) > 0.0
-    except ValueError:
-        good = False
-    raise_all([] if good else [Fault("the direction", "three numbers x,y,z", text, "", "For example -1,0,0")])
-
-
-QUESTIONS: dict[str, tuple[str, Callable[[str], None]]] = {
-    "density_kg_m3": ("Density of the bone, kg/m3, as VALUE+-SD (empty: 1900+-200 is assumed): ", _density),
-    "side": ("Left or right ear (empty: not known): ", _side),
-    "anterior": ("Direction towards anterior in scan axes, x,y,z (empty: not known): ", _direction),
-}
-"""What no file says: key of [scan], question, check of the answer."""
-
-
-def _answer(ask: Ask | None, question: str, check: Callable[[str], None]) -> str:
-    """Return a right answer, or an empty one; a wrong one is asked again."""
+    question = QUESTIONS[name]
     while ask is not None:
         answer = ask(question).strip()
         try:
-            if answer:
-                check(answer)
+            MassOptions.of(scan=scan, **({name: answer} if answer else {}))
         except StapeskitError as error:
-            question = f"{error} {question}"
+            question = f"{error} {QUESTIONS[name]}"
             continue
         return answer
     return ""
 
 
-def study_text(name: str, scan: Path, ldv: Path, found: Found, answers: Mapping[str, str]) -> str:
-    """Return a study of about eleven keys, each with a comment."""
+def study_text(
+    name: str, scan: Path, ldv: Path, others: Mapping[str, Path], answers: Mapping[str, str]
+) -> str:
+    """Return a study of about eleven keys, each with a comment; those that nothing is known of are off."""
 
     def line(key: str, value: object, comment: str, known: bool = True) -> str:
         return f"{'' if known else '# '}{key} = {toml(value)}  # {comment}"
 
+    def files(comments: Mapping[str, str], always: bool) -> list[str]:
+        return [
+            line(key, others[key].name if key in others else f"{key}.csv", comment, key in others)
+            for key, comment in comments.items()
+            if always or key in others
+        ]
+
     density, side, anterior = (answers[key] for key in QUESTIONS)
     direction = [float(part) for part in anterior.split(",")] if anterior else [-1.0, 0.0, 0.0]
-    scan_lines = [
-        line("file", scan.name, "volume, folder of slices, or mesh"),
-        line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", known=False),
-        line(
-            "density_kg_m3",
-            density or ASSUMED_DENSITY,
-            "of the bone" if density else "ASSUMED: state your own",
-        ),
-        line("side", side or "left", "names z superior or inferior", known=bool(side)),
-        line("anterior", direction, "towards anterior in scan axes; its sign counts", known=bool(anterior)),
-    ]
-    for key, comment in (("labels", "a cut made elsewhere"), ("landmarks", ""), ("plate_fiducials", "")):
-        if key in found.others:
-            scan_lines.append(
-                line(key, found.others[key].name, comment or f"{key.replace('_', ' ')} in the scan")
-            )
-    ldv_lines = [line("file", ldv.name, "vibrometer file")]
-    for key, comment in (("points", "positions of the points"), ("fiducials", "ties vibrometer and plate")):
-        here = found.others.get(key)
-        ldv_lines.append(line(key, here.name if here else f"{key}.csv", comment, known=here is not None))
-    fit_lines = [line("dof", ["y", "alpha", "gamma"], "degrees of freedom of K and D")]
-    parts = {
+    comment = "of the bone" if density else "ASSUMED: state your own"
+    found_in_scan = {"labels": "a cut made elsewhere", "landmarks": "landmarks in the scan",
+                     "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
+    places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
+    tables = {
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
-        "scan": scan_lines,
-        "ldv": ldv_lines,
-        "fit": fit_lines,
+        "scan": [
+            line("file", scan.name, "volume, folder of slices, or mesh"),
+            line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", known=False),
+            line("density_kg_m3", density or ASSUMED_DENSITY, comment),
+            line("side", side or "left", "names z superior or inferior", bool(side)),
+            line("anterior", direction, "towards anterior in scan axes; its sign counts", bool(anterior)),
+            *files(found_in_scan, always=False),
+        ],
+        "ldv": [line("file", ldv.name, "vibrometer file"), *files(places, always=True)],
+        "fit": [line("dof", ["y", "alpha", "gamma"], "degrees of freedom of K and D")],
     }
     head = "# One ear. Run it with: scan2kd study.toml. All keys: scan2kd --template"
-    return head + "".join(f"\n\n[{table}]\n" + "\n".join(lines) for table, lines in parts.items()) + "\n"
+    return head + "".join(f"\n\n[{table}]\n" + "\n".join(lines) for table, lines in tables.items()) + "\n"
