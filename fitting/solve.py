@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,6 +14,9 @@ from fitting.entries import basis, diagonal, split, symmetric, vector
 from fitting.laws import Law
 from fitting.likelihood import Likelihood, Model
 from stapeskit.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 MISFIT_P = 1e-4
 """Probability of chi2 below which noise and shared errors do not explain the data."""
@@ -170,16 +174,22 @@ def minimise(
             kept[key] = residual, jacobian
         return kept[key]
 
-    found = least_squares(
-        lambda phi: reduced(phi)[0],
-        phi,
-        lambda phi: reduced(phi)[1],
-        x_scale="jac",
-        ftol=tolerance,
-        xtol=1e-10,
-        gtol=1e-10,
-        max_nfev=most,
-    )
+    def descend(phi: Array) -> OptimizeResult:
+        return least_squares(
+            lambda phi: reduced(phi)[0],
+            phi,
+            lambda phi: reduced(phi)[1],
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=1e-10,
+            gtol=1e-10,
+            max_nfev=most,
+        )
+
+    try:
+        found = descend(phi)
+    except np.linalg.LinAlgError:  # LAPACK's singular values by divide and conquer fail on rare matrices
+        found = descend(phi * (1.0 + 1e-7))
     point = found.x.copy()
     point[:count], _ = _from_roots(found.x[:count], n)
     return point, 2.0 * float(found.cost), int(found.nfev), found.status > 0
@@ -217,6 +227,10 @@ def fit(
     """
     likelihood = Likelihood(data, model)
     n_dof = degrees(likelihood)
+    if start is None and model.unknowns:  # from zero and linear K, D a valley may lead away from the minimum
+        simpler = fit(data, replace(model, unknowns=()), covariance=False)
+        place, noise = simpler.at["extra"].start, simpler.noise
+        start = np.insert(simpler.theta, place, np.zeros(len(model.extras)))
     theta = start if start is not None else best_start(likelihood)
     if noise is None:
         quick = Likelihood(data.without_errors(), model)
