@@ -209,7 +209,8 @@ class Likelihood:
         pull = basis(self.n) @ (rows @ base - simulated)[:, None]
         pull = np.concatenate([pull, parts.loss[:, None, None, None] * pull], axis=1)
         slopes = np.linalg.solve(system, pull[..., 0].swapaxes(1, 2))
-        return (rows @ structure)[..., 0], (rows @ base)[..., 0], simulated[..., 0], slopes
+        measured: tuple[ComplexArray, ComplexArray] = (rows @ structure)[..., 0], (rows @ base)[..., 0]
+        return *measured, np.asarray(simulated[..., 0], dtype=complex), np.asarray(slopes, dtype=complex)
 
     def look(self, theta: Array) -> tuple[ComplexArray, ...]:
         """Return white residuals (lines, n), what whitens, C B^H W^H, fitted motion; the last is kept."""
