@@ -33,9 +33,9 @@ def points_of_other_bodies(
     bodies = range(len(placed.bodies))
     for number, found in diagnoses.items():
         body = placed.bodies[number]
-        left = [_squares(placed, fits, number, other) for other in bodies]
         accused = {c for one in found.findings if one.owner in ("channel", "point") for c in one.channels}
-        for other in bodies:
+        left = [_squares(placed, fits, number, other) for other in bodies] if accused else []
+        for other in bodies if accused else ():
             points = []
             for point in dict.fromkeys(body.points[channel] for channel in sorted(accused)):
                 own = body.channels_of(point)
@@ -45,7 +45,9 @@ def points_of_other_bodies(
                 text = (
                     f"{list_some(points)} of body {body.body} move as body {placed.bodies[other].body} does"
                 )
-                yield Notice("label_swap", f"points {text} at their positions: their rows belong to it.")
+                yield Notice(
+                    "channel_label_swap", f"points {text} at their positions: their rows belong to it."
+                )
 
 
 def _squares(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], number: int, mover: int) -> Array:
@@ -56,5 +58,7 @@ def _squares(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], numbe
         own, other = fits[run, number], fits[run, mover]
         rows = point_rows(body.arms_m, body.directions)[:, dof_indices(other.beams.dof)]
         left = own.value - rows @ (other.q.T * placed.per_displacement)
-        total += np.nansum(np.abs(left / (own.sd * own.factor)) ** 2, axis=1)
+        sd = own.sd * own.factor
+        used = np.isfinite(left) & np.isfinite(sd)
+        total += np.sum(np.abs(np.where(used, left, 0.0) / np.where(used, sd, 1.0)) ** 2, axis=1)
     return total

@@ -142,8 +142,8 @@ def test_sections_go_into_any_page(ear):
     own, other = motion_page(result), Page("another")
     motion_sections(other, result)
     names = [section.name for section in other.sections]
-    assert len(names) == 5
-    assert names == [section.name for section in own.sections][:5]
+    assert len(names) == 6
+    assert names == [section.name for section in own.sections][:6]
     assert "data-scene" in own.html()
 
 
@@ -339,7 +339,7 @@ def test_a_point_that_moves_with_the_other_body_is_named(tmp_path):
             lambda table: (table.__setitem__("point", table.point.astype(str)), renamed(table)),
         )
     result = measured(tmp_path, fiducials="none")
-    told = [notice.text for notice in result.notices if notice.code == "label_swap"]
+    told = [notice.text for notice in result.notices if notice.code == "channel_label_swap"]
     assert len(told) == 1
     assert "wrong of body stapes" in told[0]
     assert {one.point for one in result.channels if one.verdict != "ok"} == {"wrong"}
@@ -351,7 +351,7 @@ def test_the_page_has_its_parts(ear):
     made = motion_page(points2dof(folder / "ldv.csv"))
     parts = {section.name: "".join(map(str, section.blocks)) for section in made.sections}
     drawn = [name for name, text in parts.items() for _ in range(text.count('<figure class="drawing"'))]
-    assert drawn == ["Motion of the bodies", "Channels and verdicts", "Channels and verdicts"]
+    assert drawn == ["Motion of the bodies", *["Residuals of the channels"] * 2]
     assert "<table" in parts["From the vibrometer to the footplate"]
     assert "laser" in parts["Errors that all lines share"]
     assert "gain of a channel" in parts["What would have been found"]
