@@ -55,21 +55,15 @@ def work(words: list[str]) -> Outcome:
     from stapeskit.command import Outcome, progress_line
 
     folder = Path(given.out) if given.out is not None else _usual_folder(options)
-    outputs = outputs_of(
-        options,
-        folder,
-        report=not given.no_report,
-        exports=given.export,
-        force=given.force,
-        config=_config(words),
-    )
+    report = not given.no_report
+    outputs = outputs_of(options, folder, report=report, exports=given.export, force=given.force)
     outputs.check()
     with progress_line(not given.quiet and not given.as_json) as progress, outputs.staged() as stage:
         result = measure_mass(options, progress)
-        progress("writing" if given.no_report else "drawing the report")
+        progress("drawing the report" if report else "writing")
         names = result.write_into(
             stage,
-            report=not given.no_report,
+            report=report,
             labels_name=outputs.labels_name,
             exports=given.export,
             smooth=given.smooth,
@@ -93,16 +87,6 @@ def _usual_folder(options: MassOptions) -> Path:
     from ct_inertia.scan.formats import stem_of
 
     return Path(f"{stem_of(options.source.resolve().name)}_mass")
-
-
-def _config(words: list[str]) -> list[Path]:
-    """Return the file of ``--config``: an input, too."""
-    import itertools
-    from pathlib import Path
-
-    joined = [word.partition("=")[2] for word in words if word.startswith("--config=")]
-    after = [second for first, second in itertools.pairwise(words) if first == "--config"]
-    return [Path(word) for word in (*joined, *after)]
 
 
 def main() -> NoReturn:

@@ -39,7 +39,6 @@ def outputs_of(
     report: bool = True,
     exports: Sequence[str] = (),
     force: bool = False,
-    config: Sequence[Path] = (),
 ) -> MassOutputs:
     """Return the files that a run may write.
 
@@ -53,8 +52,6 @@ def outputs_of(
         Formats of `EXPORTS`.
     force : bool
         Replace files that are not known as made by the command.
-    config : sequence of Path
-        Further inputs: a file of options.
     """
     folder = Path(folder)
     kept = folder / LABELS
@@ -63,7 +60,7 @@ def outputs_of(
     names = ["mass.json", "stapes.ply", "plate.ply", labels, CROP]
     names += [REPORT] if report else []
     names += [EXPORTS[name][0] for name in exports]
-    outputs = MassOutputs("ct2mass", folder, names, [*options.inputs.values(), *config], force)
+    outputs = MassOutputs("ct2mass", folder, names, [*options.inputs.values()], force)
     outputs.labels_name = labels
     return outputs
 
