@@ -65,7 +65,7 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
         dtype = np.dtype(page.parent.byteorder + ("u1" if series.dtype.kind == "b" else series.dtype.str[1:]))
         _check_kind(series, page, shape, dtype, path)
         opened = Opened(shape, dtype, files=files, white_is_zero=white_is_zero(page))
-        place = _ome_place(xml, list(tif.series).index(series), len(tif.series), shape) if xml else None
+        place = _ome_place(xml, list(tif.series).index(series), len(tif.series)) if xml else None
         if place is None and meta:
             place = _imagej_place(meta, _resolution(page))
         if place is None:
@@ -288,9 +288,7 @@ def _imagej_place(meta: dict[str, Any], pixels: Array | None) -> tuple[Array | N
     return spacing, np.nan_to_num(-zero * spacing, posinf=0.0, neginf=0.0), known
 
 
-def _ome_place(
-    xml: str, number: int, count: int, shape: Sequence[int]
-) -> tuple[Array | None, Array, str] | None:
+def _ome_place(xml: str, number: int, count: int) -> tuple[Array | None, Array, str] | None:
     """Return the place that OME-XML states, or None where it has no image.
 
     Notes
@@ -305,16 +303,8 @@ def _ome_place(
     except ElementTree.ParseError:
         return None
     images = [element for element in root.iter() if element.tag.rsplit("}", 1)[-1] == "Pixels"]
-    if len(images) > 1 and len(images) != count:
-        # Readers leave out images without planes: the one meant has the same size.
-        wanted = sorted(n for n in shape if n > 1)
-        images = [
-            one
-            for one in images
-            if wanted == sorted(n for a in "XYZCT" if (n := int(one.get(f"Size{a}", 1))) > 1)
-        ]
-        if len(images) != 1:
-            return None, np.zeros(3), "the OME header has several images, and which one is this is open"
+    if len(images) > 1 and len(images) != count:  # readers leave out images without planes
+        return None, np.zeros(3), f"the OME header has {len(images)} images, and which one this is is open"
     if not images:
         return None
     pixels = images[number if len(images) > 1 else 0]
