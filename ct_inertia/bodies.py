@@ -11,33 +11,25 @@ from numpy.typing import NDArray
 
 from ct_inertia.body_moments import VOLUME_PARAMETERS as VOLUME_PARAMETERS
 from ct_inertia.body_moments import Moments as Moments
+from ct_inertia.voxels.fields import Grey as Grey
+from ct_inertia.voxels.grid import Grid as Grid
+from ct_inertia.voxels.grid import Index as Index
+from ct_inertia.voxels.masks import Mask as Mask
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
 """Numbers of the bodies in label volumes, read and written; 0 is the background."""
 
-Grey = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
-
-@dataclass(frozen=True)
-class Box:
-    """A box of the scan as single-precision grey values, on a grid of blocks of voxels.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box(Grid):
+    """A box of the scan as single-precision grey values.
 
     Attributes
     ----------
     grey : ndarray of float32, [z, y, x]
         Means over blocks; NaN and infinity replaced.
-    first, block : ndarray of int, (3,)
-        Index x, y, z in the scan of the first voxel of the first block, and voxels per block.
-    spacing_mm : ndarray, (3,)
-        Edges of a block along x, y, z.
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of a block of the box to scan coordinates of its centre, mm.
-    begins, ends : ndarray of bool, (3,)
-        Whether the box begins, and whether it ends, where the scan does, along x, y, z.
     measured : ndarray of bool, [z, y, x], or None
         False where a constant fills the outside of a round or box-shaped field of view; None: all measured.
     single : ndarray, [z, y, x], or None
@@ -47,34 +39,14 @@ class Box:
     """
 
     grey: Grey
-    first: Index
-    block: Index
-    spacing_mm: Array
-    scan_from_index: Array
-    begins: Mask
-    ends: Mask
     measured: Mask | None = None
     single: NDArray[Any] | None = None
     is_mask: bool = False
 
     @property
-    def voxel_mm3(self) -> float:
-        """Volume of one block, mm3."""
-        return float(np.prod(self.spacing_mm))
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of blocks along z, y, x."""
-        z, y, x = self.grey.shape
-        return z, y, x
-
-    def scan_points(self, index_xyz: NDArray[Any]) -> Array:
-        """Return scan coordinates (n, 3), mm, of indices x, y, z (n, 3) of the box."""
-        return np.asarray(index_xyz @ self.scan_from_index[:3, :3].T + self.scan_from_index[:3, 3])
-
-    def blocks_of(self, index_xyz: NDArray[np.integer]) -> Index:
-        """Return the block x, y, z (n, 3) that holds each voxel (n, 3) of the scan; may lie outside."""
-        return np.asarray((index_xyz - self.first) // self.block, dtype=np.int64)
+    def stored(self) -> NDArray[Any]:
+        """Grey values of single voxels as they are stored, one of every block."""
+        return self.grey if self.single is None else self.single
 
     def __repr__(self) -> str:
         size = " x ".join(map(str, self.shape[::-1]))
@@ -110,28 +82,24 @@ class PlateRegion:
     field : ndarray of float32, [z, y, x]
         Positive in plastic, 0 at half of its contrast: its contour is the closed surface of the plate, cut
         out of the bone that is glued to it.
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of the grid to scan coordinates, mm.
-    begins, ends : ndarray of bool, (3,)
-        Whether the grid begins, and ends, where the scan does, along x, y, z: the plate is cropped there.
+    grid : Grid
     air, plastic : float
-        Grey levels; both 0 and 1 for labels.
-    first, step : ndarray of int, (3,)
-        Index x, y, z in the scan of the voxel in the middle of the first cell, and voxels per cell.
+        Grey levels; 0 and 1 for labels.
     immersing : bool
         It lies around the stapes on nearly all sides, as a fluid does and no plate.
     """
 
     mask: Mask
     field: Grey
-    scan_from_index: Array
-    begins: Mask
-    ends: Mask
+    grid: Grid
     air: float
     plastic: float
-    first: Index
-    step: Index
     immersing: bool = False
+
+    @property
+    def scan_from_index(self) -> Array:
+        """Index x, y, z of the grid to scan coordinates, mm, (4, 4)."""
+        return self.grid.scan_from_index
 
 
 @dataclass(frozen=True)
@@ -142,22 +110,12 @@ class Separation:
     ----------
     method : str
         In words, for the report.
-    neck_normal, neck_height_mm : ndarray (3,) and float, or None
-        The plane ``normal . r = height`` in scan coordinates, mm, where it was cut off at a neck.
-    neck_area_mm2 : float
-        Cross-section of that neck; 0 without one.
-    cropped : bool
-        The border of the scan crops the bone that was cut off.
-    bridge_mm : float
-        Half width of the bridges that were cut; 0 where only gaps separate.
+    at_neck : bool
+        By a plane at a neck.
     """
 
     method: str
-    neck_normal: Array | None = None
-    neck_height_mm: float | None = None
-    neck_area_mm2: float = 0.0
-    cropped: bool = False
-    bridge_mm: float = 0.0
+    at_neck: bool = False
 
 
 @dataclass(frozen=True)
@@ -181,8 +139,6 @@ class Labelled:
     separation : Separation
     named : bool
         A person named the body by a seed or by labels: an unusual size is reported, not refused.
-    unmeasured_share : float
-        Share of the voxels of the scan that a constant fills outside of the field of view.
     evidence : mapping of str to JSON-able
         Why this body was taken for the stapes: measures, score, candidates; for the report.
     notices : tuple of Notice
@@ -200,7 +156,6 @@ class Labelled:
     noise: float
     separation: Separation
     named: bool = False
-    unmeasured_share: float = 0.0
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
 
@@ -272,55 +227,38 @@ class BorderContact:
         return f"{place} ({self.area_mm2:.2g} mm2)"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """One model of the grey values in a box: air + sum_k contrast_k (blur * body_k) + media + noise.
 
     Attributes
     ----------
-    air : float
-        Grey level of air, or of the medium far from every body.
-    contrast : mapping of str to float
-        Grey level of each body above air: ``stapes``, ``other``, ``plate``.
+    air, bone : float
+        Grey levels of air (or of the medium far from every body) and of the stapes.
     air_sd, bone_sd : float
-        Standard uncertainty of air and of the stapes' level.
-    sigma_mm, sigma_sd_mm : float
-        Standard deviation of the blur (voxel included) and its standard uncertainty.
-    noise, correlation : float
-        Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
-    share : ndarray of float32, [z, y, x]
-        Blurred share of the stapes in each voxel of the box.
-    body : ndarray of float32, [z, y, x]
-        Share of each voxel that the sharp stapes fills.
-    excess : ndarray of float32, [z, y, x]
-        Grey values less air and less everything that is not the stapes, in units of its contrast.
-    own : ndarray of bool, [z, y, x]
-        The stapes' side: voxels whose grey values count as its own.
+        Their standard uncertainties; that of bone is without that of air.
     bone_from : str
         How the stapes' level was found: ``interior`` (voxels deep inside) or ``fit``.
+    sigma_mm : float
+        Standard deviation of the blur, voxel included.
+    noise, correlation : float
+        Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
+    body : ndarray of float32, [z, y, x]
+        Share of each voxel of the box that the sharp stapes fills.
     media : mapping of str to float
-        What else was fitted: ``fluid``, ``void``, ``coat_mm``, ... as shares of the stapes' contrast.
+        What else was fitted: ``soft``, ``void``, ``coat_mm``, as shares of the stapes' contrast.
     """
 
     air: float
-    contrast: Mapping[str, float]
+    bone: float
     air_sd: float
     bone_sd: float
+    bone_from: str
     sigma_mm: float
-    sigma_sd_mm: float
     noise: float
     correlation: float
-    share: Grey
     body: Grey
-    excess: Grey
-    own: Mask
-    bone_from: str
     media: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def bone(self) -> float:
-        """Grey level of the stapes."""
-        return self.air + self.contrast["stapes"]
 
 
 @dataclass(frozen=True)
@@ -338,7 +276,6 @@ class MeasuredBody:
         Of the stapes.
     wall : BodySurface or None
         Of other bone near the stapes: what faces the footplate's rim across the ligament.
-    border : tuple of BorderContact
     evidence : mapping of str to JSON-able
         Levels, blur, noise, correlation, residual by place; for the report.
     notices : tuple of Notice
@@ -350,6 +287,5 @@ class MeasuredBody:
     moments: Moments
     surface: BodySurface
     wall: BodySurface | None
-    border: tuple[BorderContact, ...]
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

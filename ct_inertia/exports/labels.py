@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Index, Labelled
-from ct_inertia.find.distance import used_box
 from ct_inertia.scan.label_file import write_segmentation
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.masks import used_box
 from stapeskit.arrays import Array
 
 _SLAB_VOXELS = 1 << 22  # at a time: 4 MB

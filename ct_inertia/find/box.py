@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ct_inertia.bodies import Box, Index, Mask
-from ct_inertia.calibrated import calibrated
+from ct_inertia.bodies import Box, Index
 from ct_inertia.find.overview import Overview
 from ct_inertia.scan.reduced import block_means
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.grid import Grid
+from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
 
-ALONE_MM: float = calibrated("box.largest_block_mm")
-IN_SITU_MM: float = calibrated("box.largest_block_in_situ_mm")
-MARGIN_MM, MARGIN_BLOCKS = (
-    0.25,
-    16,
-)  # around the stapes, the larger of both: room for its blur and for air beyond it
+ALONE_MM, IN_SITU_MM = 0.024, 0.0124
+"""Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
+
+MARGIN = (0.25, 16)
+"""Around the stapes, mm and blocks, whichever is more: room for its blur and for air beyond it."""
 
 
 def block_for(spacing_mm: Array, most_mm: float) -> Index:
@@ -34,7 +32,7 @@ def read_box(
     high: Index,
     most_mm: float,
     overview: Overview | None = None,
-    margin: tuple[float, int] = (MARGIN_MM, MARGIN_BLOCKS),
+    margin: tuple[float, int] = MARGIN,
 ) -> Box:
     """Read a box of the scan once, averaged over blocks.
 
@@ -54,92 +52,50 @@ def read_box(
     -----
     Sums over the means times the block's volume are the sums over the voxels: the grey integral and its first
     moments do not change. A block counts as one larger voxel in the point spread. Where the box ends at the
-    border of the scan, its blocks end there too.
+    border of the scan, its blocks end there too; along an axis that is wholly in the box and no multiple of
+    the block, blocks are single voxels.
 
     Raises
     ------
     StapeskitError
         Voxels that cannot be read or are refused.
     """
-    size = scan.size
     block = block_for(scan.spacing_mm, most_mm)
     around = np.maximum(margin[1] * block, np.ceil(margin[0] / scan.spacing_mm)).astype(np.int64)
     first = np.maximum(low.astype(np.int64) - around, 0)
-    last = np.minimum(high.astype(np.int64) + around, size)
-    rest = (last - first) % block
-    whole = (last == size) & (first == 0) & (rest > 0)
-    block, rest = np.where(whole, 1, block), np.where(whole, 0, rest)
-    first = np.where((last == size) & (first > 0), first + rest, first)
+    last = np.minimum(high.astype(np.int64) + around, scan.size)
+    block = np.where((last == scan.size) & (first == 0) & ((last - first) % block > 0), 1, block)
+    first = np.where((last == scan.size) & (first > 0), first + (last - first) % block, first)
     count = (last - first) // block
+    grid = Grid.of(scan, tuple(int(n) for n in count[::-1]), first, block)
     last = first + count * block
     z, y, x = (slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
-    part = z, y, x
-    single = None
     if np.all(block == 1):
-        grey = scan.read(part).astype(np.float32)
+        box = Box(**vars(grid), grey=scan.read((z, y, x)).astype(np.float32))
     else:
-        grey, _ = block_means(scan, [int(n) for n in block], part)
-        middle = tuple(
+        middle = [
             slice(int(a + n // 2), int(b), int(n))
             for a, b, n in zip(first[::-1], last[::-1], block[::-1], strict=True)
-        )
-        single = scan.read((middle[0], middle[1], middle[2]))
-    transform = scan.scan_from_index.copy()
-    transform[:3, :3] = transform[:3, :3] * block
-    transform[:3, 3] = scan.scan_points(first + (block - 1) / 2.0)
-    box = Box(
-        grey=grey,
-        first=first,
-        block=block,
-        spacing_mm=scan.spacing_mm * block,
-        scan_from_index=transform,
-        begins=np.asarray(first == 0),
-        ends=np.asarray(last > size - block),
-        single=single,
-    )
-    measured = None if overview is None else _measured(box, overview)
-    if overview is None or measured is None:
-        return box
-    return _as_air(box, measured, float(overview.levels[0]))
+        ]
+        grey, _ = block_means(scan, [int(n) for n in block], (z, y, x))
+        box = Box(**vars(grid), grey=grey, single=scan.read((middle[0], middle[1], middle[2])))
+    return box if overview is None else _with_measured(box, overview)
 
 
-def from_coarse(box: Box, mask: NDArray[Any], first: Index, step: Index) -> NDArray[Any]:
-    """Return a coarse mask [z, y, x] on the grid of a box: each block takes its nearest coarse cell.
+def _with_measured(box: Box, overview: Overview) -> Box:
+    """Return a box that knows where the scan was measured, and holds air elsewhere.
 
-    ``first``: index x, y, z in the scan of the voxel in the middle of the first cell; ``step``: voxels per
-    cell.
+    A constant far from air would leak into every blur beside it. The value is the stored one nearest to the
+    level of air, so that no new grey step appears.
     """
-    places = []
-    for axis in range(3):
-        k = 2 - axis
-        centre = box.first[k] + (box.block[k] - 1) / 2.0 + np.arange(box.shape[axis]) * box.block[k]
-        nearest = np.round((centre - first[k]) / step[k]).astype(np.int64)
-        places.append(np.clip(nearest, 0, mask.shape[axis] - 1))
-    return np.asarray(mask[np.ix_(*places)])
-
-
-def _measured(box: Box, overview: Overview) -> Mask | None:
-    """Return where the scan was measured, in a box; None where it was everywhere."""
     if overview.unmeasured is None or overview.padding is None:
-        return None
-    from ct_inertia.grey.start import grown
-
-    outside = from_coarse(box, grown(overview.unmeasured), overview.step // 2, overview.step)
-    stored = box.grey if box.single is None else box.single
-    outside &= stored == np.asarray(overview.padding, dtype=stored.dtype)
+        return box
+    outside = box.taken(grown(overview.unmeasured), overview.grid, repeat=True)
+    outside &= box.stored == np.asarray(overview.padding, dtype=box.stored.dtype)
     if not outside.any():
-        return None
-    return ~(grown(outside) if np.any(box.block > 1) else outside)
-
-
-def _as_air(box: Box, measured: Mask, air: float) -> Box:
-    """Let what was not measured hold air: a constant far from it would leak into every blur beside it.
-
-    The value is the stored one nearest to the level of air, so that no new grey step appears.
-    """
-    stored = box.grey if box.single is None else box.single
-    known = np.unique(stored[measured])
-    nearest = known[np.argmin(np.abs(known.astype(float) - air))]
-    grey = np.where(measured, box.grey, np.float32(nearest))
-    single = None if box.single is None else np.where(measured, box.single, nearest)
-    return replace(box, grey=grey, single=single, measured=measured)
+        return box
+    measured = ~(grown(outside) if np.any(box.block > 1) else outside)
+    known = np.unique(box.stored[measured])
+    air = known[np.argmin(np.abs(known.astype(float) - overview.levels[0]))]
+    single = None if box.single is None else np.where(measured, box.single, air)
+    return replace(box, grey=np.where(measured, box.grey, np.float32(air)), single=single, measured=measured)

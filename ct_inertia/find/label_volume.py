@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
-from ct_inertia.find.distance import used_box
 from ct_inertia.find.label_numbers import body_numbers
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.masks import used_box
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 

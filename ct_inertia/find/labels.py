@@ -9,33 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import (
-    OTHER_BONE,
-    PLATE,
-    STAPES,
-    Box,
-    Cells,
-    Index,
-    Labelled,
-    Mask,
-    PlateRegion,
-    Separation,
-)
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
 from ct_inertia.find.box import read_box
-from ct_inertia.find.choose import Reading, readings
-from ct_inertia.find.distance import capped_distance, used_box
 from ct_inertia.find.label_volume import LEAST_VOXELS, DrawnLabels, read_labels
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
-from ct_inertia.find.pieces import describe
-from ct_inertia.find.plate import find_plate, mask_region, plate_mask
+from ct_inertia.find.plate import drawn_plate, find_plate, plate_mask
+from ct_inertia.find.readings import readings
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.distance import capped_distance
+from ct_inertia.voxels.grid import Grid
+from ct_inertia.voxels.masks import Mask, flood, grown, starts, used_box, widened
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
-_SAME_GRID = (
-    0.05  # voxels between grids that are one: rounding of origins, but not half a voxel of conventions
-)
+_SAME_GRID = 0.05  # voxels between grids that are one: rounding of origins, not half a voxel of conventions
 _DRAWN_VOXELS = 3.0  # how far off the surface a label may be drawn
+_MARGIN_VOXELS = 8  # around labels alone: room to smooth their surface
+_CUT = 0.8  # of the layer before: a flat end is as wide as what it cuts
+_SINGLE = np.ones(3, dtype=np.int64)
 
 
 def label_stapes(
@@ -75,37 +66,24 @@ def label_stapes(
 
 def _alone(drawn: DrawnLabels) -> Labelled:
     """Return the solid that the labelled voxels fill."""
-    used = used_box(drawn.labels == STAPES) or (slice(0, 1),) * 3
-    part = tuple(
-        slice(max(0, k.start - 8), min(n, k.stop + 8)) for k, n in zip(used, drawn.labels.shape, strict=True)
-    )
+    every = Grid.of(drawn.scan, drawn.labels.shape, np.zeros(3, dtype=np.int64), _SINGLE)
+    part = widened(used_box(drawn.labels == STAPES), _MARGIN_VOXELS)
     labels = drawn.labels[part]
-    first = np.array([k.start for k in part[::-1]], dtype=np.int64)
-    transform = drawn.scan.scan_from_index.copy()
-    transform[:3, 3] = drawn.scan.scan_points(first)
     stapes = labels == STAPES
-    box = Box(
-        grey=stapes.astype(np.float32),
-        first=first,
-        block=np.ones(3, dtype=np.int64),
-        spacing_mm=np.array(drawn.scan.spacing_mm),
-        scan_from_index=transform,
-        **_flat_ends(drawn.labels == STAPES),
-        is_mask=True,
-    )
+    # A crop that only touches the body does not count as a border.
+    ends = {name: _cut_flat(drawn.labels == STAPES, end) for name, end in (("begins", 0), ("ends", -1))}
     text = (
         "The bodies come from labels alone: without grey values their surfaces are known to the voxel "
         "only, and a threshold's bias of some percent in volume stays unseen. Give the scan together with "
         "--labels."
     )
-    plate = drawn.labels == PLATE
     return Labelled(
-        box=box,
+        box=Box(**{**vars(every.part(part)), **ends}, grey=stapes.astype(np.float32), is_mask=True),
         stapes=stapes,
         other=labels == OTHER_BONE,
         plate=labels == PLATE,
-        cells=_cells(drawn.labels, np.zeros(3, dtype=np.int64)),
-        plate_region=_drawn_plate(plate, np.zeros(3, dtype=np.int64), drawn.scan),
+        cells=_cells(drawn.labels, every),
+        plate_region=drawn_plate(drawn.labels == PLATE, every) if drawn.has_plate else None,
         air=0.0,
         bone=1.0,
         plastic=None,
@@ -117,105 +95,87 @@ def _alone(drawn: DrawnLabels) -> Labelled:
     )
 
 
-def _flat_ends(stapes: Mask) -> dict[str, Mask]:
-    """Return at which ends the labels are cut flat; a crop that only touches the body does not count."""
-    begins, ends = np.zeros(3, dtype=bool), np.zeros(3, dtype=bool)
-    for axis in range(3):
-        for flags, outer, inner in ((begins, 0, 1), (ends, -1, -2)):
-            count = np.count_nonzero(np.take(stapes, outer, axis=axis))
-            flags[2 - axis] = count > max(
-                LEAST_VOXELS, 0.8 * np.count_nonzero(np.take(stapes, inner, axis=axis))
-            )
-    return {"begins": begins, "ends": ends}
+def _cut_flat(stapes: Mask, end: int) -> Mask:
+    """Return along which of x, y, z a body ends flat in the first (0) or last (-1) layer of the labels."""
+    inner = 1 if end == 0 else -2
+    layers = [[np.count_nonzero(np.take(stapes, k, axis=axis)) for k in (end, inner)] for axis in (2, 1, 0)]
+    return np.array([outer > max(LEAST_VOXELS, _CUT * before) for outer, before in layers])
 
 
 def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
     """Lay labels on a scan: bodies by the labels, surfaces by the grey values where there are any."""
-    offset = _offset(drawn, scan)
+    grid = _grid_in(scan, drawn.scan)
     overview = look_at(scan)
     if overview.is_mask:
         alone = _alone(drawn)
         return replace(alone, notices=(*scan_notices(overview), *alone.notices))
-    used = used_box(drawn.labels == STAPES) or (slice(0, 1),) * 3
-    low = np.array([k.start for k in used[::-1]]) + offset
-    high = np.array([k.stop for k in used[::-1]]) + offset
+    low, high = (grid.first + np.array(ends) for ends in _ends(drawn.labels == STAPES))
     box = read_box(scan, low, high, float(scan.spacing_mm.min()), overview)
-    local = np.zeros(box.shape, dtype=np.uint8)
-    shape = np.array(box.shape[::-1])
-    start, stop = np.maximum(box.first, offset), np.minimum(box.first + shape, offset + drawn.scan.size)
-    target = tuple(
-        slice(int(a), int(b))
-        for a, b in zip((start - box.first)[::-1], (stop - box.first)[::-1], strict=True)
-    )
-    source = tuple(
-        slice(int(a), int(b)) for a, b in zip((start - offset)[::-1], (stop - offset)[::-1], strict=True)
-    )
-    local[target] = drawn.labels[source]
+    local = box.taken(drawn.labels, grid)
     air, bone = _levels(box, local)
-    plate = drawn.labels == PLATE
-    region = _drawn_plate(plate, offset, scan)
+    middle = 0.5 * (air + bone)
     plastic_mask = local == PLATE
     plastic = float(np.median(box.grey[plastic_mask])) if plastic_mask.any() else None
-    if not drawn.has_plate:
-        region = _plate_in_scan(scan, overview, drawn, offset)
-        if region is not None:
-            quiet_bone = box.grey > np.float32(0.5 * (air + bone))
-            plastic_mask, plastic = (
-                plate_mask(region, box, box.grey, quiet_bone) & (local == 0),
-                region.plastic,
-            )
-        if region is not None and region.immersing:
-            region = None
-    stapes, other = _by_grey_values(box, local, plastic_mask, 0.5 * (air + bone))
-    cut = _cut_by_labels(drawn, scan, offset, 0.5 * (air + bone))
-    notices = [*scan_notices(overview), *drawn.notices, *cut]
+    if drawn.has_plate:
+        region = drawn_plate(drawn.labels == PLATE, grid)
+    else:
+        region = _plate_in(scan, overview, overview.grid.taken(drawn.labels == STAPES, grid))
+    if region is not None and not drawn.has_plate:
+        plastic = region.plastic
+        plastic_mask = plate_mask(region, box, box.grey, box.grey > np.float32(middle)) & (local == 0)
+        region = None if region.immersing else region
+    stapes, other = _by_grey_values(box, local, plastic_mask, middle)
     return Labelled(
         box=box,
         stapes=stapes,
         other=other,
         plate=plastic_mask & ~stapes & ~other,
-        cells=_cells(drawn.labels, offset),
+        cells=_cells(drawn.labels, grid),
         plate_region=region,
         air=air,
         bone=bone,
         plastic=plastic,
         noise=noise_of(box.grey),
-        unmeasured_share=overview.unmeasured_share,
         separation=Separation("labels made elsewhere"),
         named=True,
-        evidence={"bodies_from": "labels on the scan", "bone_above": 0.5 * (air + bone)},
-        notices=tuple(notices),
+        evidence={"bodies_from": "labels on the scan", "bone_above": middle},
+        notices=(*scan_notices(overview), *drawn.notices, *_cut_by_labels(box, local, grid, middle)),
     )
 
 
-def _offset(drawn: DrawnLabels, scan: Scan) -> Index:
-    """Return the index x, y, z of the labels' first voxel in the scan.
+def _ends(mask: Mask) -> tuple[list[int], list[int]]:
+    """Return first index x, y, z of a mask, and one past its last."""
+    used = used_box(mask) or (slice(0, 1),) * 3
+    return [part.start for part in used[::-1]], [part.stop for part in used[::-1]]
+
+
+def _grid_in(scan: Scan, labels: Scan) -> Grid:
+    """Return the grid of labels in the scan that they were drawn on.
 
     Raises
     ------
     StapeskitError
         The labels do not lie on voxels of the scan.
     """
-    labels = drawn.scan
     spacing = float(np.max(np.abs(labels.spacing_mm / scan.spacing_mm - 1.0)))
     turned = float(np.max(np.abs(labels.direction - scan.direction)))
     place = scan.index_points(labels.origin_mm)
-    offset = np.rint(place).astype(np.int64)
-    fits = np.all(offset >= 0) and np.all(offset + labels.size <= scan.size)
-    if spacing < 1e-3 and turned < 1e-3 and np.max(np.abs(place - offset)) < _SAME_GRID and fits:
-        return offset
-    if np.array_equal(labels.size, scan.size) and not labels.handedness_confirmed:
-        return np.zeros(3, dtype=np.int64)
-    raise StapeskitError.of(
-        "the label volume",
-        f"on the voxels of the scan ({_grid(scan)})",
-        _grid(labels),
-        labels.name,
-        "Resample it onto the scan, or give --labels alone",
-    )
+    first = np.rint(place).astype(np.int64)
+    inside = np.all(first >= 0) and np.all(first + labels.size <= scan.size)
+    if not (spacing < 1e-3 and turned < 1e-3 and np.max(np.abs(place - first)) < _SAME_GRID and inside):
+        if not np.array_equal(labels.size, scan.size) or labels.handedness_confirmed:
+            raise StapeskitError.of(
+                "the label volume",
+                f"on the voxels of the scan ({_in_words(scan)})",
+                _in_words(labels),
+                labels.name,
+                "Resample it onto the scan, or give --labels alone",
+            )
+        first = np.zeros(3, dtype=np.int64)  # of the same size, and its format knows no place
+    return Grid.of(scan, labels.shape, first, _SINGLE)
 
 
-def _grid(scan: Scan) -> str:
+def _in_words(scan: Scan) -> str:
     size = " x ".join(map(str, scan.size))
     spacing = " x ".join(f"{v:.6g}" for v in scan.spacing_mm)
     return f"{size} voxels of {spacing} mm from {', '.join(f'{v:.6g}' for v in scan.origin_mm)}"
@@ -233,17 +193,16 @@ def _levels(box: Box, local: NDArray[np.uint8]) -> tuple[float, float]:
     far = capped_distance(local != 0, box.spacing_mm, 6.0 * step) > np.float32(5.0 * step)
     depth = capped_distance(local != STAPES, box.spacing_mm, 6.0 * step)
     outside = box.grey[far] if far.any() else box.grey.ravel()
-    air = float(np.percentile(outside, 30.0))
-    spread = air - float(np.percentile(outside, 5.0))
+    low, air = np.percentile(outside, (5.0, 30.0))
     bone = float(np.median(box.grey[depth >= np.float32(0.9 * float(depth.max()))]))
-    if not bone - air > 4.0 * spread:
+    if not bone - air > 4.0 * (air - low):
         raise StapeskitError.of(
             "the stapes of the label volume",
             "brighter than the air around it",
             f"grey values about {bone:.6g} inside and {air:.6g} outside",
             next_step="Check that the labels belong to this scan and lie on it",
         )
-    return air, bone
+    return float(air), bone
 
 
 def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: float) -> tuple[Mask, Mask]:
@@ -252,79 +211,39 @@ def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: f
     Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between
     goes to the body whose flood of grey values reaches it first.
     """
-    from ct_inertia.grey.start import flood
-
-    bone = box.grey > np.float32(middle)
+    bone = (box.grey > np.float32(middle)) & ~plastic
     drawn = local == STAPES
     step = float(box.spacing_mm.max())
-    away = capped_distance(drawn, box.spacing_mm, (_DRAWN_VOXELS + 1.0) * step)
-    near = away <= np.float32(_DRAWN_VOXELS * step)
-    other = bone & ~drawn & (~near | (local == OTHER_BONE)) & ~plastic
+    near = capped_distance(drawn, box.spacing_mm, (_DRAWN_VOXELS + 1.0) * step) <= _DRAWN_VOXELS * step
+    other = bone & ~drawn & (~near | (local == OTHER_BONE))
     markers = (drawn & bone).astype(np.int32) + 2 * other.astype(np.int32)
-    parts = flood(box.grey, markers, bone & ~plastic)
+    parts = flood(-box.grey, markers, bone, smoothing=0.7)
     return parts == 1, parts == 2
 
 
-def _plate_in_scan(scan: Scan, overview: Overview, drawn: DrawnLabels, offset: Index) -> PlateRegion | None:
+def _plate_in(scan: Scan, overview: Overview, stapes: Mask) -> PlateRegion | None:
     """Seek the plate in the grey values where the labels hold none."""
-    reading: Reading | None = next(
-        (one for one in readings(overview.levels, None) if one.plastic is not None), None
-    )
-    if reading is None:
-        return None
-    cells = _sampled(drawn.labels == STAPES, overview.grey.shape, overview.step, offset)
-    used = used_box(cells)
-    if used is None:
-        return None
-    piece = describe(cells.astype(np.int32), 1, used, overview.spacing_mm)
-    levels = (reading.air, reading.plastic, reading.bone)
-    return find_plate(scan, overview, levels, reading.between, (cells, piece))
+    with_plastic = (one for one in readings(overview.levels) if one.plastic is not None)
+    reading = next(with_plastic, None)
+    return find_plate(scan, overview, reading, stapes) if reading is not None and stapes.any() else None
 
 
-def _sampled(mask: Mask, shape: tuple[int, ...], step: Index, offset: Index) -> Mask:
-    """Return a mask of labels at the coarse voxels of an overview."""
-    result = np.zeros(shape, dtype=bool)
-    places, kept = [], []
-    for axis in range(3):
-        k = 2 - axis
-        index = np.arange(shape[axis]) * step[k] + step[k] // 2 - offset[k]
-        inside = (index >= 0) & (index < mask.shape[axis])
-        places.append(index[inside])
-        kept.append(np.flatnonzero(inside))
-    result[np.ix_(*kept)] = mask[np.ix_(*places)]
-    return result
-
-
-def _drawn_plate(plate: Mask, offset: Index, scan: Scan) -> PlateRegion | None:
-    return mask_region(scan, plate, offset) if np.count_nonzero(plate) >= LEAST_VOXELS else None
-
-
-def _cells(labels: NDArray[np.uint8], first: Index) -> Cells:
+def _cells(labels: NDArray[np.uint8], grid: Grid) -> Cells:
     used = used_box(labels > 0) or (slice(0, 1),) * 3
-    start = first + np.array([k.start for k in used[::-1]])
-    return Cells(labels[used], start, np.ones(3, dtype=np.int64))
+    return Cells(labels[used], grid.first + starts(used), grid.block)
 
 
-def _cut_by_labels(drawn: DrawnLabels, scan: Scan, offset: Index, middle: float) -> list[Notice]:
+def _cut_by_labels(box: Box, local: NDArray[np.uint8], grid: Grid, middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
-    beyond = 2  # layers: the first is its blur
-    for axis in range(3):
-        start, count = int(offset[2 - axis]), drawn.labels.shape[axis]
-        for name, layer, place in (
-            ("first", 0, start - beyond),
-            ("last", count - 1, start + count - 1 + beyond),
-        ):
-            if not 0 <= place < scan.shape[axis]:
-                continue
-            end = np.take(drawn.labels, layer, axis=axis) == STAPES
-            part = [slice(int(offset[2 - k]), int(offset[2 - k]) + drawn.labels.shape[k]) for k in range(3)]
-            part[axis] = slice(place, place + 1)
-            further = scan.read((part[0], part[1], part[2])).squeeze(axis) > middle
-            if np.count_nonzero(end & further) > max(10, 0.5 * np.count_nonzero(end)):
-                text = (
-                    f"The stapes touches the border of the label volume at the {name} layer along "
-                    f"{'zyx'[axis]} while its bone goes on in the scan: what lies beyond is missing from "
-                    "volume and mass, and the uncertainty does not hold it. Draw the labels to its end."
-                )
-                return [Notice("touches_border", text)]
-    return []
+    within = box.taken(np.ones(grid.shape, dtype=bool), grid)
+    end = (local == STAPES) & grown(~within)
+    # Two layers further: the first is its blur.
+    beyond = grown(grown(end)) & ~within & ~grown(within) & (box.grey > np.float32(middle))
+    if np.count_nonzero(beyond) <= max(10, 0.5 * np.count_nonzero(end)):
+        return []
+    text = (
+        "The stapes touches the border of the label volume while its bone goes on in the scan: what lies "
+        "beyond is missing from volume and mass, and the uncertainty does not hold it. Draw the labels to "
+        "its end."
+    )
+    return [Notice("touches_border", text)]

@@ -9,18 +9,13 @@ import numpy as np
 from ct_inertia.calibrated import calibrated
 from stapeskit.arrays import Array
 
-_LEAN_DEG, _TURNS = (0.0, 12.0, 24.0, 36.0), 12  # cones about the axis and directions on each
-_FINER_DEG = (
-    0.0,
-    2.5,
-    5.0,
-    8.0,
-)  # cones about the best: they reach beyond half of the distance of the wide ones
-_FROM_END_MM = calibrated("necks.from_end_mm")
-_WIDENS_WITHIN_MM = calibrated("necks.widens_within_mm")
-_LEAST_BEYOND_MM3, _MOST_BEYOND = calibrated("necks.least_beyond_mm3"), calibrated("necks.most_beyond")
+_LEAN_DEG, _TURNS = (12.0, 24.0, 36.0), 12  # cones about the axis and directions on each
+_FINER_DEG = (2.5, 5.0, 8.0)  # cones about the best: they reach beyond half of the distance of the wide ones
+_FROM_END_MM = 1.6  # a head, its neck and as much of an incus as leaves more than half to the stapes
+_LEAST_BEYOND_MM3, _MOST_BEYOND = 0.03, 0.4  # volume beyond: more than a chip, less than the body
 _NARROWER, _GROWN = calibrated("necks.narrower"), calibrated("necks.grown")
-_HEAD_MM, _APART_MM = calibrated("necks.head_mm"), calibrated("necks.apart_mm")
+_HEAD_MM = calibrated("necks.head_mm")
+_APART_MM = 0.15  # two minima that are nearer are those of one neck
 _MOST = 4  # necks kept at each end
 _MOST_POINTS = 60_000  # voxels of a body that areas are counted from
 
@@ -55,9 +50,10 @@ class Neck:
 
 
 @dataclass(frozen=True)
-class _Grain:
-    """Volume per point, mm3; thickness of a section, mm; volume of the body, mm3."""
+class _End:
+    """Points (n, 3) near an end of a body; volume per point; thickness of a section; volume of the body."""
 
+    points: Array
     voxel_mm3: float
     step_mm: float
     total_mm3: float
@@ -76,80 +72,75 @@ def find_necks(points_mm: Array, spacing_mm: Array) -> list[Neck]:
     -----
     For directions within 36 degrees of the longest principal axis the area of the cross-section follows from
     a histogram of the heights of the voxels; a neck is a minimum that is at least 15 % narrower than the body
-    is on either side of it.
+    is on either side of it. The plane leans until its cross-section is least.
     """
-    count = len(points_mm)
-    if count > _MOST_POINTS:
+    total = len(points_mm) * float(np.prod(spacing_mm))
+    if len(points_mm) > _MOST_POINTS:
         points_mm = np.random.default_rng(0).choice(points_mm, _MOST_POINTS, replace=False)
     middle = points_mm.mean(axis=0)
     points = points_mm - middle
-    voxel = float(np.prod(spacing_mm)) * count / len(points)
     step = float(max(np.mean(spacing_mm), 2.0 / 3.0 * spacing_mm.max()))
-    grain = _Grain(voxel, step, voxel * len(points))
-    axes = np.linalg.eigh(np.cov(points.T))[1]
+    long_axis = np.linalg.eigh(np.cov(points.T))[1][:, 2]
     found: list[Neck] = []
-    for end in (1.0, -1.0):
-        axis = end * axes[:, 2]
+    for axis in (long_axis, -long_axis):
         height = points @ axis
         near = points[height > height.max() - _FROM_END_MM]
-        every = [neck for normal in _cone(axis, _LEAN_DEG) for neck in _minima(normal, near, grain)]
+        end = _End(near, total / len(points), step, total)
         kept: list[Neck] = []
-        for neck in sorted(every, key=lambda one: one.share):
+        for neck in sorted(_minima(end, _cone(axis, _LEAN_DEG)), key=lambda one: one.share):
             if all(abs(neck.height_mm - other.height_mm) > _APART_MM for other in kept):
                 kept.append(neck)
-        found += [_lean(neck, near, grain) for neck in kept[:_MOST]]
+        found += [_lean(neck, end) for neck in kept[:_MOST]]
     found = [replace(neck, height_mm=neck.height_mm + float(neck.normal @ middle)) for neck in found]
     return sorted(found, key=lambda neck: neck.share)
 
 
 def _cone(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
+    """Return an axis and directions that lean from it by so many degrees."""
     side = np.linalg.svd(axis[None])[2][1]
     other = np.cross(axis, side)
-    directions = [axis]
-    for lean in np.radians(lean_deg[1:]):
-        for turn in 2.0 * np.pi * np.arange(_TURNS) / _TURNS:
-            across = np.cos(turn) * side + np.sin(turn) * other
-            directions.append(np.cos(lean) * axis + np.sin(lean) * across)
-    return directions
+    turns = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+    around = [np.cos(turn) * side + np.sin(turn) * other for turn in turns]
+    return [axis, *(np.cos(a) * axis + np.sin(a) * one for a in np.radians(lean_deg) for one in around)]
 
 
-def _minima(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
-    """Return the narrow places along one direction, from the points (n, 3) near an end.
+def _minima(end: _End, normals: list[Array]) -> list[Neck]:
+    """Return the narrow places along some directions.
 
     Each point is shared by two bins: layers of voxels that are farther apart than a bin would beat with it.
     """
-    step = grain.step_mm
-    height = near @ normal
-    low = float(height.min())
-    place = (height - low) / step + 0.5
-    lower = place.astype(np.intp)
-    part = place - lower
-    counts = np.bincount(lower, 1.0 - part, int(lower.max()) + 2)
-    counts[1:] += np.bincount(lower, part, int(lower.max()) + 1)
-    area = (np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * grain.voxel_mm3 / step).tolist()
-    beyond = (np.cumsum(counts[::-1])[::-1] * grain.voxel_mm3).tolist()
-    reach = max(2, round(_WIDENS_WITHIN_MM / step))
-    minima = []
-    for k in range(reach, len(area) - 3):
-        if not _LEAST_BEYOND_MM3 < beyond[k] < _MOST_BEYOND * grain.total_mm3:
-            continue
-        if area[k] > min(area[k - 1 : k + 2]):
-            continue
-        wide = min(max(area[k - reach : k]), max(area[k + 1 : k + 1 + reach]))
-        if area[k] < _NARROWER * wide:
-            at = low + k * step
-            minima.append(Neck(normal, at, area[k], area[k] / wide, float(height.max()) - at))
+    step, minima = end.step_mm, []
+    for normal in normals:
+        height = end.points @ normal
+        low = float(height.min())
+        place = (height - low) / step + 0.5
+        lower = place.astype(np.intp)
+        part = place - lower
+        counts = np.bincount(lower, 1.0 - part, int(lower.max()) + 2)
+        counts[1:] += np.bincount(lower, part, int(lower.max()) + 1)
+        area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * end.voxel_mm3 / step
+        beyond = np.cumsum(counts[::-1])[::-1] * end.voxel_mm3
+        reach = max(2, round(_HEAD_MM / step))
+        for k in range(reach, len(area) - 3):
+            enough = _LEAST_BEYOND_MM3 < beyond[k] < _MOST_BEYOND * end.total_mm3
+            if not enough or area[k] > min(area[k - 1], area[k + 1]):
+                continue
+            wide = min(area[k - reach : k].max(), area[k + 1 : k + 1 + reach].max())
+            if area[k] < _NARROWER * wide:
+                at = low + k * step
+                minima.append(
+                    Neck(normal, at, float(area[k]), float(area[k] / wide), float(height.max()) - at)
+                )
     return minima
 
 
-def _lean(neck: Neck, near: Array, grain: _Grain) -> Neck:
+def _lean(neck: Neck, end: _End) -> Neck:
     """Lean the plane until its cross-section is least."""
     start = neck.height_mm
     for _ in range(2):
         around = [
             other
-            for normal in _cone(neck.normal, _FINER_DEG)
-            for other in _minima(normal, near, grain)
+            for other in _minima(end, _cone(neck.normal, _FINER_DEG))
             if abs(other.height_mm - start) < _APART_MM
         ]
         best = min(around, key=lambda other: other.area_mm2, default=neck)

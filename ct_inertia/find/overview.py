@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Grey, Index, Mask
 from ct_inertia.calibrated import calibrated
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.fields import Grey, smooth
+from ct_inertia.voxels.grid import Grid, Index
+from ct_inertia.voxels.masks import Mask, eroded, grown
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
@@ -19,31 +21,27 @@ _MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
 _LEAST_INTERIOR = 25  # fewer voxels inside a material give no level
 _BINS = 16  # of the histogram within the least distance of two levels
 _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows from, to 1 %
-_BESIDE = 3  # coarse voxels beside bone that are looked at: beyond the blur, which is one of them wide
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
 _MOSTLY_CLIPPED = 0.5  # share p of air at one value: noise leaves p^27 of cubes
-_FLAT_NOISE, _SAME_NOISE = calibrated("overview.flat_noise"), calibrated("overview.same_material_noise")
+_FLAT_NOISE = 1.7  # scatter of seven voxels over the noise: more than all but 1 in 120 of one material
+_SAME_NOISE = 2.5  # deviations of noise from the level of a material: all but 1 in 80 of its voxels
 _LEAST_SOLID = calibrated("overview.least_solid_share")
 _VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")
 _LOUD = calibrated("overview.loud_noise")
-_SMOOTH_BINS = (
-    2.5  # standard deviation of the smoothing of the histogram: a sixth of the distance of two levels
-)
+_SMOOTH_BINS = 2.5  # smoothing of the histogram: a sixth of the distance of two levels
 
 
 @dataclass(frozen=True)
 class Overview:
-    """Every ``step``-th voxel of a scan and its grey levels.
+    """Every ``block``-th voxel of a scan and its grey levels.
 
     Attributes
     ----------
     grey : ndarray of float32, [z, y, x]
         What was not measured counts as air.
-    step : ndarray of int, (3,)
-        Voxels of the scan per coarse voxel along x, y, z; coarse voxel 0 is voxel ``step // 2``.
-    spacing_mm : ndarray, (3,)
-        Distance of coarse voxels along x, y, z.
+    grid : Grid
+        Blocks of which one voxel near the middle is looked at.
     noise : float
         Standard deviation of the grey values within a material.
     levels : ndarray, (n,)
@@ -57,27 +55,17 @@ class Overview:
     """
 
     grey: Grey
-    step: Index
-    spacing_mm: Array
+    grid: Grid
     noise: float
     levels: Array
     padding: float | None = None
     unmeasured: Mask | None = None
     is_mask: bool = False
 
-    @property
-    def voxel_mm3(self) -> float:
-        """Volume of one coarse voxel, mm3."""
-        return float(np.prod(self.spacing_mm))
-
-    @property
-    def unmeasured_share(self) -> float:
-        """Share of the scan outside of its field of view."""
-        return 0.0 if self.unmeasured is None else float(np.mean(self.unmeasured))
-
-    def calm(self, contrast: float) -> Grey:
-        """Return the grey values, smoothed where noise would make holes and specks of a threshold."""
-        return smooth_noise(self.grey, self.noise / contrast)
+    def above(self, level: float, contrast: float) -> Mask:
+        """Return what was measured and is brighter than a level; ``contrast`` of bone over air, for noise."""
+        mask = smooth_noise(self.grey, self.noise / contrast) > np.float32(level)
+        return mask if self.unmeasured is None else mask & ~self.unmeasured
 
 
 def look_at(scan: Scan) -> Overview:
@@ -89,29 +77,36 @@ def look_at(scan: Scan) -> Overview:
         One material only, or voxels that the scan refuses.
     """
     step = _step(scan)
-    z, y, x = (slice(int(s // 2), None, int(s)) for s in step[::-1])
-    grey = scan.read((z, y, x)).astype(np.float32)
-    size = np.array(scan.shape[::-1]) // step  # leftover voxels at the end of the scan belong to no step
-    grey = np.ascontiguousarray(grey[: size[2], : size[1], : size[0]])
+    count = scan.size // step  # leftover voxels at the end of the scan belong to no block
+    z, y, x = (slice(int(s // 2), int(n * s), int(s)) for s, n in zip(step[::-1], count[::-1], strict=True))
+    grey = np.ascontiguousarray(scan.read((z, y, x)), dtype=np.float32)
+    grid = Grid.of(scan, grey.shape, np.zeros(3, dtype=np.int64), step, step // 2)
     few = np.unique(grey.ravel()[:: max(1, grey.size // 50_000) | 1])
-    is_mask = few.size <= _FEW_VALUES and np.unique(grey).size <= _FEW_VALUES
-    noise = 0.01 * float(np.ptp(few)) / _FEW_VALUES if is_mask else noise_of(grey)
-    spacing = scan.spacing_mm * step
-    if is_mask:
-        levels = np.unique(grey).astype(float)
-        if levels.size < 2:
-            raise _one_material(scan)
-        return Overview(grey, step, spacing, max(noise, 1e-12), levels, is_mask=True)
-    padding, outside = _outside(grey)
-    levels = material_levels(grey, noise, float(np.prod(spacing)), outside)
-    if len(levels) < 2:
-        raise _one_material(scan)
-    if outside is not None and _lies_beside_bone(grey, outside, levels):
-        padding, outside = None, None
-        levels = material_levels(grey, noise, float(np.prod(spacing)), None)
-    if outside is not None:
-        grey[outside] = np.float32(levels[0])
-    return Overview(grey, step, spacing, noise, levels, padding, outside)
+    if few.size <= _FEW_VALUES and np.unique(grey).size <= _FEW_VALUES:
+        noise = max(0.01 * float(np.ptp(few)) / _FEW_VALUES, 1e-12)
+        found = Overview(grey, grid, noise, np.unique(grey).astype(float), is_mask=True)
+    else:
+        noise, (padding, outside) = noise_of(grey), _outside(grey)
+        levels = material_levels(grey, noise, grid.voxel_mm3, outside)
+        if outside is not None and len(levels) > 1 and _lies_beside_bone(grey, outside, levels):
+            padding, outside = None, None
+            levels = material_levels(grey, noise, grid.voxel_mm3, None)
+        if outside is not None and len(levels) > 1:
+            grey[outside] = np.float32(levels[0])
+        found = Overview(grey, grid, noise, levels, padding, outside)
+    if len(found.levels) < 2:
+        size, voxel = (
+            " x ".join(f"{v:.4g}" for v in lengths)
+            for lengths in (scan.size * scan.spacing_mm, scan.spacing_mm)
+        )
+        raise StapeskitError.of(
+            "the scan",
+            "a picture of bone in air",
+            f"one material only, and noise, in a picture of {size} mm with voxels of {voxel} mm",
+            next_step="Check the voxel size (--spacing), that this is the reconstructed volume, or give "
+            "--threshold",
+        )
+    return found
 
 
 def scan_notices(overview: Overview) -> list[Notice]:
@@ -126,7 +121,7 @@ def scan_notices(overview: Overview) -> list[Notice]:
         )
         notices.append(Notice("scan_thresholded", text))
     if overview.unmeasured is not None:
-        share = 100.0 * overview.unmeasured_share
+        share = 100.0 * float(np.mean(overview.unmeasured))
         text = (
             f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
             "field of view: it was not measured and takes no part in levels, noise and surroundings."
@@ -138,7 +133,7 @@ def scan_notices(overview: Overview) -> list[Notice]:
 def _step(scan: Scan) -> Index:
     """Return voxels per coarse voxel: about 0.05 mm, finer in a small scan, coarser in a huge one."""
     size = scan.size
-    step = np.clip(np.maximum(np.round(_TARGET_MM / scan.spacing_mm), 1.0), 1, max(1, int(size.max()) // 100))
+    step = np.clip(np.round(_TARGET_MM / scan.spacing_mm), 1, max(1, int(size.max()) // 100))
     step = np.minimum(step.astype(np.int64), np.maximum(size // 8, 1))
     while np.prod(size // step) > _MOST_VOXELS:
         step = step + 1
@@ -147,11 +142,7 @@ def _step(scan: Scan) -> Index:
 
 def smooth_noise(grey: Grey, noise_share: float) -> Grey:
     """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
-    if noise_share < _LOUD:
-        return grey
-    from ct_inertia.grey.fields import smooth
-
-    return smooth(np.ascontiguousarray(grey), np.ones(3))
+    return grey if noise_share < _LOUD else smooth(np.ascontiguousarray(grey), np.ones(3))
 
 
 def noise_of(grey: Grey) -> float:
@@ -177,26 +168,20 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     """
     import cc3d
 
-    from ct_inertia.grey.start import eroded, grown
-
-    ends = grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])].ravel()
-    values, count = np.unique(ends, return_counts=True)
+    values, count = np.unique(grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])], return_counts=True)
     value = float(values[np.argmax(count)])
-    if count.max() < 4:
-        return None, None
     same = grey == np.float32(value)
     solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
-    if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
+    if count.max() < 4 or np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
         return None, None
     labels = cc3d.connected_components(solid, connectivity=6)
-    outermost = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
+    faces = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
     touching = np.zeros(int(labels.max()) + 1, dtype=bool)
-    touching[np.concatenate(outermost)] = True
+    touching[np.concatenate(faces)] = True
     touching[0] = False
-    outside = grown(touching[labels]) & same
     joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
     with_solid = np.zeros(int(joined.max()) + 1, dtype=bool)
-    with_solid[joined[outside]] = True
+    with_solid[joined[grown(touching[labels]) & same]] = True
     outside = with_solid[joined]
     return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
 
@@ -207,16 +192,11 @@ def _lies_beside_bone(grey: Grey, outside: Mask, levels: Array) -> bool:
     It lies next to bone then, or most of the other air has its value too: noise clips single voxels, and
     whole neighbourhoods only where nearly every voxel is clipped.
     """
-    from ct_inertia.grey.start import grown
-
     bone = grey > np.float32(0.5 * (levels[0] + levels[-1]))
     others = grey[~outside & ~bone]
     if np.count_nonzero(others == grey[outside][0]) > _MOSTLY_CLIPPED * others.size:
         return True
-    beside = bone
-    for _ in range(_BESIDE):
-        beside = grown(beside)
-    beside = beside & ~bone
+    beside = grown(grown(grown(bone))) & ~bone  # beyond the blur, which is one coarse voxel wide
     return bool(np.count_nonzero(outside & beside) >= 0.5 * np.count_nonzero(beside))
 
 
@@ -281,30 +261,25 @@ def _modes(histogram: NDArray[np.int64], low: float, width: float) -> list[float
     padded = np.pad(histogram.astype(float), _BINS)
     centres = low + (np.arange(len(padded)) - _BINS + 0.5) * width
     bell = np.exp(-0.5 * (np.arange(-10, 11) / _SMOOTH_BINS) ** 2)
-    smooth = np.convolve(padded, bell / bell.sum(), mode="same")
-    peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
-    peaks = peaks[np.argsort(-smooth[peaks])]
-    kept = _distinct(peaks, padded, smooth, [], _VALLEY)
+    smoothed = np.convolve(padded, bell / bell.sum(), mode="same")
+    peaks = np.flatnonzero((smoothed[1:-1] >= smoothed[:-2]) & (smoothed[1:-1] > smoothed[2:])) + 1
+    kept: list[int] = []
+
+    def keep(some: NDArray[np.intp], valley: float) -> None:
+        """Keep peaks that are far from those kept, and behind a valley that is lower than they by a share."""
+        for peak in some[np.argsort(-smoothed[some])].tolist():
+            lows = [smoothed[min(peak, other) : max(peak, other) + 1].min() for other in kept]
+            deep = max(lows, default=0.0) < valley * smoothed[peak]
+            far = all(abs(peak - other) > _BINS for other in kept)
+            if deep and far and padded[max(0, peak - 6) : peak + 7].sum() >= _LEAST_INTERIOR:
+                kept.append(peak)
+
+    keep(peaks, _VALLEY)
     if len(kept) == 2:
         # Noise and wide blur fill the valley between air and a third material, less than half as bright.
-        below = peaks[(peaks > min(kept)) & (peaks < 0.5 * (kept[0] + kept[1]))]
-        kept = _distinct(below, padded, smooth, kept, _SHALLOW_VALLEY)
+        keep(peaks[(peaks > min(kept)) & (peaks < 0.5 * sum(kept))], _SHALLOW_VALLEY)
     near = [slice(max(0, peak - 6), peak + 7) for peak in sorted(kept)]
     return [float(padded[part] @ centres[part] / padded[part].sum()) for part in near]
-
-
-def _distinct(
-    peaks: NDArray[np.intp], histogram: Array, smooth: Array, kept: list[int], valley: float
-) -> list[int]:
-    """Return the bins kept, with peaks (n,) that are far from them, and behind a valley of that share."""
-    kept = list(kept)
-    for peak in peaks.tolist():
-        mass = histogram[max(0, peak - 6) : peak + 7].sum()
-        far = all(abs(peak - other) > _BINS for other in kept)
-        lows = [smooth[min(peak, other) : max(peak, other) + 1].min() for other in kept]
-        if mass >= _LEAST_INTERIOR and far and all(one < valley * smooth[peak] for one in lows):
-            kept.append(peak)
-    return kept
 
 
 def _is_solid(mask: Mask) -> bool:
@@ -325,12 +300,3 @@ def _bright_rest(
         base = low + (float(np.searchsorted(total, 0.999 * total[-1])) + 0.5) * width
     bright = grey[grey > np.float32(base + 8.0 * noise)]
     return float(np.percentile(bright, 90)) if bright.size * voxel_mm3 >= 0.05 else None
-
-
-def _one_material(scan: Scan) -> StapeskitError:
-    picture, voxel = (
-        " x ".join(f"{v:.4g}" for v in size) for size in (scan.size * scan.spacing_mm, scan.spacing_mm)
-    )
-    got = f"one material only, and noise, in a picture of {picture} mm with voxels of {voxel} mm"
-    step = "Check the voxel size (--spacing), that this is the reconstructed volume, or give --threshold"
-    return StapeskitError.of("the scan", "a picture of bone in air", got, "", step)

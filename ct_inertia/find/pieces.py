@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Index, Mask
 from ct_inertia.calibrated import calibrated
-from ct_inertia.find.distance import closed, used_box
+from ct_inertia.voxels.distance import closed
+from ct_inertia.voxels.grid import Grid, Index
+from ct_inertia.voxels.masks import Mask, Slices, starts, used_box
 from stapeskit.arrays import Array
 
-Labels = NDArray[np.integer]
+Labels = NDArray[np.int32]
 
 USUAL_MM3 = calibrated("stapes.volume_mm3")
 _EXTENTS_MM = calibrated("stapes.extents_mm")
@@ -32,62 +35,87 @@ RIVAL = 1.0
 """Log-likelihood below which two bodies count as equally likely: a ratio of 2.7."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Piece:
-    """A connected piece of bone.
+    """A connected piece of bone; what costs time is measured when it is asked for.
 
     Attributes
     ----------
     label : int
-        Its number in the labelled array.
-    low, high : ndarray of int, (3,)
-        Its box in indices x, y, z: first, and one past the last.
+        Its number in ``labels``.
+    labels : ndarray of int32, [z, y, x]
+        All pieces of the picture or of a split.
+    grid : Grid
+    box : tuple of 3 slice
+        Where it lies, z, y, x.
     volume_mm3 : float
     extents_mm : ndarray, (3,)
         Along its principal axes, longest first.
-    centre : ndarray, (3,)
-        Mean index x, y, z.
-    at_border : bool
-        It reaches the first or last voxel of the scan.
-    holes : int or None
-        Tunnels through it (1 in a stapes), where counted.
-    perforated : bool
-        One hole is as wide as that between the crura, others are narrower and yet wider than gaps between
-        bones.
-    surrounds : float
-        Volume of other bone within its convex hull, as a share of its own.
+    centre_mm : ndarray, (3,)
+        Its middle, scan coordinates.
     """
 
     label: int
-    low: Index
-    high: Index
+    labels: Labels
+    grid: Grid
+    box: Slices
     volume_mm3: float
     extents_mm: Array
-    centre: Array
-    at_border: bool
-    holes: int | None = None
-    perforated: bool = False
-    surrounds: float = 0.0
+    centre_mm: Array
 
     @property
-    def box(self) -> tuple[slice, ...]:
-        """Its box as slices z, y, x."""
-        return tuple(slice(int(a), int(b)) for a, b in zip(self.low[::-1], self.high[::-1], strict=True))
+    def inside(self) -> Mask:
+        """Its mask in its box."""
+        return np.asarray(self.labels[self.box] == self.label)
+
+    @property
+    def voxels(self) -> tuple[Index, Index]:
+        """First voxel x, y, z of the scan in its box, and one past the last."""
+        low, high = starts(self.box), np.array([part.stop for part in self.box[::-1]], dtype=np.int64)
+        block = self.grid.block
+        return self.grid.first + low * block, self.grid.first + high * block
+
+    @property
+    def at_border(self) -> bool:
+        """It reaches the first or last blocks of the scan."""
+        low, high = starts(self.box), np.array([part.stop for part in self.box[::-1]])
+        return bool(
+            np.any((low == 0) & self.grid.begins) or np.any((high == self.grid.size) & self.grid.ends)
+        )
 
     @property
     def length_mm(self) -> float:
         """Longest extent."""
         return float(self.extents_mm[0])
 
-    @property
+    @cached_property
+    def holes(self) -> int:
+        """Tunnels through it: one in a stapes."""
+        return count_holes(self.inside)
+
+    @cached_property
     def arched(self) -> bool:
-        """It has one hole as a stapes has it, be its footplate perforated or not."""
-        return self.holes == 1 or self.perforated
+        """It has one hole as a stapes has it, be its footplate perforated or not.
+
+        A hole through the footplate is narrower than the one between the crura, and a closing by a ball fills
+        it alone. What bridges the gap to another bone makes a hole too, but no wider than such gaps.
+        """
+        if not (2 <= self.holes <= _MOST_HOLES and self.size_score > -USUAL):
+            return self.holes == 1
+        spacing = self.grid.spacing_mm
+        padded = np.pad(self.inside, int(np.ceil(_PERFORATION_MM / float(np.min(spacing)))) + 1)
+        wide, narrow = (count_holes(closed(padded, spacing, r)) for r in (_PERFORATION_MM, HALF_GAP_MM))
+        return wide == 1 and narrow > 1
+
+    @cached_property
+    def surrounding(self) -> bool:
+        """It has other bone within its convex hull, as the bone around a stapes has."""
+        return self.arched and _surrounded(self) >= MOST_SURROUNDED
 
     @property
     def empty_arch(self) -> bool:
         """It has one hole, and no other bone within its hull."""
-        return self.arched and self.surrounds < MOST_SURROUNDED
+        return self.arched and not self.surrounding
 
     @property
     def possible(self) -> bool:
@@ -97,114 +125,93 @@ class Piece:
 
     @property
     def size_score(self) -> float:
-        """Log-likelihood of its volume and extents: 0 within the published ranges, less beyond them."""
-        away = [_beyond(self.volume_mm3, USUAL_MM3) / 3.0]
-        away += [_beyond(v, span) for v, span in zip(self.extents_mm, _EXTENTS_MM, strict=True)]
-        return -0.5 * float(np.sum(np.square(np.array(away) / _SPREAD)))
+        """Log-likelihood of its volume and extents."""
+        return size_score(self.volume_mm3, self.extents_mm)
 
     @property
     def usual(self) -> bool:
         """It has a size and a shape that nobody would call unusual, and surrounds no other bone."""
-        return self.possible and self.size_score > -USUAL and self.surrounds < MOST_SURROUNDED
+        return self.possible and self.size_score > -USUAL and not self.surrounding
+
+    @property
+    def whole_stapes(self) -> bool:
+        """It is usual in every respect, and whole in the scan."""
+        return self.usual and self.arched and not self.at_border
 
     @property
     def score(self) -> float:
         """Log-likelihood of being the stapes: size, one empty hole, whole within the scan."""
         penalty = _BORDER * self.at_border + _NO_ARCH * (not self.arched)
-        return self.size_score - penalty - _SURROUNDING * (self.surrounds >= MOST_SURROUNDED)
+        return self.size_score - penalty - _SURROUNDING * self.surrounding
 
     def as_json(self) -> dict[str, Any]:
         """Return what the report shows of it."""
         return {
             "volume_mm3": round(self.volume_mm3, 4),
             "extents_mm": [round(float(v), 3) for v in self.extents_mm],
-            "holes": self.holes,
+            "holes": self.holes if self.possible else None,
             "at_border": self.at_border,
-            "log_likelihood": round(self.score, 2),
+            "log_likelihood": round(self.score, 2) if self.possible else None,
         }
 
 
-def _beyond(value: float, span: tuple[float, float]) -> float:
-    return float(max(0.0, np.log(span[0] / value), np.log(value / span[1])))
+def size_score(volume_mm3: float, extents_mm: Array) -> float:
+    """Return the log-likelihood of a volume and extents (3,): 0 within the published ranges, less beyond."""
+    lengths = [volume_mm3 ** (1.0 / 3.0), *extents_mm]
+    ranges = [[v ** (1.0 / 3.0) for v in USUAL_MM3], *_EXTENTS_MM]
+    away = [max(0.0, np.log(a / v), np.log(v / b)) for v, (a, b) in zip(lengths, ranges, strict=True)]
+    return -0.5 * float(np.sum(np.square(np.array(away) / _SPREAD)))
 
 
-def label_pieces(mask: Mask, spacing_mm: Array) -> tuple[NDArray[np.int32], list[Piece]]:
-    """Label the connected pieces (faces touching) of a mask [z, y, x] and describe those worth a look.
+def label_pieces(mask: Mask, grid: Grid) -> list[Piece]:
+    """Return the connected pieces (faces touching) of a mask [z, y, x] that are worth a look.
 
-    Returns
-    -------
-    labels : ndarray of int32, [z, y, x]
-    pieces : list of Piece
-        From the largest to the smallest, nothing below 0.02 mm3.
+    From the largest to the smallest, nothing below 0.02 mm3.
     """
     import cc3d
 
     labels = np.zeros(mask.shape, dtype=np.int32)
     box = used_box(mask)
-    if box is None:
-        return labels, []
-    labels[box] = cc3d.connected_components(mask[box], connectivity=6, out_dtype=np.uint32)
-    return labels, describe_all(labels, spacing_mm)
+    if box is not None:
+        labels[box] = cc3d.connected_components(mask[box], connectivity=6, out_dtype=np.uint32)
+    return describe_all(labels, grid)
 
 
-def describe_all(labels: Labels, spacing_mm: Array) -> list[Piece]:
-    """Describe the pieces of labels [z, y, x] that are worth a look, from the largest to the smallest."""
+def describe_all(labels: Labels, grid: Grid, wanted: Sequence[int] | None = None) -> list[Piece]:
+    """Describe the pieces of labels [z, y, x] that are worth a look, from the largest to the smallest.
+
+    ``wanted``: their numbers, if not all are.
+    """
     from scipy.ndimage import find_objects
 
     count = np.bincount(labels.ravel())
-    voxel = float(np.prod(spacing_mm))
-    wanted = [int(k) for k in np.argsort(-count[1:]) + 1 if count[k] * voxel >= _LEAST_MM3]
-    boxes = find_objects(labels)
-    return [describe(labels, k, boxes[k - 1], spacing_mm) for k in wanted]
+    order = [int(k) for k in np.argsort(-count[1:]) + 1 if count[k] * grid.voxel_mm3 >= _LEAST_MM3]
+    boxes = find_objects(labels) if order else []
+    return [_describe(labels, k, boxes[k - 1], grid) for k in order if wanted is None or k in wanted]
 
 
-def describe(labels: Labels, label: int, box: tuple[slice, ...], spacing_mm: Array) -> Piece:
-    """Measure one piece of a labelled array inside its box of slices (z, y, x)."""
+def united(parts: Sequence[Piece]) -> Piece:
+    """Return several pieces as one, in a copy of their labels."""
+    labels = parts[0].labels.copy()
+    z, y, x = (
+        slice(min(part.box[k].start for part in parts), max(part.box[k].stop for part in parts))
+        for k in range(3)
+    )
+    inside = labels[z, y, x]
+    inside[np.isin(inside, [part.label for part in parts])] = parts[0].label
+    return _describe(labels, parts[0].label, (z, y, x), parts[0].grid)
+
+
+def _describe(labels: Labels, label: int, box: Slices, grid: Grid) -> Piece:
     inside = labels[box] == label
-    low = np.array([s.start for s in reversed(box)], dtype=np.int64)
-    high = np.array([s.stop for s in reversed(box)], dtype=np.int64)
     place = np.flatnonzero(inside)
     some = place[:: max(1, place.size // 100_000)]
-    points = np.stack(np.unravel_index(some, inside.shape)[::-1], axis=1) * spacing_mm
-    centre = points.mean(axis=0)
-    vectors = np.linalg.eigh(np.cov((points - centre).T) if len(points) > 3 else np.eye(3))[1]
-    extents = np.sort(np.ptp(points @ vectors, axis=0) + spacing_mm.mean())[::-1]
-    return Piece(
-        label=label,
-        low=low,
-        high=high,
-        volume_mm3=place.size * float(np.prod(spacing_mm)),
-        extents_mm=extents,
-        centre=centre / spacing_mm + low,
-        at_border=bool(np.any(low == 0) or np.any(high == np.array(labels.shape[::-1]))),
-    )
-
-
-def classify(labels: Labels, piece: Piece, spacing_mm: Array, others: bool = True) -> Piece:
-    """Count the holes of a piece of labels [z, y, x], and see whether it surrounds other bone."""
-    inside = labels[piece.box] == piece.label
-    if piece.holes is None:
-        piece = with_holes(piece, inside, spacing_mm)
-    if others and piece.arched and piece.surrounds == 0.0:
-        piece = replace(piece, surrounds=_surrounded(labels, piece))
-    return piece
-
-
-def with_holes(piece: Piece, inside: Mask, spacing_mm: Array) -> Piece:
-    """Return a piece with the holes of its solid [z, y, x] counted.
-
-    Notes
-    -----
-    A hole through the footplate is narrower than the one between the crura, and a closing by a ball fills it
-    alone. What bridges the gap to another bone makes a hole too, but one that is no wider than such gaps.
-    """
-    holes = count_holes(inside)
-    if not 2 <= holes <= _MOST_HOLES or not piece.usual:
-        return replace(piece, holes=holes)
-    padded = np.pad(inside, int(np.ceil(_PERFORATION_MM / float(np.min(spacing_mm)))) + 1)
-    perforated = count_holes(closed(padded, spacing_mm, _PERFORATION_MM)) == 1
-    perforated = perforated and count_holes(closed(padded, spacing_mm, HALF_GAP_MM)) > 1
-    return replace(piece, holes=holes, perforated=perforated)
+    index = np.stack(np.unravel_index(some, inside.shape)[::-1], axis=1)
+    points = index * grid.spacing_mm
+    vectors = np.linalg.eigh(np.cov(points.T) if len(points) > 3 else np.eye(3))[1]
+    extents = np.sort(np.ptp(points @ vectors, axis=0) + grid.spacing_mm.mean())[::-1]
+    centre = grid.scan_points((index.mean(axis=0) + starts(box))[None])[0]
+    return Piece(label, labels, grid, box, place.size * grid.voxel_mm3, extents, centre)
 
 
 def count_holes(inside: Mask) -> int:
@@ -228,11 +235,11 @@ def count_holes(inside: Mask) -> int:
     return int(1 + cavities - euler_number(smooth, connectivity=3))
 
 
-def _surrounded(labels: Labels, piece: Piece) -> float:
+def _surrounded(piece: Piece) -> float:
     """Return the volume of other pieces within the convex hull of one, as a share of its own."""
     from scipy.spatial import ConvexHull, QhullError
 
-    part = labels[piece.box][::2, ::2, ::2]
+    part = piece.labels[piece.box][::2, ::2, ::2]
     own, other = np.argwhere(part == piece.label), np.argwhere((part > 0) & (part != piece.label))
     if len(other) == 0 or len(own) < 50:
         return 0.0

@@ -4,44 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from ct_inertia.bodies import Box, Grey, Mask, PlateRegion
+from ct_inertia.bodies import Box, PlateRegion
 from ct_inertia.calibrated import calibrated
-from ct_inertia.find.box import from_coarse
-from ct_inertia.find.distance import capped_distance, used_box
 from ct_inertia.find.overview import Overview, smooth_noise
-from ct_inertia.find.pieces import Piece
+from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.distance import capped_distance
+from ct_inertia.voxels.fields import Grey, smooth
+from ct_inertia.voxels.grid import Grid
+from ct_inertia.voxels.masks import Mask, eroded, grown, used_box, widened
 from stapeskit.arrays import Array
 
-_LEAST_MM3 = calibrated("plate_region.least_mm3")
+_LEAST_MM3 = 0.5  # of a plate; one of millimetres has several
 _RIM_MM = calibrated("plate_region.rim_mm")
 _BALL_MM = 0.06  # radius of a ball that a plate holds and a blurred rim does not
-_GRID_MM = (
-    0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer one
-)
+_GRID_MM = 0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer
 _LEAST_DEEP = 300  # voxels of pure plastic or air from which a mean is taken
 _SMOOTH_VOXELS = 0.7  # about the least that leaves no stairs of voxels in the surface
 _COLLAR_MM, _MOST_COVERED = 0.15, 0.7  # a plate covers the footplate and some of what stands beside it
 
 
-def find_plate(
-    scan: Scan,
-    overview: Overview,
-    levels: tuple[float, float | None, float],
-    between: float,
-    stapes: tuple[Mask, Piece],
-) -> PlateRegion | None:
+def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -> PlateRegion | None:
     """Find the largest body of plastic grey that is no blurred rim of bone; None where there is none.
 
-    Parameters
-    ----------
-    scan : Scan
-    overview : Overview
-    levels : (air, plastic, bone)
-    between : float
-        Grey value above which a voxel is bone.
-    stapes : (ndarray of bool, Piece)
-        The stapes in coarse voxels [z, y, x].
+    ``stapes`` [z, y, x] in coarse voxels.
 
     Notes
     -----
@@ -50,129 +36,74 @@ def find_plate(
     """
     import cc3d
 
-    from ct_inertia.grey.fields import smooth
-    from ct_inertia.grey.start import eroded, grown
-
-    air, plastic, bone = levels
-    if plastic is None:
+    if reading.plastic is None:
         return None
-    thin = max(1, int(_GRID_MM / float(overview.spacing_mm.mean())))
+    thin = max(1, int(_GRID_MM / float(overview.grid.spacing_mm.mean())))
     some = (slice(thin // 2, None, thin),) * 3
-    spacing, step = overview.spacing_mm * thin, overview.step * thin
-    first = overview.step // 2 + (thin // 2) * overview.step
     grey = np.ascontiguousarray(overview.grey[some])
-    solid = smooth_noise(grey, overview.noise / (bone - air)) > np.float32(between)
-    from_bone = capped_distance(solid, spacing, 2.0 * _RIM_MM)
+    first = overview.grid.block // 2 + (thin // 2) * overview.grid.block
+    grid = Grid.of(scan, grey.shape, np.zeros(3, dtype=np.int64), overview.grid.block * thin, first)
+    solid = smooth_noise(grey, overview.noise / reading.contrast) > np.float32(reading.between)
+    from_bone = capped_distance(solid, grid.spacing_mm, 2.0 * _RIM_MM)
     soft = smooth(grey, np.full(3, _SMOOTH_VOXELS))
-    middle = np.float32(0.5 * (air + plastic))
+    middle = np.float32(0.5 * (reading.air + reading.plastic))
     free = (soft > middle) & (from_bone > np.float32(_RIM_MM))
     if overview.unmeasured is not None:
         free &= ~overview.unmeasured[some]
     labels = cc3d.connected_components(grown(eroded(free)) & free, connectivity=6)
     sizes = np.bincount(labels.ravel())
-    if sizes.size < 2 or sizes[1:].max() * float(np.prod(spacing)) < _LEAST_MM3:
+    if sizes.size < 2 or sizes[1:].max() * grid.voxel_mm3 < _LEAST_MM3:
         return None
     core = labels == int(np.argmax(sizes[1:])) + 1
-    wide = _RIM_MM + float(spacing.max())
-    mask = (capped_distance(core, spacing, 1.5 * wide) <= np.float32(wide)) & (soft > middle) & ~solid
-    plastic = _mean_inside(grey, core & (from_bone > np.float32(1.5 * _RIM_MM)), plastic)
-    air = _mean_inside(grey, (soft < middle) & (from_bone > np.float32(1.5 * _RIM_MM)), air)
-    return _region(
-        scan,
-        grey,
-        (mask, solid),
-        (air, plastic),
-        (first, step),
-        _surrounds(mask, solid, stapes, some, spacing),
-    )
+    wide = _RIM_MM + float(grid.spacing_mm.max())
+    away = capped_distance(core, grid.spacing_mm, 1.5 * wide)
+    mask = (away <= np.float32(wide)) & (soft > middle) & ~solid
+    deep = from_bone > np.float32(1.5 * _RIM_MM)
+    plastic = _mean_inside(grey[core & deep], reading.plastic)
+    air = _mean_inside(grey[(soft < middle) & deep], reading.air)
+    box = widened(used_box(mask), 3)
+    share = (soft[box] - np.float32(air)) / np.float32(plastic - air)
+    inside = grown(grown(mask[box])) & ~grown(solid[box])
+    field = np.where(inside, np.clip(share, -1.0, 1.0), np.minimum(share, 0.0)) - np.float32(0.5)
+    immersing = _surrounds(mask, solid, stapes[some], grid.spacing_mm)
+    return PlateRegion(mask[box], field.astype(np.float32), grid.part(box), air, plastic, immersing)
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
     """Return the plate's voxels on the grid of a box: what a ball fits in, as no blurred rim of bone."""
-    from ct_inertia.grey.start import grown
-
-    there = from_coarse(box, grown(region.mask), region.first, region.step)
+    there = box.taken(grown(region.mask), region.grid, repeat=True)
     there &= (quiet > np.float32(0.5 * (region.air + region.plastic))) & ~bone
     edge = float(box.spacing_mm.max())
     radius = max(_BALL_MM, 1.5 * edge)
     core = there & (capped_distance(~there, box.spacing_mm, 1.2 * radius) > np.float32(radius))
-    return np.asarray(
-        there & (capped_distance(core, box.spacing_mm, radius + 2.0 * edge) <= np.float32(radius + edge))
-    )
+    near = capped_distance(core, box.spacing_mm, radius + 2.0 * edge) <= np.float32(radius + edge)
+    return np.asarray(there & near)
 
 
-def mask_region(scan: Scan, plate: Mask, first: np.ndarray) -> PlateRegion | None:
-    """Return the region of a plate that labels name; ``first``: index in the scan of their first voxel."""
-    from ct_inertia.grey.fields import smooth
-
+def drawn_plate(plate: Mask, grid: Grid) -> PlateRegion | None:
+    """Return the region of a plate that labels [z, y, x] on a grid name; None where there is none."""
     used = used_box(plate)
     if used is None:
         return None
-    wide = tuple(slice(max(0, part.start - 3), part.stop + 3) for part in used)
-    mask = plate[wide]
-    first = first + np.array([part.start for part in wide[::-1]])
+    box = widened(used, 3)
+    mask = plate[box]
     field = smooth(mask.astype(np.float32), np.full(3, 0.8)) - np.float32(0.5)
-    transform = scan.scan_from_index.copy()
-    transform[:3, 3] = scan.scan_points(first)
-    end = first + np.array(mask.shape[::-1])
-    one = np.ones(3, dtype=np.int64)
-    return PlateRegion(mask, field, transform, first == 0, end >= scan.size, 0.0, 1.0, first, one)
+    return PlateRegion(mask, field, grid.part(box), 0.0, 1.0)
 
 
-def _region(
-    scan: Scan,
-    grey: Grey,
-    masks: tuple[Mask, Mask],
-    levels: tuple[float, float],
-    grid: tuple[np.ndarray, np.ndarray],
-    immersing: bool,
-) -> PlateRegion | None:
-    """Return the plate on the box that holds it, with the field of its surface."""
-    from ct_inertia.grey.fields import smooth
-    from ct_inertia.grey.start import grown
-
-    (mask, solid), (air, plastic), (first, step) = masks, levels, grid
-    used = used_box(mask)
-    if used is None:
-        return None
-    part = tuple(slice(max(0, k.start - 3), k.stop + 3) for k in used)
-    share = (
-        smooth(np.ascontiguousarray(grey[part]), np.full(3, _SMOOTH_VOXELS)) - np.float32(air)
-    ) / np.float32(plastic - air)
-    inside = grown(grown(mask[part])) & ~grown(solid[part])
-    field = np.where(inside, np.clip(share, -1.0, 1.0), np.minimum(share, 0.0)) - np.float32(0.5)
-    start = np.array([k.start for k in part[::-1]])
-    end = np.minimum(np.array([k.stop for k in part[::-1]]), np.array(grey.shape[::-1]))
-    transform = scan.scan_from_index.copy()
-    transform[:3, :3] = transform[:3, :3] * step
-    transform[:3, 3] = scan.scan_points(first + start * step)
-    begins, ends = np.asarray(start == 0), np.asarray(end == np.array(grey.shape[::-1]))
-    cell = first + start * step
-    return PlateRegion(
-        mask[part], field.astype(np.float32), transform, begins, ends, air, plastic, cell, step, immersing
-    )
-
-
-def _surrounds(
-    plastic: Mask, bone: Mask, stapes: tuple[Mask, Piece], some: tuple[slice, ...], spacing: Array
-) -> bool:
+def _surrounds(plastic: Mask, bone: Mask, stapes: Mask, spacing_mm: Array) -> bool:
     """Return whether plastic lies around the stapes on nearly all sides where no other bone does."""
-    own = stapes[0][some]
-    used = used_box(own)
-    if used is None:
-        return False
-    margin = np.ceil((_RIM_MM + _COLLAR_MM) / spacing[::-1]).astype(int) + 1
-    box = tuple(slice(max(0, k.start - m), k.stop + m) for k, m in zip(used, margin, strict=True))
-    away = capped_distance(own[box], spacing, 1.2 * (_RIM_MM + _COLLAR_MM))
-    other = capped_distance(bone[box] & ~own[box], spacing, 2.0 * _RIM_MM) <= np.float32(_RIM_MM)
+    box = widened(used_box(stapes), np.ceil((_RIM_MM + _COLLAR_MM) / spacing_mm[::-1]) + 1)
+    own = stapes[box]
+    away = capped_distance(own, spacing_mm, 1.2 * (_RIM_MM + _COLLAR_MM))
+    other = capped_distance(bone[box] & ~own, spacing_mm, 2.0 * _RIM_MM) <= np.float32(_RIM_MM)
     collar = (away > np.float32(_RIM_MM)) & (away <= np.float32(_RIM_MM + _COLLAR_MM)) & ~other
     seen = int(np.count_nonzero(collar))
     return bool(seen and np.count_nonzero(plastic[box] & collar) > _MOST_COVERED * seen)
 
 
-def _mean_inside(grey: Grey, deep: Mask, guess: float) -> float:
-    """Return the mean grey value of deep voxels without their extremes; the guess where they are few."""
-    values = grey[deep]
+def _mean_inside(values: Grey, guess: float) -> float:
+    """Return the mean of deep voxels (n,) without their extremes; the guess where they are few."""
     if values.size < _LEAST_DEEP:
         return guess
     low, high = np.percentile(values, (1.0, 99.0))

@@ -4,35 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.find.overview import Overview, material_levels
-from ct_inertia.find.pieces import Piece, classify, label_pieces, with_holes
+from ct_inertia.find.pieces import USUAL, Piece, label_pieces, size_score
+from ct_inertia.find.readings import readings
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
 
-if TYPE_CHECKING:
-    from ct_inertia.find.choose import Reading
-
 _PICTURE_MM = 10.0  # width of a picture in which bodies are described to find a wrong unit
-_SHOWN = 4  # bodies that a message lists
+_TRIED, _SHOWN = 6, 4  # bodies whose shape is looked at, and that a message lists
 _LENGTH_MM = 3.5  # of a stapes
 _UNITS = {1e-3: "micrometres", 10.0: "centimetres", 25.4: "inches", 1e3: "metres"}
 """What a spacing may have been given in, by the millimetres of one unit."""
 
 
-def no_stapes(
-    overview: Overview, tried: Sequence[tuple[Reading, NDArray[np.int32], list[Piece]]]
-) -> StapeskitError:
+def no_stapes(overview: Overview, tried: Sequence[Piece]) -> StapeskitError:
     """Return the error that no stapes was found, with its cause."""
-    size = np.array(overview.grey.shape[::-1]) * overview.spacing_mm
-    picture = " x ".join(f"{v:.3g}" for v in size)
-    voxel = " x ".join(f"{v:.4g}" for v in overview.spacing_mm / overview.step)
-    fault = _wrong_scale(overview, tried, picture, voxel)
+    grid = overview.grid
+    size, voxel = (
+        " x ".join(f"{v:.4g}" for v in lengths)
+        for lengths in (grid.size * grid.spacing_mm, grid.spacing_mm / grid.block)
+    )
+    picture = f"a picture of {size} mm with voxels of {voxel} mm"
+    fault = _wrong_scale(overview, picture)
     if fault is None and _is_inverted(overview):
         fault = Fault(
             "the grey values",
@@ -41,89 +38,59 @@ def no_stapes(
             next_step="Invert the image where it was exported",
         )
     if fault is None:
-        seen = sorted((p for _, _, found in tried for p in found), key=lambda p: -p.volume_mm3)[:_SHOWN]
+        seen = sorted(tried, key=lambda p: -p.volume_mm3)[:_SHOWN]
         listed = "; ".join(f"{p.volume_mm3:.3g} mm3, {p.length_mm:.3g} mm long" for p in seen) or "no bone"
         fault = Fault(
             "the scan",
             "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
-            f"a picture of {picture} mm with voxels of {voxel} mm, and in it {listed}",
+            f"{picture}, and in it {listed}",
             next_step="Check the voxel size (--spacing); name the body with --seed X,Y,Z (scan mm) or --box, "
             "or correct it with --labels",
         )
     return StapeskitError(fault)
 
 
-def _wrong_scale(
-    overview: Overview,
-    tried: Sequence[tuple[Reading, NDArray[np.int32], list[Piece]]],
-    picture: str,
-    voxel: str,
-) -> Fault | None:
+def _wrong_scale(overview: Overview, picture: str) -> Fault | None:
     """Recognise a body of the right shape and the wrong size, or a picture of the wrong size for an ear."""
-    from ct_inertia.find.choose import readings
-
-    width = float(np.min(overview.spacing_mm * np.array(overview.grey.shape[::-1])))
-    for reading in {one for one, _, _ in tried} or set(readings(overview.levels, None)):
-        mask = overview.calm(reading.bone - reading.air) > np.float32(reading.between)
-        # In a picture of the size of an ear every body that can be a stapes is described.
-        pieces, found = label_pieces(mask, overview.spacing_mm * (_PICTURE_MM / width))
-        for piece in found[:6]:
+    grid = overview.grid
+    width = float(np.min(grid.spacing_mm * grid.size))
+    # In a picture of the size of an ear every body that can be a stapes is described.
+    scaled = replace(grid, spacing_mm=grid.spacing_mm * (_PICTURE_MM / width))
+    for reading in readings(overview.levels):
+        for piece in label_pieces(overview.above(reading.between, reading.contrast), scaled)[:_TRIED]:
             length = piece.length_mm * width / _PICTURE_MM
             scale = length / _LENGTH_MM
-            if 0.6 < scale < 1.7 or np.any(piece.low == 0):
-                continue
             change = _LENGTH_MM / piece.length_mm
-            shrunk = replace(
-                piece, volume_mm3=piece.volume_mm3 * change**3, extents_mm=piece.extents_mm * change
-            )
-            inside = pieces[piece.box] == piece.label
-            if shrunk.usual and with_holes(shrunk, inside, overview.spacing_mm / scale).arched:
-                return _scale_fault(length, scale, picture, voxel)
-    largest = float(np.max(np.array(overview.grey.shape[::-1]) * overview.spacing_mm))
-    if largest < 1.0 or largest > 500.0:
+            likely = size_score(piece.volume_mm3 * change**3, piece.extents_mm * change) > -USUAL
+            if likely and not (0.6 < scale < 1.7 or piece.at_border) and piece.holes == 1:
+                unit = next((factor for factor in _UNITS if 0.6 < scale * factor < 1.7), None)
+                times = unit or 1.0 / scale
+                guess = "" if unit is None else f"; the spacing may be in {_UNITS[unit]}"
+                return Fault(
+                    "the voxel spacing",
+                    "right, in millimetres: a stapes is 3 to 4 mm high",
+                    f"{picture} and a body of its shape {length:.3g} mm high{guess}",
+                    next_step=f"Correct it with --spacing (about {times:.3g} times the present one)",
+                )
+    if not 1.0 < float(np.max(grid.spacing_mm * grid.size)) < 500.0:
         return Fault(
             "the voxel spacing",
             "in millimetres: a scan of a stapes is 4 to 100 mm wide",
-            f"a picture of {picture} mm with voxels of {voxel} mm",
+            picture,
             next_step="State the voxel size in mm with --spacing",
         )
     return None
 
 
-def _scale_fault(length_mm: float, scale: float, picture: str, voxel: str) -> Fault:
-    unit = next((factor for factor in _UNITS if 0.6 < scale * factor < 1.7), None)
-    guess = "" if unit is None else f"; the spacing may be in {_UNITS[unit]}"
-    times = 1.0 / scale if unit is None else unit
-    return Fault(
-        "the voxel spacing",
-        "right, in millimetres: a stapes is 3 to 4 mm high",
-        f"a picture of {picture} mm with voxels of {voxel} mm and a body of its shape {length_mm:.3g} mm "
-        f"high{guess}",
-        next_step=f"Correct it with --spacing (about {times:.3g} times the present one)",
-    )
-
-
 def _is_inverted(overview: Overview) -> bool:
     """Return whether the grey values, turned over, show a stapes."""
-    from ct_inertia.find.choose import readings
-
     grey = -overview.grey
-    try:
-        levels = material_levels(grey, overview.noise, overview.voxel_mm3, overview.unmeasured)
-    except StapeskitError:
-        return False
-    if len(levels) < 2:
-        return False
-    for reading in readings(levels, None):
-        pieces, found = label_pieces(grey > np.float32(reading.between), overview.spacing_mm)
-        for piece in found:
-            if (
-                piece.usual
-                and not np.any(piece.low == 0)
-                and classify(pieces, piece, overview.spacing_mm).arched
-            ):
-                return True
-    return False
+    levels = material_levels(grey, overview.noise, overview.grid.voxel_mm3, overview.unmeasured)
+    return any(
+        piece.possible and piece.whole_stapes
+        for reading in (readings(levels) if len(levels) > 1 else ())
+        for piece in label_pieces(grey > np.float32(reading.between), overview.grid)
+    )
 
 
 def no_bone_at_seed(seed_mm: Array | None) -> StapeskitError:
@@ -137,11 +104,11 @@ def no_bone_at_seed(seed_mm: Array | None) -> StapeskitError:
     )
 
 
-def rivals_fault(equal: Sequence[tuple[Piece, Array]]) -> Fault:
-    """Return the fault that several bodies can be the stapes equally well; each with its place in scan mm."""
+def rivals_fault(equal: Sequence[Piece]) -> Fault:
+    """Return the fault that several bodies can be the stapes equally well."""
     listed = "; ".join(
-        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm"
-        for piece, place in equal[:_SHOWN]
+        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in piece.centre_mm)} mm"
+        for piece in equal[:_SHOWN]
     )
     return Fault(
         "the scan",
@@ -174,7 +141,7 @@ def unusual_notice(piece: Piece) -> tuple[Notice, ...]:
     """Return what speaks against a piece that was taken for the stapes."""
     extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
     size = f"{piece.volume_mm3:.2f} mm3, {extents} mm"
-    if piece.holes is not None and piece.holes != 1 and not piece.perforated:
+    if not piece.arched:
         text = f"The body taken for the stapes has {piece.holes} holes, not one between its crura ({size})."
     elif not piece.usual:
         text = f"The body taken for the stapes is unusual for one ({size}): check it, and the voxel spacing."

@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ct_inertia.bodies import Box, Grey, Index, Mask, Separation
+from ct_inertia.bodies import Box, Separation
 from ct_inertia.calibrated import calibrated
-from ct_inertia.find.box import from_coarse, read_box
-from ct_inertia.find.distance import capped_distance, closed, used_box
+from ct_inertia.find.box import read_box
 from ct_inertia.find.necks import Neck, find_necks
 from ct_inertia.find.overview import Overview, smooth_noise
-from ct_inertia.find.pieces import (
-    HALF_GAP_MM,
-    MOST_SURROUNDED,
-    USUAL_MM3,
-    Piece,
-    classify,
-    describe,
-    describe_all,
-)
+from ct_inertia.find.pieces import HALF_GAP_MM, USUAL_MM3, Labels, Piece, describe_all, united
+from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.distance import capped_distance, closed
+from ct_inertia.voxels.fields import Grey, smooth
+from ct_inertia.voxels.masks import Mask, flood
 from stapeskit.arrays import Array
 
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 """From a gap without bridges to bridges so wide that they meet half way round."""
 
 _FEW_DEPTHS = 3  # for a body that is a whole stapes but for its size: a gap without bridges, and narrow ones
-_FINER_MM = calibrated("split.finer_mm")
+_REACH_MM = 4.0  # from a point that is known to be in the stapes to its other end
+_FINER_MM = 0.025  # grid on which bones are split where memory allows it: half of the narrowest gap
 _COARSEST_MM = 0.045  # grid on which a gap of 65 um is still seen
 _MOST_VOXELS = 12_000_000  # of a grid: 50 MB, and some seconds of watersheds
 _MARGIN = (0.1, 3)  # mm and voxels around the bones: their blur
@@ -45,7 +40,7 @@ _LEAST_UNITED_MM3, _MOST_UNITED = 0.05, 7  # parts that are put together by twos
 _NECK_SCORE = -50.0  # size score from which a part is looked at for necks: for time only
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Split:
     """One way to split a piece of bone.
 
@@ -58,98 +53,86 @@ class Split:
     sure : ndarray of bool, [z, y, x]
         Where they hold for certain: not along the gaps, where grey values decide.
     parts : tuple of Piece
-        From the largest to the smallest, in voxels of the grid.
+        From the largest to the smallest; the two sides of a neck first.
     depth_mm : float
         How far from the narrow gaps the parts still hang together by themselves.
     neck : Neck or None
         The plane, in mm from voxel 0, 0, 0 of the grid along its axes.
-    at_border : bool
-        What was cut off reaches the border of the scan.
     """
 
     grid: Box
-    labels: NDArray[np.int32]
+    labels: Labels
     sure: Mask
     parts: tuple[Piece, ...]
     depth_mm: float
     neck: Neck | None = None
-    at_border: bool = False
+
+    @property
+    def cropped(self) -> bool:
+        """What was cut off at a neck reaches the border of the scan."""
+        return self.neck is not None and self.parts[1].at_border
 
     def separation(self) -> Separation:
         """Return how the parts were separated."""
         if self.neck is None:
-            method = f"split along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
-            return Separation(method, bridge_mm=self.depth_mm)
-        axes = self.grid.scan_from_index[:3, :3] / self.grid.spacing_mm
-        normal = axes @ self.neck.normal
-        height = self.neck.height_mm + float(normal @ self.grid.scan_from_index[:3, 3])
+            return Separation(f"split along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um")
         method = f"cut at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
-        return Separation(method, normal, height, self.neck.area_mm2, cropped=self.at_border)
-
-    def centre_mm(self, piece: Piece) -> Array:
-        """Return the middle of a part, scan coordinates."""
-        return self.grid.scan_points(piece.centre[None])[0]
+        return Separation(method, at_neck=True)
 
 
 def splits(
-    scan: Scan,
-    overview: Overview,
-    pieces: NDArray[np.int32],
-    whole: Piece,
-    reading: tuple[float, float, float],
-    around_mm: Array | None = None,
+    scan: Scan, overview: Overview, whole: Piece, reading: Reading, around_mm: Array | None = None
 ) -> Iterator[Split]:
-    """Split one piece of the first look, on a finer grid, in every way that gaps and necks suggest.
+    """Split one piece of the first look, on a finer grid, in every way that necks and gaps suggest.
 
     Parameters
     ----------
     scan : Scan
     overview : Overview
-    pieces : ndarray of int32, [z, y, x]
-        Pieces in coarse voxels.
     whole : Piece
-        One of them.
-    reading : (air, bone, between)
-        Grey levels, and the one above which a voxel is bone.
+    reading : Reading
     around_mm : ndarray, (3,), optional
         A point in scan coordinates: only what lies within 4 mm of it is looked at.
 
     Yields
     ------
     Split
-        Nothing where the piece is too large for a grid on which gaps are seen.
+        Necks of the whole first; nothing where it is too large for a grid on which gaps are seen.
     """
-    low, high = whole.low * overview.step, np.minimum(whole.high * overview.step, scan.size)
+    low, high = whole.voxels
     if around_mm is not None:
-        middle, reach = scan.index_points(around_mm), 4.0 / scan.spacing_mm
+        middle, reach = scan.index_points(around_mm), _REACH_MM / scan.spacing_mm
         low = np.maximum(low, np.floor(middle - reach)).astype(np.int64)
         high = np.minimum(high, np.ceil(middle + reach)).astype(np.int64)
     size_mm = (high - low) * scan.spacing_mm + 2.0 * _MARGIN[0]
     edge = max(_FINER_MM, float(np.prod(size_mm) / _MOST_VOXELS) ** (1.0 / 3.0))
     if edge > _COARSEST_MM:
         return
-    grid = read_box(scan, low, high, edge, margin=_MARGIN)
-    air, bone, between = reading
-    noise = overview.noise / float(np.sqrt(np.prod(grid.block)))
-    grey = smooth_noise(grid.grey, noise / (bone - air))
-    share = (grey - np.float32(air)) / np.float32(bone - air)
-    solid = _of_the_whole(grey > np.float32(between), grid, pieces, whole, overview.step)
-    if whole.arched and whole.surrounds < MOST_SURROUNDED:
-        yield from _at_necks(grid, solid)
-    complete = whole.possible and whole.empty_arch and not whole.at_border
-    for way in _at_gaps(grid, share, solid, DEPTHS_MM[:_FEW_DEPTHS] if complete else DEPTHS_MM):
+    grid = read_box(scan, low, np.minimum(high, scan.size), edge, margin=_MARGIN)
+    noise = overview.noise / float(np.sqrt(np.prod(grid.block))) / reading.contrast
+    grey = smooth_noise(grid.grey, noise)
+    bone = _of_the_whole(grey > np.float32(reading.between), grid, whole)
+    share = (grey - np.float32(reading.air)) / np.float32(reading.contrast)
+    complete = whole.possible and whole.empty_arch
+    if complete:
+        labels = bone.astype(np.int32)
+        uncut = Split(grid, labels, bone, tuple(describe_all(labels, grid)[:1]), 0.0)
+        yield from _at_necks(uncut, uncut.parts)
+    few = complete and not whole.at_border
+    for way in _at_gaps(grid, share, bone, DEPTHS_MM[:_FEW_DEPTHS] if few else DEPTHS_MM):
         yield way
-        if not any(part.usual and part.arched for part in way.parts):
+        possible = [part for part in way.parts if part.possible]
+        if not any(part.usual and part.arched for part in possible):
             yield from _united(way)
-            yield from _necks_of_parts(way)
+            likely = sorted(possible, key=lambda part: -part.size_score)
+            yield from _at_necks(way, [p for p in likely if p.size_score > _NECK_SCORE and p.empty_arch])
 
 
-def _of_the_whole(bone: Mask, grid: Box, pieces: NDArray[np.int32], whole: Piece, step: Index) -> Mask:
+def _of_the_whole(bone: Mask, grid: Box, whole: Piece) -> Mask:
     """Leave out bone of other pieces that reaches into the box: its cut ends are nobody's shape."""
     import cc3d
 
-    first = step // 2
-    coarse = from_coarse(grid, pieces, first, step)
+    coarse = grid.taken(whole.labels, whole.grid)
     labels = cc3d.connected_components(bone, connectivity=6)
     count = int(labels.max()) + 1
     own = np.bincount(labels[bone & (coarse == whole.label)], minlength=count)
@@ -165,8 +148,6 @@ def _narrow_gaps(share: Grey, bone: Mask, spacing_mm: Array) -> Mask:
     Two levels are used: the middle one for gaps that are open in the image, a higher one for gaps of one or
     two voxels, which the blur fills.
     """
-    from ct_inertia.grey.fields import smooth
-
     valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
     clear = smooth(share, np.full(3, _CALM_VOXELS)) > np.float32(_VALLEY)
     open_gaps = closed(bone, spacing_mm, HALF_GAP_MM) & ~bone
@@ -184,91 +165,29 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
     cut, which an erosion deep enough for the bridge would do.
     """
     import cc3d
-    from skimage.segmentation import watershed
 
-    from ct_inertia.grey.start import grown
-
-    spacing = grid.spacing_mm
-    gaps = _narrow_gaps(share, bone, spacing)
-    used = used_box(bone)
-    if used is None or not gaps.any():
+    gaps = _narrow_gaps(share, bone, grid.spacing_mm)
+    if not gaps.any():
         return
-    voxel = grid.voxel_mm3
-    least = _LEAST_DEPTH_VOXELS * float(np.mean(spacing))
-    depth = capped_distance(gaps, spacing, DEPTHS_MM[-1] + least)
-    before: NDArray[np.int32] | None = None
+    least = _LEAST_DEPTH_VOXELS * float(np.mean(grid.spacing_mm))
+    depth = capped_distance(gaps, grid.spacing_mm, DEPTHS_MM[-1] + least)
+    labels: Labels | None = None
     for wanted in depths_mm:
         pieces = cc3d.connected_components(bone & (depth > np.float32(max(wanted, least))), connectivity=6)
-        sizes = np.bincount(pieces.ravel())
-        kept = sizes * voxel >= _LEAST_MARKER_MM3
+        kept = np.bincount(pieces.ravel()) * grid.voxel_mm3 >= _LEAST_MARKER_MM3
         kept[0] = False
-        count = int(np.count_nonzero(kept))
         markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[pieces]
-        if count < 2 or (before is not None and _already_apart(before, markers, count)):
+        if np.count_nonzero(kept) < 2 or (labels is not None and _same_parts(labels, markers)):
             continue
-        labels = markers.copy()
-        free = bone[used] & (markers[used] == 0)
-        # Only markers that touch what is still free can flood it.
-        active = bone[used] & grown(free)
-        flooded = watershed(-depth[used], np.where(active, markers[used], 0), mask=active)
-        labels[used][free] = flooded[free]
-        before = labels
-        yield _counted(Split(grid, labels, depth > np.float32(least), (), wanted))
+        labels = flood(-depth, markers, bone)
+        yield Split(grid, labels, depth > np.float32(least), tuple(describe_all(labels, grid)), wanted)
 
 
-def _already_apart(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
-    """Return whether no two markers are in the same part."""
+def _same_parts(labels: Labels, markers: Labels) -> bool:
+    """Return whether each part holds one marker, so that a flood from the markers gives the same parts."""
     marked = markers > 0
-    pairs = np.unique(labels[marked].astype(np.int64) * (count + 1) + markers[marked])
-    return bool(len(pairs) == count == len(np.unique(labels[labels > 0])))
-
-
-def _counted(way: Split) -> Split:
-    """Describe the parts of a split, and count the holes of those that can be a stapes."""
-    parts = describe_all(way.labels, way.grid.spacing_mm)
-    parts = [classify(way.labels, part, way.grid.spacing_mm) if part.possible else part for part in parts]
-    return replace(way, parts=tuple(_border(way.grid, part) for part in parts))
-
-
-def _border(grid: Box, part: Piece) -> Piece:
-    """Correct the border flag: the scan may go on beyond the grid."""
-    size = np.array(grid.shape[::-1])
-    cut = np.any((part.low == 0) & grid.begins) or np.any((part.high == size) & grid.ends)
-    return replace(part, at_border=bool(cut))
-
-
-def _at_necks(grid: Box, bone: Mask) -> Iterator[Split]:
-    """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
-    points = np.argwhere(bone)[:, ::-1] * grid.spacing_mm
-    z, y, x = (np.arange(n) * edge for n, edge in zip(bone.shape, grid.spacing_mm[::-1], strict=True))
-    for neck in find_necks(points, grid.spacing_mm):
-        normal = neck.normal
-        beyond = (normal[2] * z)[:, None, None] + (normal[1] * y)[:, None] + normal[0] * x > neck.height_mm
-        labels = bone.astype(np.int32)
-        labels[bone & beyond] = 2
-        boxes = [used_box(labels == k) for k in (1, 2)]
-        if boxes[0] is None or boxes[1] is None:
-            continue
-        left, cut = (
-            _border(grid, describe(labels, k, box, grid.spacing_mm))
-            for k, box in enumerate(boxes, 1)
-            if box is not None
-        )
-        if left.usual:
-            left = classify(labels, left, grid.spacing_mm, others=False)
-            yield Split(grid, labels, bone, (left, cut), 0.0, neck, cut.at_border)
-
-
-def _necks_of_parts(way: Split) -> Iterator[Split]:
-    """Cut the parts of a split that have one hole, the likeliest stapes first, at their necks."""
-    some = [part for part in way.parts if part.possible and part.empty_arch and part.size_score > _NECK_SCORE]
-    for piece in sorted(some, key=lambda part: -part.size_score):
-        name = int(way.labels.max()) + 1
-        for cut in _at_necks(way.grid, way.labels == piece.label):
-            labels = np.where(cut.labels == 2, np.int32(name), way.labels)
-            ends = [replace(part, label=k) for part, k in zip(cut.parts, (piece.label, name), strict=True)]
-            rest = [part for part in way.parts if part.label != piece.label]
-            yield Split(way.grid, labels, way.sure, (*ends, *rest), way.depth_mm, cut.neck, cut.at_border)
+    pairs = np.unique(labels[marked].astype(np.int64) * (int(markers.max()) + 1) + markers[marked])
+    return bool(len(pairs) == markers.max() == len(np.unique(labels[labels > 0])))
 
 
 def _united(way: Split) -> Iterator[Split]:
@@ -279,17 +198,24 @@ def _united(way: Split) -> Iterator[Split]:
     for some in (*combinations(parts, 2), *combinations(parts, 3)):
         if not USUAL_MM3[0] <= sum(part.volume_mm3 for part in some) <= USUAL_MM3[1]:
             continue
-        low, high = np.min([part.low for part in some], axis=0), np.max([part.high for part in some], axis=0)
-        box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
-        mask = np.isin(way.labels[box], [part.label for part in some])
-        pieces = np.bincount(cc3d.connected_components(mask, connectivity=6)[mask])
-        if pieces.max() < _WHOLE * pieces.sum():
-            continue
-        labels = way.labels.copy()
-        labels[box][mask] = some[0].label
-        piece = _border(way.grid, describe(labels, some[0].label, box, way.grid.spacing_mm))
-        if piece.usual:
-            piece = classify(labels, piece, way.grid.spacing_mm)
-            if piece.empty_arch:
-                rest = [part for part in way.parts if all(part is not one for one in some)]
-                yield replace(way, labels=labels, parts=(piece, *rest))
+        piece = united(some)
+        count = np.bincount(cc3d.connected_components(piece.inside, connectivity=6)[piece.inside])
+        if count.max() >= _WHOLE * count.sum() and piece.usual and piece.empty_arch:
+            rest = [part for part in way.parts if all(part is not one for one in some)]
+            yield replace(way, labels=piece.labels, parts=(piece, *rest))
+
+
+def _at_necks(way: Split, pieces: Sequence[Piece]) -> Iterator[Split]:
+    """Cut pieces of a split by a plane at each of their necks, where what is left can be a stapes."""
+    spacing = way.grid.spacing_mm
+    z, y, x = (np.arange(n) * edge for n, edge in zip(way.labels.shape, spacing[::-1], strict=True))
+    for piece in pieces:
+        rest = tuple(part for part in way.parts if part is not piece)
+        own, beyond = way.labels == piece.label, int(way.labels.max()) + 1
+        for neck in find_necks(np.argwhere(own)[:, ::-1] * spacing, spacing):
+            height = (neck.normal[2] * z)[:, None, None] + (neck.normal[1] * y)[:, None] + neck.normal[0] * x
+            labels = np.where(own & (height > neck.height_mm), np.int32(beyond), way.labels)
+            ends = {part.label: part for part in describe_all(labels, way.grid, (piece.label, beyond))}
+            if len(ends) == 2 and ends[piece.label].usual:
+                parts = (ends[piece.label], ends[beyond], *rest)
+                yield Split(way.grid, labels, way.sure, parts, way.depth_mm, neck)

@@ -8,8 +8,8 @@ import numpy as np
 
 from ct_inertia.bodies import Grey
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.cells import mean_by_cells
 from ct_inertia.grey.scene import SceneFit
-from ct_inertia.grey.start import mean_by_cells
 
 _DEEP = 0.999  # blurred share from which a voxel is bone alone: three widths of the blur below the surface
 _LEAST_DEEP = 200  # such voxels: cells of them have a scatter that can be used

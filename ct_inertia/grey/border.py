@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ct_inertia.bodies import BorderContact, Box, Grey, Mask, Moments
+from ct_inertia.bodies import BorderContact, Box, Grey, Grid, Mask, Moments
 from ct_inertia.grey.moments import sensitivity
-from ct_inertia.grey.start import grown
+from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
@@ -38,7 +38,7 @@ def border_contacts(stapes: Mask, box: Box) -> tuple[BorderContact, ...]:
     return tuple(contacts)
 
 
-def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Box, moments: Moments) -> Array:
+def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Grid, moments: Moments) -> Array:
     """Return the covariance (10, 10) of what the border cuts off the body, or leaves on it.
 
     Notes
@@ -55,7 +55,7 @@ def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Box, 
     return covariance
 
 
-def _blurred_area(contact: BorderContact, share: Grey, box: Box) -> float:
+def _blurred_area(contact: BorderContact, share: Grey, box: Grid) -> float:
     axis = "xyz".index(contact.axis)
     place = 0 if contact.end == "first" else share.shape[2 - axis] - 1
     layer = np.clip(np.take(share, place, axis=2 - axis), 0.0, 1.0)

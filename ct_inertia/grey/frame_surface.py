@@ -7,41 +7,25 @@ import numpy as np
 from ct_inertia.bodies import BodySurface, Grey
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone import BoneLevel
-from ct_inertia.grey.fields import local_ratio
 from ct_inertia.grey.scene import SceneFit
-from stapeskit.arrays import Array
+from ct_inertia.voxels.fields import local_ratio
 
 _RIM = (0.05, 0.95)
-_RIM_WIDTHS, _RIM_RISE = (
-    3.29,
-    0.9,
-)  # of a plane edge between these shares, in widths of the blur; and its rise
+_RIM_WIDTHS, _RIM_RISE = 3.29, 0.9  # of a plane edge between these shares: widths of the blur, and its rise
 _MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as common
 _MISFIT_HEIGHT = calibrated("surface.misfit_height")
 
 
-def body_surface(fit: SceneFit, level: BoneLevel, doubt: Grey | None, transform: Array) -> BodySurface:
-    """Return the surface of the stapes.
+def body_surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None = None) -> BodySurface:
+    """Return the surface of the stapes, or of other bone near it.
 
     Parameters
     ----------
     fit : SceneFit
+    name : str
     level : BoneLevel
-    doubt : ndarray of float32, [z, y, x], or None
+    doubt : ndarray of float32, [z, y, x], optional
         One standard deviation of what was subtracted, as a share of bone.
-    transform : ndarray, (4, 4)
-        Index x, y, z to scan coordinates, mm.
-    """
-    return _surface(fit, "stapes", level, doubt, transform)
-
-
-def wall_surface(fit: SceneFit, level: BoneLevel, transform: Array) -> BodySurface | None:
-    """Return the surface of other bone near the stapes; None where there is none."""
-    return _surface(fit, "other", level, None, transform) if "other" in fit.bodies else None
-
-
-def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, transform: Array) -> BodySurface:
-    """Return the surface of one body.
 
     Notes
     -----
@@ -53,7 +37,6 @@ def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, tra
     begin = fit.start
     contrast = fit.contrasts[name]
     noise = begin.noise / contrast
-    voxel = abs(float(np.linalg.det(transform[:3, :3])))
     thick = _RIM_WIDTHS * fit.sigma_mm
     window = fit.windows[name]
     where = fit.side(name)[window]
@@ -63,15 +46,13 @@ def _surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None, tra
     square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
     local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
-    placed = transform.copy()
-    placed[:3, 3] += transform[:3, :3] @ np.array([part.start for part in window[::-1]], dtype=float)
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
     relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
     return BodySurface(
         field=shown,
-        scan_from_index=placed,
+        scan_from_index=begin.grid.part(window).scan_from_index,
         blur_mm=0.0,
-        noise_mm4=noise**2 * begin.correlation * voxel * thick / _RIM_RISE**2,
+        noise_mm4=noise**2 * begin.correlation * begin.grid.voxel_mm3 * thick / _RIM_RISE**2,
         correlation_mm=float(np.sqrt(2.0)) * fit.sigma_mm,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,

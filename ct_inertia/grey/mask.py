@@ -6,9 +6,9 @@ import numpy as np
 
 from ct_inertia.bodies import BodySurface, Labelled, Mask, MeasuredBody
 from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
-from ct_inertia.grey.fields import smooth
 from ct_inertia.grey.moments import common, voxel_moments
-from ct_inertia.grey.start import eroded, grown
+from ct_inertia.voxels.fields import smooth
+from ct_inertia.voxels.masks import eroded, grown
 
 _SMOOTH_VOXELS = 0.8  # of a mask for its surface: it rounds the stairs of voxels
 _THRESHOLD_SD = 1.0 / np.sqrt(
@@ -43,7 +43,6 @@ def measure_mask(labelled: Labelled) -> MeasuredBody:
         moments=moments,
         surface=mask_surface(labelled.stapes, labelled),
         wall=mask_surface(labelled.other, labelled) if labelled.other.any() else None,
-        border=contacts,
         evidence={"bone_from": "mask"},
         notices=tuple(notices),
     )

@@ -12,8 +12,8 @@ import numpy as np
 
 from ct_inertia.bodies import Grey, Mask, Moments
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.cells import by_cells, mean_by_cells
 from ct_inertia.grey.scene import SceneFit
-from ct_inertia.grey.start import by_cells, mean_by_cells
 from stapeskit.warnings import Notice
 
 _CELL_VOXELS = 8
@@ -94,24 +94,33 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
     return found
 
 
-def misfit_notice(found: list[PlaceMisfit]) -> Notice | None:
-    """Return one warning for all residuals that stand out; None where none does."""
-    standing = [one for one in found if one.stands_out]
+def misfit_notice(found: list[PlaceMisfit], coat: float = 0.0, bend: float = 0.0) -> list[Notice]:
+    """Return one warning for all residuals that stand out.
+
+    ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
+    ``bend``: of the grey scale, by its noise.
+    """
+    standing = [str(one) for one in found if one.stands_out]
+    if bend:
+        standing.append(f"a noise in air that is {(1.0 + bend) / (1.0 - bend):.2f} times that in bone")
     if not standing:
-        return None
+        return []
     text = (
         "The grey values around the stapes are not those of two sharp materials: the model leaves "
-        f"{'; '.join(map(str, standing))}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping "
-        "or soft tissue do that. It is not corrected; the budget holds its size (misfit). Look at the "
+        f"{'; '.join(standing)}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping or soft "
+        "tissue do that. It is not corrected; the budget holds its size (misfit, grey_scale). Look at the "
         "slices of the report."
     )
-    return Notice("grey_values_misfit", text)
+    if coat:
+        text += (
+            f" A mucosa fits them better and would take {100.0 * coat:.1f} % off the volume, which the "
+            "budget holds (coat): state it with --coat, or remove it and scan again."
+        )
+    return [Notice("grey_values_misfit", text)]
 
 
 def _places(fit: SceneFit) -> dict[str, Mask]:
-    share = fit.shares["stapes"]
-    reach = fit.start.distances["stapes"] <= np.float32(fit.start.reach_mm)
-    own = fit.side("stapes") & reach & fit.start.near
+    share, own = fit.shares["stapes"], fit.own & fit.start.near
     void = own & fit.media.voids if fit.media.voids is not None else np.zeros_like(own)
     return {
         "void": void,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,18 +87,21 @@ def common(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
     return np.outer(step, step)
 
 
-def by_octants(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of an amount wrong by its size, each eighth of the space by itself."""
+def octants(shape: tuple[int, ...], scan_from_index: Array, moments: Moments) -> list[tuple[slice, ...]]:
+    """Return the eight parts of an array [z, y, x] around the centroid, as slices with both ends."""
     back = np.linalg.inv(scan_from_index)
     index = back[:3, :3] @ moments.centroid_mm + back[:3, 3]
-    middle = np.clip(np.rint(index[::-1]).astype(int), 1, np.array(amount.shape) - 1)
+    middle = np.clip(np.rint(index[::-1]).astype(int), 1, np.array(shape) - 1)
+    halves = [(slice(0, int(m)), slice(int(m), n)) for m, n in zip(middle, shape, strict=True)]
+    return list(product(*halves))
+
+
+def by_octants(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
+    """Return the covariance (10, 10) of an amount wrong by its size, each eighth of the space by itself."""
     covariance = np.zeros((10, 10))
-    for octant in range(8):
-        upper = [bool(octant >> axis & 1) for axis in range(3)]
-        part = tuple(slice(m, None) if up else slice(0, m) for up, m in zip(upper, middle, strict=True))
-        start = np.where(upper, middle, 0)[::-1]
+    for part in octants(amount.shape, scan_from_index, moments):
         moved = scan_from_index.copy()
-        moved[:3, 3] += scan_from_index[:3, :3] @ start
+        moved[:3, 3] += scan_from_index[:3, :3] @ np.array([along.start for along in part[::-1]])
         covariance += common(amount[part], moved, moments)
     return covariance
 

@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ct_inertia.bodies import Grey, Mask
 from ct_inertia.calibrated import calibrated
-from ct_inertia.find.distance import used_box
-from ct_inertia.grey.fields import blur, local_ratio, share_above, smooth
 from ct_inertia.grey.media import Media
 from ct_inertia.grey.start import Start
 from ct_inertia.grey.storing import Storing
+from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above, smooth
+from ct_inertia.voxels.masks import Mask, used_box, widened
 
 _ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
 _BLUR_ROUNDS = (1, 3, 5)  # rounds after which the blur is fitted
@@ -75,10 +74,15 @@ class SceneFit:
     bodies: dict[str, Grey] = field(default_factory=dict)
     levels: dict[str, Grey] = field(default_factory=dict)
     fields: dict[str, Grey] = field(default_factory=dict)
-    model: Grey = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=np.float32))
-    residual: Grey = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=np.float32))
+    model: Grey = field(init=False)
+    residual: Grey = field(init=False)
     slopes: list[float] = field(default_factory=list)
     windows: dict[str, Window] = field(default_factory=dict)
+
+    @property
+    def own(self) -> Mask:
+        """Voxels whose grey values count as the stapes' own."""
+        return self.side("stapes") & self.start.within_reach
 
     @property
     def names(self) -> list[str]:
@@ -128,10 +132,7 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
 
 def _window(start: Start, name: str) -> Window:
     """Return the box of the voxels that a body's blur reaches near the stapes."""
-    used = used_box(start.near & (start.distances[name] < np.float32(start.reach_mm)))
-    if used is None:
-        return (slice(0, 3),) * 3
-    return tuple(slice(max(0, part.start - 1), part.stop + 1) for part in used)
+    return widened(used_box(start.near & (start.distances[name] < np.float32(start.reach_mm))), 1)
 
 
 def _calm(fit: SceneFit) -> Grey:
@@ -144,7 +145,7 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
     """Put the surface of a body where its own grey values pass the local level."""
     window = fit.windows[name]
     above = calm[window] - fit.bones(name, window)
-    above -= fit.media.image(window)
+    above -= fit.media.image[window]
     above *= np.float32(1.0 / fit.contrasts[name])
     above -= fit.levels[name]
     if name == "plate":
@@ -156,7 +157,7 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
 
 
 def _compare(fit: SceneFit) -> None:
-    fit.model = fit.bones() + fit.media.image(EVERYWHERE)
+    fit.model = fit.bones() + fit.media.image
     if fit.storing is not None:
         fit.data = fit.start.grey - np.float32(fit.start.air)
         fit.data -= fit.storing.change(fit.model + np.float32(fit.start.air))
@@ -167,9 +168,7 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     """Scale contrasts by data over model deep inside; return whether the stapes' is settled."""
     for name in fit.names:
         window = fit.windows[name]
-        inner = (
-            fit.start.near[window] & fit.side(name)[window] & (fit.shares[name][window] > np.float32(_INNER))
-        )
+        inner = (fit.start.near & fit.side(name))[window] & (fit.shares[name][window] > np.float32(_INNER))
         if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
             continue
         data, model = fit.data[window][inner], fit.model[window][inner]

@@ -1,4 +1,4 @@
-"""What the separation from other bodies leaves uncertain: tails of the blur, a border through bone."""
+"""The border of the stapes through bone: where it runs, and what it leaves uncertain."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ct_inertia.bodies import Box, Grey, Labelled, Mask, Moments
+from ct_inertia.bodies import Labelled, Mask, Moments
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.moments import by_octants, sensitivity
+from ct_inertia.grey.moments import sensitivity
+from ct_inertia.grey.start import Start
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-_TAIL_SD = calibrated("separation.tail_sd")
 _BRIDGE_SD_MM = calibrated("separation.bridge_sd_mm")
 _NECK_SD_MM = calibrated("separation.neck_sd_mm")
 _SOLID = 0.8  # way from the middle level to bone at which a voxel of the border is full of bone
@@ -65,24 +65,17 @@ class BoneBorder:
         return notices
 
 
-def tails_covariance(foreign: Grey, behind: Grey, transform: Array, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of what blur carries between close bodies.
-
-    ``foreign``: share of other bodies' blur on the stapes' side; ``behind``: of the stapes' own on the other.
-    Each is known to a calibrated share of itself, eighths of the space around independently.
-    """
-    total = by_octants(foreign, transform, moments) + by_octants(behind, transform, moments)
-    return np.asarray(_TAIL_SD**2 * total)
-
-
-def bone_border(labelled: Labelled, own: Mask, levels: tuple[float, float], moments: Moments) -> BoneBorder:
+def bone_border(
+    labelled: Labelled, begin: Start, own: Mask, levels: tuple[float, float], moments: Moments
+) -> BoneBorder:
     """Return where the border runs through bone, and what that leaves uncertain.
 
     Parameters
     ----------
     labelled : Labelled
+    begin : Start
     own : ndarray of bool, [z, y, x]
-        The stapes' side of the border, on the box.
+        The stapes' side of the border.
     levels : (air, bone)
     moments : Moments
 
@@ -95,20 +88,21 @@ def bone_border(labelled: Labelled, own: Mask, levels: tuple[float, float], mome
     """
     import cc3d
 
-    box: Box = labelled.box
+    grid = begin.grid
     air, full = levels
     middle = 0.5 * (air + full)
-    neck = labelled.separation.neck_normal is not None
-    bodies = (labelled.stapes | labelled.other) & (box.grey > np.float32(middle))
+    neck = labelled.separation.at_neck
+    stapes, other = (mask[begin.part] for mask in (labelled.stapes, labelled.other))
+    bodies = (stapes | other) & (begin.grey > np.float32(middle))
     edge = own & bodies & _across_faces(bodies & ~own)
     covariance = np.zeros((10, 10))
-    if not labelled.other.any() or not edge.any():
+    if not other.any() or not edge.any():
         return BoneBorder(0.0, 0.0, covariance, None, neck)
     patches = cc3d.connected_components(edge, connectivity=26)
-    points = box.scan_points(np.argwhere(edge)[:, ::-1])
-    part = (box.grey[edge].astype(float) - middle) / (_SOLID * (full - middle))
+    points = grid.scan_points(np.argwhere(edge)[:, ::-1])
+    part = (begin.grey[edge].astype(float) - middle) / (_SOLID * (full - middle))
     weight = np.clip(part, 0.0, 1.0) ** 3
-    edge_mm = box.voxel_mm3 ** (1.0 / 3.0)
+    edge_mm = grid.voxel_mm3 ** (1.0 / 3.0)
     sd_mm = float(np.hypot(edge_mm, _NECK_SD_MM if neck else _BRIDGE_SD_MM))
     steps = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0) * edge_mm**2 * sd_mm
     owner = patches[edge]

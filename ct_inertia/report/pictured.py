@@ -132,8 +132,8 @@ def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = 
 
 def _plate_of(labels: NDArray[np.integer[Any]], grid: Scan) -> Surface | None:
     """Return the surface of the plate as labelled, for the eye; None where there is none."""
-    from ct_inertia.grey.fields import smooth
     from ct_inertia.surface.contour import contour
+    from ct_inertia.voxels.fields import smooth
 
     mask = labels == PLATE
     if not mask.any():
@@ -144,9 +144,9 @@ def _plate_of(labels: NDArray[np.integer[Any]], grid: Scan) -> Surface | None:
 def _slices(
     labels: NDArray[np.integer[Any]], grid: Scan, scan_file: Path, content: Mapping[str, Any]
 ) -> Slices:
-    from ct_inertia.find.distance import used_box
     from ct_inertia.options import MassOptions
     from ct_inertia.scan.open_scan import open_scan
+    from ct_inertia.voxels.masks import used_box
 
     given = content["provenance"]["parameters"]
     known = {key: given[key] for key in _READING if key in given}

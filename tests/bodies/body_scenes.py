@@ -82,13 +82,14 @@ def labelled(grey, spacing, stapes, other=None, plate=None, plastic=None, noise=
     nothing = np.zeros(grey.shape, dtype=bool)
     no = np.zeros(3, dtype=bool)
     box = Box(
-        grey,
-        np.zeros(3, dtype=np.int64),
-        np.ones(3, dtype=np.int64),
-        spacing,
-        transform,
-        no,
-        no,
+        shape=grey.shape,
+        first=np.zeros(3, dtype=np.int64),
+        block=np.ones(3, dtype=np.int64),
+        spacing_mm=spacing,
+        scan_from_index=transform,
+        begins=no,
+        ends=no,
+        grey=grey,
         measured=measured,
     )
     return Labelled(

@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.find.choose import readings
 from ct_inertia.find.find import Search, find_stapes
 from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import look_at, material_levels, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
+from ct_inertia.find.readings import readings
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
+from ct_inertia.voxels.distance import capped_distance
+from ct_inertia.voxels.grid import Grid
 from stapeskit.faults import StapeskitError
-from tests.bodies.body_scenes import ear, true_moments
+from tests.bodies.body_scenes import AIR, BONE, ear, true_moments
 
 ALONE = {"bone": False, "plate": False}
 SCENES = {
@@ -35,6 +37,23 @@ def test_ears_are_measured_within_the_stated_deviation(name):
     assert off < max(4.0 * found.volume_sd_mm3, 5e-4 * exact.volume_mm3)
     assert found.volume_sd_mm3 < 0.01 * exact.volume_mm3
     assert np.linalg.norm(found.centroid_mm - exact.centroid_mm) < 5e-3
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5])
+def test_bone_of_another_density_around_does_not_shift_the_surface(factor):
+    """The brightest material of the scan is not the stapes: its surface is half way up to its own bone."""
+    scan, placed = ear(gap_mm=0.12, plate=False)
+    grey = scan.read().astype(np.float32)
+    found = find_stapes(scan)
+    whole = Grid.of(scan, scan.shape, np.zeros(3), np.ones(3))
+    own = whole.taken(found.stapes, found.box)
+    around = capped_distance((grey > 0.5 * (AIR + BONE)) & ~own, scan.spacing_mm, 1.0)
+    around = around < capped_distance(own, scan.spacing_mm, 1.0)
+    grey[around] += (factor - 1.0) * (grey[around] - AIR)
+    found = measure(find_stapes(Scan.from_array(grey.astype(np.uint16), scan.spacing_mm))).moments
+    exact = true_moments(placed).volume_mm3
+    assert abs(found.volume_mm3 - exact) < max(4.0 * found.volume_sd_mm3, 5e-4 * exact)
+    assert found.volume_sd_mm3 < 0.01 * exact
 
 
 def first_fault(scan, search=None):
@@ -67,7 +86,7 @@ def test_two_bodies_that_can_be_the_stapes_are_refused_and_a_seed_chooses():
     found = measure(chosen).moments
     assert abs(found.volume_mm3 / true_moments(placed).volume_mm3 - 1.0) < 5e-3
     half = 0.5 * both.shape[2] * both.spacing_mm[0]
-    boxed = find_stapes(both, Search(box_mm=np.array([0, 0, 0, half, 100.0, 100.0])))
+    boxed = find_stapes(both.part(both.box_of(np.array([0, 0, 0, half, 100.0, 100.0]))))
     assert measure(boxed).moments.centroid_mm == pytest.approx(true_moments(placed).centroid_mm, abs=5e-3)
 
 
@@ -174,8 +193,9 @@ def test_holes_of_a_ring_a_ball_and_a_pair_of_spectacles():
     ring = (np.hypot(y, x) < 14) & (np.hypot(y, x) > 6) & (abs(z) < 4)
     other = (np.hypot(y, x - 24) < 14) & (np.hypot(y, x - 24) > 6) & (abs(z) < 4)
     assert [count_holes(ring), count_holes(ring | other), count_holes(np.hypot(y, x) < 8)] == [1, 2, 0]
-    labels, pieces = label_pieces(ring, np.full(3, 0.1))
-    assert [piece.label for piece in pieces] == [int(labels.max())]
+    grid = Grid.of(Scan.from_array(ring.astype(np.uint8), 0.1), ring.shape, np.zeros(3), np.ones(3))
+    pieces = label_pieces(ring, grid)
+    assert [(piece.label, piece.holes) for piece in pieces] == [(1, 1)]
 
 
 def test_the_neck_of_an_hourglass():

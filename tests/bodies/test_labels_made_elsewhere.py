@@ -8,10 +8,9 @@ from ct_inertia.find.find import find_stapes
 from ct_inertia.find.label_numbers import body_numbers
 from ct_inertia.find.labels import label_stapes
 from ct_inertia.grey.measure import measure
-from ct_inertia.grey.scale_ball import ball_diameter
 from ct_inertia.scan.scan import Scan
 from stapeskit.faults import StapeskitError
-from tests.bodies.body_scenes import Ball, ear, true_moments
+from tests.bodies.body_scenes import ear, true_moments
 
 PARTS = {"gap_mm": 0.12, "plate_gap_mm": 0.1}
 
@@ -124,14 +123,3 @@ def test_what_is_no_label_volume_is_refused(wrong):
         labels = np.roll(labels, 40, axis=2)
     with pytest.raises(StapeskitError):
         label_stapes(Scan.from_array(labels, scan.spacing_mm), scan)
-
-
-def test_a_ball_of_known_size_checks_the_voxel():
-    ball = Ball(radius=0.5, voxel=0.05, noise=0.02, margin=0.5)
-    scan = Scan.from_array(ball.grey(ball.share()), ball.spacing)
-    size, sd = ball_diameter(scan, ball.centre + 0.03, 1.0)
-    assert abs(size - 1.0) < 3.0 * sd
-    with pytest.raises(StapeskitError):
-        ball_diameter(scan, np.zeros(3), 1.0)
-    with pytest.raises(StapeskitError):
-        ball_diameter(scan, ball.centre, 0.2)

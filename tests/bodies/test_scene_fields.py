@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from ct_inertia.find.distance import capped_distance, closed, used_box
-from ct_inertia.grey.fields import blur, local_ratio, share_above, smooth
-from ct_inertia.grey.start import eroded, grown, mean_by_cells, noise_correlation
+from ct_inertia.grey.cells import mean_by_cells, noise_correlation
+from ct_inertia.voxels.distance import capped_distance, closed
+from ct_inertia.voxels.fields import blur, local_ratio, share_above, smooth
+from ct_inertia.voxels.masks import eroded, grown, used_box
 
 
 def test_smoothing_is_a_convolution():

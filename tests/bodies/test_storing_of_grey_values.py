@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ct_inertia.grey.storing import find_storing, stored_level
+from ct_inertia.grey.storing import Range, find_storing, stored_level
 from stapeskit.faults import StapeskitError
 
 
@@ -17,7 +17,7 @@ def test_levels_of_clipped_air_lie_within_their_deviation(low):
     z = []
     for seed in range(12):
         values = stored(np.random.default_rng(seed).normal(0.0, 100.0, 4000), low, 5000.0, 1.0)
-        level = stored_level(values, (low, 5000.0, 1.0))
+        level = stored_level(values, Range(low, 5000.0, 1.0))
         z.append(level.level / level.sd)
         assert level.noise == pytest.approx(100.0, rel=0.15)
     assert np.abs(z).max() < 4.0

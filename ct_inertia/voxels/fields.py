@@ -7,8 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Grey, Mask
+from ct_inertia.voxels.masks import Mask
 from stapeskit.arrays import Array
+
+Grey = NDArray[np.float32]
 
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
 _PRODUCT = 1 << 18  # multiplications of one matrix product up to which BLAS does not start threads

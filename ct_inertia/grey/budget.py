@@ -1,0 +1,123 @@
+"""The covariance of the moments by source: noise, blur, and every share of bone that may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from ct_inertia.bodies import Moments
+from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.media import USUAL_COAT, Media
+from ct_inertia.grey.moments import blur_covariance, by_octants, common, noise_covariance, octants
+from ct_inertia.grey.parts import StapesParts
+from ct_inertia.grey.scene import SceneFit, fit_scene
+from ct_inertia.voxels.fields import Grey
+from stapeskit.arrays import Array
+
+_BLUR_SD = calibrated("scene.blur_sd")
+_FLUID_SD = calibrated("media.fluid_sd")
+_SOFT_SD = calibrated("media.soft_sd")
+_TAIL_SD = calibrated("separation.tail_sd")
+_CLEARLY = 12.0  # log-likelihood by which a coat that nobody stated must fit better: 1 in 160 000
+_LEAST_BEND = 0.1  # of noises: a surface that follows noise takes up to 0.03 of that in bone
+_DEEP, _LEAST_DEEP = 0.95, 100  # share of bone, and independent voxels, that show its noise to 7 %
+
+
+def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
+    """Return what a usual coat changes of the stapes' share; None where it fits the scan no better.
+
+    Notes
+    -----
+    The logarithm of the ratio of likelihoods is half the difference of the sums of squares on the stapes'
+    side over the variance of the noise, times the voxels per independent one. A fluid lies on one side: each
+    eighth of the space around must fit better with the coat.
+    """
+    fit, begin = parts.fit, parts.fit.start
+    coated = fit_scene(begin, Media.around(begin, USUAL_COAT), fit.storing)
+    better = parts.where_own(np.square(fit.residual) - np.square(coated.residual))
+    gains = [float(better[part].sum(dtype=float)) for part in octants(better.shape, parts.transform, moments)]
+    if min(gains) <= 0.0 or sum(gains) < 2.0 * _CLEARLY * begin.noise**2 * begin.correlation:
+        return None
+    return parts.integrand - StapesParts.of(coated).integrand
+
+
+_AROUND = ("surroundings", "coat", "grey_scale")
+"""Sources that shift the surface of the stapes, and the footplate's frame with it."""
+
+Spread = Callable[[Grey, Array, Moments], Array]
+"""How an amount errs: everywhere alike (`common`), or each eighth of the space by itself (`by_octants`)."""
+
+
+Amount = tuple[str, Grey, Spread]
+"""Source, a share of bone that may be wrong by its own size, and how it errs."""
+
+
+def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: float) -> Iterator[Amount]:
+    """Yield every share of bone that may be wrong; ``misfit``: whether what the scene leaves stands out."""
+    fit, media, contrast = parts.fit, parts.fit.media, parts.level.contrast
+    bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
+    yield "levels", parts.where_own((1.0 - parts.excess) * np.float32(fit.start.air_sd / contrast)), common
+    yield "levels", parts.where_own(parts.excess * np.float32(bone_sd / contrast)), common
+    if parts.foreign.any():
+        for tail in (parts.foreign, parts.behind):
+            yield "separation", np.float32(_TAIL_SD) * tail, by_octants
+    if parts.soft.any():
+        for spread in (common, by_octants):
+            yield "surroundings", np.float32(_SOFT_SD / np.sqrt(2.0)) * parts.soft, spread
+    if media.touching is not None:
+        wet = fit.shares["plate"] * np.float32(_FLUID_SD * fit.contrasts["plate"] / contrast)
+        yield "surroundings", parts.where_own(wet), common
+    if parts.coat_sd is not None:
+        yield "coat", parts.where_own(parts.coat_sd), common
+    if unstated is not None:
+        yield "coat", parts.where_own(unstated), common
+    if media.void_share is not None:
+        yield "voids", media.void_share * np.float32(media.void_sd / contrast), common
+    if misfit:
+        yield "misfit", parts.where_own(parts.residual), common
+    if bend:
+        share = fit.shares["stapes"]
+        yield "grey_scale", parts.where_own(np.float32(bend) * share * (1.0 - share)), common
+
+
+def grey_scale_bend(fit: SceneFit) -> float:
+    """Return the bend of a grey scale that amplifies noise in air more than in bone, as a gamma below 1 does.
+
+    Notes
+    -----
+    The grey value x + b x (1 - x) has the slopes 1 + b in air and 1 - b in bone, which are the ratio of the
+    noises. Less noise in air than in bone has other causes.
+    """
+    inside = fit.own & (fit.shares["stapes"] > _DEEP)
+    count = np.count_nonzero(inside) / fit.start.correlation
+    if count < _LEAST_DEEP:
+        return 0.0
+    ratio = fit.start.noise / max(float(np.std(fit.residual[inside])), 1e-30)
+    known = ratio > 1.0 + max(_LEAST_BEND, 4.0 / np.sqrt(2.0 * count))
+    return float((ratio - 1.0) / (ratio + 1.0)) if known else 0.0
+
+
+def with_sources(
+    moments: Moments, parts: StapesParts, amounts: Iterable[Amount]
+) -> tuple[Moments, Grey | None]:
+    """Add noise, blur and all amounts to the covariance.
+
+    Returns
+    -------
+    Moments
+    ndarray of float32, [z, y, x], or None
+        One standard deviation of what may lie around the stapes; None where nothing does.
+    """
+    fit, level = parts.fit, parts.level
+    stapes = fit.start.masks["stapes"]
+    for noise, where in ((fit.start.noise, parts.own & ~stapes), (level.noise, parts.own & stapes)):
+        part = noise_covariance(noise / level.contrast, where, parts.transform, moments, fit.sigma_mm)
+        moments = moments.with_source("noise", fit.start.correlation * part)
+    moments = moments.with_source("psf", blur_covariance(moments, fit.sigma_mm, _BLUR_SD * fit.sigma_mm))
+    around = None
+    for source, amount, spread in amounts:
+        moments = moments.with_source(source, spread(amount, parts.transform, moments))
+        if source in _AROUND:
+            around = np.abs(amount) if around is None else np.hypot(around, amount)
+    return moments, around

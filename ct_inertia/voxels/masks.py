@@ -1,0 +1,84 @@
+"""Operations on masks of voxels: the box that holds one, a layer more or less, floods from markers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Mask = NDArray[np.bool_]
+Slices = tuple[slice, slice, slice]
+
+
+def used_box(mask: NDArray[Any]) -> Slices | None:
+    """Return the slices z, y, x of the smallest box that holds a mask; None for an empty one."""
+    flat = np.any(mask, axis=0)
+    uses = (np.any(mask, axis=(1, 2)), np.any(flat, axis=1), np.any(flat, axis=0))
+    if not uses[1].any():
+        return None
+    ends = [np.flatnonzero(use)[[0, -1]] for use in uses]
+    z, y, x = (slice(int(first), int(last) + 1) for first, last in ends)
+    return z, y, x
+
+
+def widened(box: Slices | None, margin: Any) -> Slices:
+    """Return a box with so many voxels more on each side (one number, or three along z, y, x)."""
+    z, y, x = (
+        slice(max(0, part.start - int(n)), part.stop + int(n))
+        for part, n in zip(box or (slice(0, 1),) * 3, np.broadcast_to(margin, 3), strict=True)
+    )
+    return z, y, x
+
+
+def starts(box: Slices) -> NDArray[np.int64]:
+    """Return the first index x, y, z of a box of slices z, y, x."""
+    return np.array([part.start for part in box[::-1]], dtype=np.int64)
+
+
+def grown(mask: Mask) -> Mask:
+    """Return a mask with the voxels that touch it in a face, an edge or a corner."""
+    result = mask
+    for axis in range(3):
+        moved = np.moveaxis(result, axis, 0)
+        wider = moved.copy()
+        wider[1:] |= moved[:-1]
+        wider[:-1] |= moved[1:]
+        result = np.moveaxis(wider, 0, axis)
+    return np.ascontiguousarray(result)
+
+
+def eroded(mask: Mask, rounds: int = 1) -> Mask:
+    """Return a mask less what is within so many voxels of its outside; the border counts as outside."""
+    inner = np.pad(mask, rounds)
+    for _ in range(rounds):
+        inner = ~grown(~inner)
+    return np.ascontiguousarray(inner[(slice(rounds, -rounds),) * 3])
+
+
+def flood(
+    relief: NDArray[np.float32], markers: NDArray[np.int32], mask: Mask, smoothing: float = 0.0
+) -> NDArray[np.int32]:
+    """Give every voxel of a mask to the marker whose flood reaches it first from the low side of a relief.
+
+    Notes
+    -----
+    Watershed by Meyer's flooding. On the negative grey values, smoothed by 0.7 voxels, the border runs along
+    the darkest line between two bodies, where each loses to the other as much of its blur as it gains.
+    Markers that touch nothing that is still free take no part, which saves most of the time.
+    """
+    from scipy.ndimage import gaussian_filter
+    from skimage.segmentation import watershed
+
+    result = np.where(mask, markers, 0).astype(np.int32)
+    free = mask & (result == 0)
+    used = used_box(free)
+    if used is None:
+        return result
+    box = widened(used, 3)
+    active = mask[box] & grown(free[box])
+    height = gaussian_filter(relief[box], smoothing, truncate=3.0) if smoothing else relief[box]
+    flooded = watershed(height, np.where(active, result[box], 0), mask=active)
+    part = result[box]
+    part[free[box]] = flooded[free[box]]
+    return result
