@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ct_inertia.find.overview import Overview, material_levels
+from ct_inertia.find.levels import material_levels
+from ct_inertia.find.overview import Overview
 from ct_inertia.find.pieces import USUAL, Piece, label_pieces, size_score
 from ct_inertia.find.readings import readings
 from stapeskit.arrays import Array

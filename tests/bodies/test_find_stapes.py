@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ct_inertia.find.find import Search, find_stapes
+from ct_inertia.find.levels import material_levels
 from ct_inertia.find.necks import find_necks
-from ct_inertia.find.overview import look_at, material_levels, noise_of
+from ct_inertia.find.overview import look_at, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
 from ct_inertia.find.readings import readings
 from ct_inertia.grey.measure import measure
