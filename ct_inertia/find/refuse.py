@@ -71,7 +71,7 @@ def _wrong_scale(overview: Overview, picture: str) -> Fault | None:
                     "the voxel spacing",
                     "right, in millimetres: a stapes is 3 to 4 mm high",
                     f"{picture} and a body of its shape {length:.3g} mm high{guess}",
-                    next_step=f"Correct it with --spacing (about {times:.3g} times the present one)",
+                    next_step=f"Correct it with --spacing (about {times:.4g} times the present one)",
                 )
     if not 1.0 < float(np.max(grid.spacing_mm * grid.size)) < 500.0:
         return Fault(
