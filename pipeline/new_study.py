@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,6 +15,9 @@ from stapeskit.outputs import MANIFEST, Outputs, written_in
 STUDY = "study.toml"
 SAMPLE = "stapeskit sample"  # writes inputs, not results
 ASSUMED_DENSITY = "1900+-200"
+_TEXTS = (".csv", ".txt", ".asc", ".tsv")
+_LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
+_VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
 Ask = Callable[[str], str]
 
 
@@ -61,7 +65,7 @@ def look(folder: Path) -> Found:
             continue
         elif _is(partial(scan_format, path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
             found.scans.append(path)
-        elif path.is_file() and _is(partial(measurement_format, path)):
+        elif path.is_file() and _holds_values(path) and _is(partial(measurement_format, path)):
             found.measurements.append(path)
     return found
 
@@ -70,6 +74,15 @@ def _holds_slices(folder: Path) -> bool:
     from ct_inertia.scan.slices import SLICE_SUFFIXES
 
     return any(path.suffix.lower() in SLICE_SUFFIXES for path in folder.iterdir())
+
+
+def _holds_values(path: Path) -> bool:
+    """Return whether a file may hold a measurement: a text of notes has no lines of numbers."""
+    if path.suffix.lower() not in _TEXTS:
+        return path.stat().st_size > 0
+    beginning = path.read_bytes()[:_LOOKED_AT].replace(b"\0", b"").decode("latin-1")
+    rows = [line for line in beginning.splitlines() if len(_VALUE.findall(line)) > 1]
+    return len(rows) > 1
 
 
 def _is_volume(folder: Path) -> bool:
@@ -121,6 +134,9 @@ def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
         raise StapeskitError.of(f"the folder {folder}", f"with a {what}", "none", "", step)
     if len(files) == 1:
         return files[0]
+    usual = [path for path in files if path.name.lower().split(".")[0] in ("scan", "ldv")]
+    if ask is None and len(usual) == 1:
+        return usual[0]
     listed = ", ".join(f"{number} {path.name}" for number, path in enumerate(files, 1))
     answer = "" if ask is None else ask(f"Which is the {what}? {listed}: ").strip()
     chosen = [path for number, path in enumerate(files, 1) if answer in (str(number), path.name)]
@@ -171,7 +187,7 @@ def study_text(
 
     density, side, anterior = (answers[key] for key in QUESTIONS)
     direction = [float(part) for part in anterior.split(",")] if anterior else [-1.0, 0.0, 0.0]
-    comment = "of the bone" if density else "ASSUMED: state your own"
+    comment = "of the bone" if density else "is ASSUMED while this line is a comment: state your own"
     found_in_scan = {"labels": "a cut made elsewhere", "landmarks": "landmarks in the scan",
                      "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
     places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
@@ -180,7 +196,7 @@ def study_text(
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
             line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", known=False),
-            line("density_kg_m3", density or ASSUMED_DENSITY, comment),
+            line("density_kg_m3", density or ASSUMED_DENSITY, comment, bool(density)),
             line("side", side or "left", "names z superior or inferior", bool(side)),
             line("anterior", direction, "towards anterior in scan axes; its sign counts", bool(anterior)),
             *files(found_in_scan, always=False),
