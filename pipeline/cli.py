@@ -98,7 +98,7 @@ def _several(paths: object, chosen: RunOptions, cohort: CohortOptions) -> Outcom
     from pathlib import Path
 
     from pipeline.cluster import run_on_dask
-    from pipeline.several import CohortChoices, run_here, run_studies
+    from pipeline.several import run_here, run_studies
     from stapeskit.faults import StapeskitError
 
     def report(line: str) -> None:
@@ -106,7 +106,8 @@ def _several(paths: object, chosen: RunOptions, cohort: CohortOptions) -> Outcom
             sys.stderr.write(f"{line}\n")
 
     runner = run_on_dask(chosen.scheduler) if chosen.scheduler else run_here(chosen.jobs)
-    choices = CohortChoices(cohort.mix, cohort.use_all, cohort.covariates, cohort.laws)
+    names = ("mix", "use_all", "covariates", "laws")
+    choices = {name: getattr(cohort, name) for name in names}
     studies = [Path(path) for path in paths]  # type: ignore[attr-defined]
     out = chosen.out or Path("cohort_out")
     result = run_studies(studies, out, runner, force=chosen.force, choices=choices, report=report)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.cohort.cohort import Cohort, cohort_of
 from pipeline.cohort.ears import Ear, read_ear
@@ -27,16 +28,6 @@ class End:
 
     code: int
     fault: str = ""
-
-
-@dataclass(frozen=True)
-class CohortChoices:
-    """Choices of a cohort in addition to its studies; see `pipeline.cohort.cohort.cohort`."""
-
-    mix: bool = False
-    use_all: bool = False
-    covariates: tuple[str, ...] = ()
-    laws: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,7 +115,7 @@ def run_studies(
     runner: Runner,
     *,
     force: bool = False,
-    choices: CohortChoices | None = None,
+    choices: Mapping[str, Any] | None = None,
     report: Callable[[str], None] = lambda _line: None,
 ) -> SeveralResult:
     """Run several studies into subfolders, and compare those that finished.
@@ -133,6 +124,8 @@ def run_studies(
     ----------
     runner : callable
         `run_here`, or `pipeline.cluster.run_on_dask`.
+    choices : mapping, optional
+        Of the cohort: arguments of `pipeline.cohort.cohort.cohort_of`.
     force : bool
         Repeat every stage, and replace files that are not known as written by scan2kd.
     report : callable
@@ -144,7 +137,7 @@ def run_studies(
         A study file is at fault, a study would write over what another one reads, or an output of the cohort
         cannot be replaced.
     """
-    out, choices = Path(out).absolute(), choices or CohortChoices()
+    out = Path(out).absolute()
     named = dict(zip(folder_names(paths), (Path(path).absolute() for path in paths), strict=True))
     studies = {name: read_study(path) for name, path in named.items()}
     outputs = _outputs(studies, out, force)
@@ -164,27 +157,20 @@ def run_studies(
                 ears.append(read_ear(out / name, study.name, study.about.of_ear()))
             except (OSError, LookupError, ValueError, TypeError) as error:
                 failed[name] = f"its results cannot be read: {error}"
-    found = _cohort(ears, failed, choices)
+    found = _cohort(ears, failed, choices or {})
     records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
     with outputs.staged() as stage:
         write_cohort(stage, found, {"studies": list(named)}, records, failed)
     return SeveralResult(found, ends, tuple(out / name for name in FILES))
 
 
-def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: CohortChoices) -> Cohort:
+def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: Mapping[str, Any]) -> Cohort:
     """Fit every law, or return a cohort without laws and with the reason as its warning."""
     try:
-        return cohort_of(
-            ears,
-            failed,
-            mix=choices.mix,
-            use_all=choices.use_all,
-            covariates=choices.covariates,
-            laws=choices.laws,
-        )
+        return cohort_of(ears, failed, **choices)
     except StapeskitError as error:
         notice = Notice("cohort_mixed", f"No laws: {' '.join(str(error).split())}")
-        return Cohort(tuple(ears), tuple(failed.items()), None, (), None, (notice,))
+        return Cohort(tuple(ears), tuple(failed.items()), notices=(notice,))
 
 
 def _outputs(studies: Mapping[str, Study], out: Path, force: bool) -> Outputs:

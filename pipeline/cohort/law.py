@@ -57,7 +57,7 @@ class LogPairs:
     covariates: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        n = len(self.x)
+        n = self.n
         defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0)), "covariates": np.zeros((n, 0))}
         for name, value in defaults.items():
             if not len(getattr(self, name)):
@@ -83,15 +83,24 @@ class LogPairs:
         """Mean variance of ln y by errors that ears share."""
         return float(np.mean(np.sum(self.shared[:, 1] ** 2, axis=1)))
 
+    @property
+    def design(self) -> Array:
+        """A column of ones and the covariates, (n, 1 + c)."""
+        return np.column_stack([np.ones(self.n), self.covariates])
+
+    @property
+    def same_person(self) -> NDArray[np.bool_]:
+        """Which ears belong to one person, (n, n)."""
+        return np.asarray(self.subject[:, None] == self.subject[None, :])
+
     def has_independent_covariates(self) -> bool:
         """Return whether no covariate follows from the others or is the same in all ears."""
-        design = np.column_stack([np.ones(self.n), self.covariates])
-        return int(np.linalg.matrix_rank(design, tol=1e-9)) == design.shape[1]
+        return int(np.linalg.matrix_rank(self.design, tol=1e-9)) == self.design.shape[1]
 
     def select(self, keep: NDArray[np.bool_]) -> LogPairs:
         """Return some of the ears; ``keep`` is (n,)."""
-        x, y, own, shared = (array[keep] for array in (self.x, self.y, self.own, self.shared))
-        return LogPairs(x, y, own, shared, self.subject[keep], self.covariates[keep])
+        names = ("x", "y", "own", "shared", "subject", "covariates")
+        return LogPairs(*(getattr(self, name)[keep] for name in names))
 
     def shifted(self, x: float, y: float) -> LogPairs:
         """Return the same ears with other origins of x and y, which no exponent depends on."""
@@ -106,18 +115,16 @@ class RestrictedLikelihood:
 
     def __init__(self, pairs: LogPairs) -> None:
         n = pairs.n
-        self.pairs = pairs
         self._values = np.stack([pairs.x, pairs.y], axis=1).ravel()
-        self.means_design = np.kron(np.column_stack([np.ones(n), pairs.covariates]), np.eye(2))
+        self._design = np.kron(pairs.design, np.eye(2))
         # An error with the same effect on all ears moves the means only.
         common = np.all(np.abs(pairs.shared - pairs.shared[:1]) < 1e-12, axis=(0, 1))
         batch = pairs.shared[:, :, ~common].reshape(2 * n, -1)
         self._errors = batch @ batch.T
         for place, own in enumerate(pairs.own):
             self._errors[2 * place : 2 * place + 2, 2 * place : 2 * place + 2] += own
-        same = pairs.subject[:, None] == pairs.subject[None, :]
-        self._one_person = same & ~np.eye(n, dtype=bool)
-        self.paired = bool(np.any(self._one_person))
+        self._relatives = pairs.same_person & ~np.eye(n, dtype=bool)
+        self.paired = bool(np.any(self._relatives))
 
     def __call__(self, parameters: Array) -> Array:
         """Return the value at each row of parameters, (g, 3 or 4)."""
@@ -125,16 +132,13 @@ class RestrictedLikelihood:
 
     def means(self, parameters: Array) -> tuple[Array, Array, Array]:
         """Return value (g,), estimated effects on the means (g, p), and their covariance (g, p, p)."""
-        parameters = np.atleast_2d(parameters)
-        n, design = self.pairs.n, self.means_design
+        parameters, n = np.atleast_2d(parameters), len(self._relatives)
         psi, rho = covariance_between_ears(parameters), self.correlation(parameters)
-        between = np.eye(n) + rho[:, None, None] * self._one_person
+        between = np.eye(n) + rho[:, None, None] * self._relatives
         whole = np.einsum("gij,gab->giajb", between, psi).reshape(-1, 2 * n, 2 * n) + self._errors
         root = np.linalg.cholesky(whole)
-        right = np.broadcast_to(
-            np.column_stack([design, self._values]), (len(root), 2 * n, design.shape[1] + 1)
-        )
-        white = np.linalg.solve(root, right)
+        right = np.column_stack([self._design, self._values])
+        white = np.linalg.solve(root, np.broadcast_to(right, (len(root), *right.shape)))
         columns, values = white[:, :, :-1], white[:, :, -1:]
         information = columns.swapaxes(1, 2) @ columns
         covariance = np.linalg.inv(information)
@@ -153,10 +157,9 @@ class RestrictedLikelihood:
 
 def covariance_between_ears(parameters: Array) -> Array:
     """Return Psi (g, 2, 2), the covariance of the true logarithms over ears."""
-    tau = np.exp(2.0 * np.clip(parameters[:, 0], _LOWEST, _HIGHEST))
-    sigma = np.exp(2.0 * np.clip(parameters[:, 2], _LOWEST, _HIGHEST))
+    tau, sigma = np.exp(2.0 * np.clip(parameters[:, [0, 2]], _LOWEST, _HIGHEST)).T
     b = parameters[:, 1]
-    return np.stack([np.stack([tau, b * tau], -1), np.stack([b * tau, b**2 * tau + sigma], -1)], -2)
+    return np.array([[tau, b * tau], [b * tau, b**2 * tau + sigma]]).transpose(2, 0, 1)
 
 
 class Profile:
@@ -171,12 +174,11 @@ class Profile:
     """
 
     def __init__(self, pairs: LogPairs, near: Array | None = None) -> None:
-        self.likelihood = RestrictedLikelihood(pairs)
-        self.pairs = pairs
+        self.likelihood, self.pairs = RestrictedLikelihood(pairs), pairs
         (xx, xy), (_, yy) = np.cov(pairs.x, pairs.y)
         residual = max(yy - xy**2 / xx, 1e-12)
         self.standard_error = float(np.sqrt(residual / xx / max(pairs.n - 2, 1)))
-        s_xx, s_xy, s_yy = (float(pairs.own[:, i, j].mean()) for i, j in ((0, 0), (0, 1), (1, 1)))
+        (s_xx, s_xy), (_, s_yy) = pairs.own.mean(axis=0)
         tau = max(xx - s_xx, 0.2 * xx)
         slope = (xy - s_xy) / tau
         sigma = max(yy - s_yy - slope**2 * tau, 0.1 * residual + 1e-6)
@@ -187,37 +189,32 @@ class Profile:
         if self.likelihood.paired:
             starts = [[*start, likeness] for start in starts for likeness in (-1.0, 1.0)]
             self._scales = np.r_[self._scales, 0.5]
-        self.value, self.best = self._minimise(starts if near is None else [near])
+        self.value, self.best = self._minimise(
+            [np.array(start) for start in starts] if near is None else [near]
+        )
         self._known = {float(self.best[1]): self.best}
 
-    def _minimise(
-        self, starts: list[list[float]] | list[Array], b: float | None = None
-    ) -> tuple[float, Array]:
+    def _minimise(self, starts: list[Array], b: float | None = None) -> tuple[float, Array]:
         """Return least value and its point; at a fixed exponent where one is given."""
         from scipy.optimize import minimize
 
         free = np.array([k for k in range(len(self._scales)) if b is None or k != 1])
-        scales = self._scales[free]
-        steps = np.concatenate(
-            [np.zeros((1, len(free))), 1e-4 * np.eye(len(free)), -1e-4 * np.eye(len(free))]
-        )
+        step = 1e-4 * np.eye(len(free))
+        steps = np.concatenate([np.zeros((1, len(free))), step, -step])
 
         def value_and_slope(scaled: Array, start: Array) -> tuple[float, Array]:
             points = np.tile(start, (len(steps), 1))
-            points[:, free] += (scaled + steps) * scales
+            points[:, free] += (scaled + steps) * self._scales[free]
             values = self.likelihood(points)
             return values[0], (values[1 : 1 + len(free)] - values[1 + len(free) :]) / 2e-4
 
         found = []
-        for start in starts:
-            begin = np.array(start, dtype=float)
-            if b is not None:
-                begin[1] = b
+        for point in (start.copy() for start in starts):
+            point[1] = point[1] if b is None else b
             end = minimize(
-                value_and_slope, np.zeros(len(free)), (begin,), "BFGS", jac=True, options={"gtol": 1e-6}
+                value_and_slope, np.zeros(len(free)), (point,), "BFGS", jac=True, options={"gtol": 1e-6}
             )
-            point = begin.copy()
-            point[free] += end.x * scales
+            point[free] += end.x * self._scales[free]
             found.append((float(end.fun), point))
         return min(found, key=lambda each: each[0])
 
@@ -243,11 +240,8 @@ class Profile:
         centre, inner, width = float(self.best[1]), 0.0, 2.0 * self.standard_error + 1e-6
 
         def excess(distance: float) -> float:  # w is nearly a parabola: its root is nearly straight
-            return (
-                float(np.sqrt(self.rise(centre + sign * distance)) - np.sqrt(limit))
-                if distance
-                else -(limit**0.5)
-            )
+            rise = self.rise(centre + sign * distance) if distance else 0.0
+            return float(np.sqrt(rise) - np.sqrt(limit))
 
         for _ in range(_WIDENINGS):
             if excess(width) > 0.0:
@@ -326,11 +320,11 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
     k = pairs.degrees
     if k < 1:
         raise ValueError(f"a law of {2 + pairs.covariates.shape[1]} unknowns needs more ears; got {pairs.n}")
-    origin = float(pairs.x.mean()), float(pairs.y.mean())
+    origin = np.array([pairs.x.mean(), pairs.y.mean()])
     profile = Profile(pairs.shifted(*origin))
     limit = (k + 1) * np.log1p(stdtrit(k, 0.5 * (1.0 + level)) ** 2 / k)
-    tau, b, sigma = np.exp(profile.best[0]), float(profile.best[1]), np.exp(profile.best[2])
-    _, effects, _ = profile.likelihood.means(profile.best)
+    tau, b, sigma = float(np.exp(profile.best[0])), float(profile.best[1]), float(np.exp(profile.best[2]))
+    mean = profile.likelihood.means(profile.best)[1][0, :2] + origin
     error = float(np.median(pairs.own[:, 0, 0]))
     rho = float(profile.likelihood.correlation(profile.best[None])[0])
     law = Law(
@@ -338,12 +332,12 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
         exponent=b,
         interval=(profile.side(-1.0, limit), profile.side(1.0, limit)),
         p_value=profile.p_value(),
-        tau=float(tau),
-        sigma=float(sigma),
+        tau=tau,
+        sigma=sigma,
         sigma_interval=scatter_interval(pairs, b, level, rho),
         rho=rho,
-        reliability=float(tau**2 / (tau**2 + error)) if error > 0.0 else 1.0,
-        mean=(float(effects[0, 0] + origin[0]), float(effects[0, 1] + origin[1])),
+        reliability=tau**2 / (tau**2 + error) if error > 0.0 else 1.0,
+        mean=(float(mean[0]), float(mean[1])),
     )
     return law, profile
 
@@ -367,13 +361,11 @@ def scatter_interval(
     from scipy.optimize import brentq
     from scipy.special import chdtri
 
-    residual = pairs.y - exponent * pairs.x
+    residual, design = pairs.y - exponent * pairs.x, pairs.design
     variance = max(float(np.var(residual)), 1e-300)
-    own = pairs.own
-    error = own[:, 1, 1] - 2.0 * exponent * own[:, 0, 1] + exponent**2 * own[:, 0, 0] + 1e-12 * variance
-    alike = np.where(pairs.subject[:, None] == pairs.subject[None, :], rho, 0.0)
-    np.fill_diagonal(alike, 1.0)
-    design = np.column_stack([np.ones(pairs.n), pairs.covariates])
+    across = np.array([-exponent, 1.0])
+    error = across @ pairs.own @ across + 1e-12 * variance
+    alike = np.where(np.eye(pairs.n, dtype=bool), 1.0, rho * pairs.same_person)
 
     def q(scatter: float) -> float:
         whole = scatter * alike + np.diag(error)

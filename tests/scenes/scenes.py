@@ -3,7 +3,7 @@
 A scene lists the warnings that must appear, and no others may. `bars.json` holds, for each, the standard
 deviations that version 0.2 stated: they may not grow by more than a quarter. Those of K and D of
 `whole_right_ear`, where its search for the plane of the ligament did not end, are of version 0.3: the minimum
-is the same from five starts, and over eight measurements of that ear the errors are 0.2 to 0.8 of the stated
+is the same from five starts, and over eight measurements of that ear the errors are 0.3 to 0.8 of the stated
 standard deviations (root mean square; that of K22 is 5 to 15 %, by how well the height is determined).
 """
 
