@@ -19,6 +19,7 @@ of a stapes.
 
   sample DIR     copy a complete simulated study into DIR
   new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
+  app [FOLDER]   the whole chain in one page in the browser
   compare A B    two results side by side: differences, responses
                  (--what-if K*10: of one or both, what a change would do)
   ct2mass        scan to mass matrix
@@ -35,6 +36,7 @@ try it:
 _OWN = {
     "sample": "sample DIR [--force]",
     "new": "new [DIR] [--yes] [--force]",
+    "app": "app [FOLDER] [--no-browser] [--port NUMBER]",
     "compare": "compare A [B] [--what-if K*10|D*2|mass+5mg@head ...] [--out DIR] [--force]",
 }
 _COMMANDS = {
@@ -71,7 +73,7 @@ def work(words: list[str]) -> Outcome | None:
         if {"-h", "--help"} & {*rest}:
             sys.stdout.write(f"usage: stapeskit {_OWN[word]}\n\nstapeskit --help says what it does.\n")
             return None
-        return {"sample": _sample, "new": _new, "compare": _compare}[word](rest)
+        return {"sample": _sample, "new": _new, "app": _app, "compare": _compare}[word](rest)
     from stapeskit.faults import StapeskitError
     from stapeskit.options import unknown
 
@@ -117,6 +119,27 @@ def _new(words: Sequence[str]) -> None:
     ask = None if "--yes" in words or not sys.stdin.isatty() else input
     path = new_study(Path(*folders), ask, force="--force" in words)
     sys.stdout.write(f"{path} written. Look at it, then run: scan2kd {path}\n")
+
+
+def _app(words: Sequence[str]) -> None:
+    """Serve the page of the app until Ctrl-C; this process becomes the server."""
+    from importlib import import_module
+    from pathlib import Path
+
+    rest, more = list(words), []
+    if "--port" in rest[:-1]:
+        place = rest.index("--port")
+        more = rest[place : place + 2]
+        del rest[place : place + 2]
+    folders = _folders(rest, "app", (0, 1), ("--no-browser",))
+    if more and not (more[1].isascii() and more[1].isdigit() and 0 < int(more[1]) < 65536):
+        from stapeskit.faults import StapeskitError
+
+        raise StapeskitError.of("--port", "a number from 1 to 65535", more[1])
+    if "--no-browser" in rest:
+        more.append("--headless")
+    # The room of the app is above this one: it is imported only when its command is used.
+    import_module("app.launch").start(Path(*folders), more)
 
 
 def _compare(words: Sequence[str]) -> Outcome:

@@ -1,0 +1,187 @@
+"""Three slices, 3D and a brush: everything that touches ipyniivue.
+
+ipyniivue's own drawing does not reach Python with today's marimo (the array that it should send back never
+comes). So the brush paints in Python: the browser says which voxel the mouse is at (``location_change``), and
+is sent the voxels that changed (``buffer_update``). Two private names of ipyniivue 2.4 are used for that,
+`_handle_custom_msg` and the message ``buffer_update``; the pins in pyproject.toml hold what was driven.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import trimesh
+from ipyniivue import Mesh, MultiplanarType, NiiVue, ShowRender, SliceType
+from ipyniivue.traits import ColorMap
+from numpy.typing import NDArray
+
+from app.drawing import RAS, Change, Drawing
+from app.grey import write_nifti
+from stapeskit.arrays import Array
+
+View = Literal["slices and 3D", "slices", "3D"]
+VIEWS: tuple[View, ...] = ("slices and 3D", "slices", "3D")
+_OPACITY = 0.45
+_BALL_MM = 0.09  # radius of a point in 3D
+_COLOURS = {"stapes": (230, 184, 0, 255), "plate": (58, 160, 255, 255), "marks": (255, 0, 255, 255)}
+_VERDICTS = {"ok": (60, 200, 80, 255), "unused": (150, 150, 150, 255)}
+_SUSPECT = (255, 70, 50, 255)
+
+
+class Picture(NiiVue):  # type: ignore[misc]
+    """The picture of one page; Python holds the labels, the browser draws what it is sent.
+
+    Attributes
+    ----------
+    pen : int or None
+        Label of the brush; None: a click only moves the crosshair.
+    radius, ball : int, bool
+        Of the brush; a disc in the slice instead of a ball.
+    point : ndarray, (3,), or None
+        The crosshair in scan coordinates, mm.
+    on_point, on_stroke : callable
+        Called with the crosshair when the mouse is released, and after a stroke.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            height=700,
+            multiplanar_show_render=ShowRender.ALWAYS,
+            is_radiological_convention=True,
+            multiplanar_layout=MultiplanarType.GRID,
+            mesh_thickness_on_2d=0.02,
+            is_orientation_text_visible=False,
+            drag_and_drop_enabled=False,
+            show_3d_crosshair=True,
+            back_color=(0.07, 0.07, 0.07, 1.0),
+            crosshair_width=0.6,
+            loading_text="no scan yet",
+        )
+        self.set_draw_colormap(
+            ColorMap(
+                R=[0, 230, 58, 255],
+                G=[0, 184, 160, 106],
+                B=[0, 0, 255, 77],
+                A=[0, 255, 255, 255],
+                labels=["", "stapes", "plate", "other bone"],
+            )
+        )
+        self.draw_opacity = _OPACITY
+        self.pen: int | None = None
+        self.radius, self.ball = 3, True
+        self.point: Array | None = None
+        self.on_point: Callable[[Array], Any] = lambda _: None
+        self.on_stroke: Callable[[], Any] = lambda: None
+        self._drawing: Drawing | None = None
+        self._drawing_file: Path | None = None
+        self._files = tempfile.TemporaryDirectory(prefix="stapeskit_app_")
+        self._number = 0
+        self._groups: dict[str, list[Mesh]] = {}
+        self._view: View = "slices and 3D"
+
+    def show(self, grey: NDArray[np.uint8], affine: Array, drawing: Drawing | None = None) -> None:
+        """Show grey values [s, a, r] and, on the same voxels, the labels of a drawing."""
+        path = write_nifti(self._next("grey.nii"), grey, affine)
+        self._drawing = drawing
+        self._drawing_file = None
+        if drawing is not None:
+            self._drawing_file = write_nifti(self._next("labels.nii"), drawing.shown, drawing.affine)
+        self.close_drawing()
+        self.load_volumes([{"path": path}])
+
+    def show_change(self, change: Change | None) -> None:
+        """Draw voxels that have changed."""
+        if change is not None and change.index.size:
+            data = {"attr": "drawBitmap", "type": "uint8", "indices_type": "uint32"}
+            buffers = [change.index.tobytes(), change.values.tobytes()]
+            self.send({"type": "buffer_update", "data": data}, buffers=buffers)
+
+    def show_all(self) -> None:
+        """Draw every label anew."""
+        if self._drawing is not None:
+            self._drawing_file = write_nifti(
+                self._next("labels.nii"), self._drawing.shown, self._drawing.affine
+            )
+            self.load_drawing(str(self._drawing_file))
+
+    def show_surfaces(self, files: Mapping[str, Path]) -> None:
+        """Show the surfaces of stapes and plate, scan coordinates, mm."""
+        surfaces = [(trimesh.load(path, process=False), _COLOURS[name]) for name, path in files.items()]
+        self._show_group("bodies", surfaces)
+
+    def show_marks(self, places: Sequence[Sequence[float]]) -> None:
+        """Show marks in scan coordinates, mm."""
+        self._show_group("marks", [(balls(places), _COLOURS["marks"])] if places else [])
+
+    def show_points(self, beams: Sequence[Mapping[str, Any]]) -> None:
+        """Show measured points, coloured by the worst verdict of their beams."""
+        worst: dict[tuple[float, ...], str] = {}
+        for beam in beams:
+            place = tuple(beam["scan_mm"])
+            if np.all(np.isfinite(place)) and worst.get(place, "ok") in ("ok", "unused"):
+                worst[place] = beam["verdict"]
+        colours = {place: _VERDICTS.get(word, _SUSPECT) for place, word in worst.items()}
+        groups = {
+            colour: [p for p, own in colours.items() if own == colour] for colour in {*colours.values()}
+        }
+        self._show_group("points", [(balls(places), colour) for colour, places in groups.items()])
+
+    def _show_group(self, group: str, surfaces: Sequence[tuple[Any, tuple[int, ...]]]) -> None:
+        """Show a group of surfaces beside the others.
+
+        marimo closes the widgets that a cell made when that cell runs again: every group has its own cell.
+        """
+        meshes = []
+        for surface, colour in surfaces:
+            path = self._next("surface.stl")
+            trimesh.Trimesh(surface.vertices * RAS, surface.faces, process=False).export(path)
+            meshes.append(Mesh(path=path, rgba255=list(colour)))
+        self._groups[group] = meshes
+        self.meshes = [mesh for one in self._groups.values() for mesh in one]
+
+    def set_view(self, view: View) -> None:
+        """Show slices, 3D or both; 3D alone shows surfaces and points without grey values."""
+        self._view = view
+        self.opts.multiplanar_show_render = ShowRender.NEVER if view == "slices" else ShowRender.ALWAYS
+        self.set_slice_type(SliceType.RENDER if view == "3D" else SliceType.MULTIPLANAR)
+        self.draw_opacity = 0.0 if view == "3D" else _OPACITY
+        for volume in self.volumes:
+            volume.opacity = 0.0 if view == "3D" else 1.0
+
+    def show_boundary(self, only: bool) -> None:
+        """Draw the boundary of the labels only, or all of them."""
+        rim = np.array([1.0 if only else -1.0], dtype=np.float32)
+        data = {"attr": "drawRimOpacity", "type": "float32"}
+        self.send({"type": "buffer_change", "data": data}, buffers=[rim.tobytes()])
+        self.draw_opacity = 0.02 if only else _OPACITY
+
+    def _handle_custom_msg(self, content: Mapping[str, Any], _buffers: Any) -> None:
+        event, data = content.get("event"), content.get("data") or {}
+        if event == "image_loaded":
+            if self._drawing_file is not None:
+                self.load_drawing(str(self._drawing_file))
+        elif event == "location_change":
+            self.point = np.array(data["mm"][:3], dtype=float) * RAS
+            if self.pen is not None and self._drawing is not None and data["ax_cor_sag"] < 3:
+                normal = None if self.ball else 2 - int(data["ax_cor_sag"])
+                self.show_change(self._drawing.paint(data["vox"][:3], self.pen, self.radius, normal))
+        elif event == "mouse_up":
+            self.on_stroke()
+            if self.point is not None:
+                self.on_point(self.point)
+
+    def _next(self, name: str) -> Path:
+        self._number += 1
+        return Path(self._files.name) / f"{self._number}_{name}"
+
+
+def balls(places: Sequence[Sequence[float]]) -> Any:
+    """Return one mesh of small balls at places (n, 3)."""
+    ball = trimesh.creation.icosphere(1, _BALL_MM)
+    return trimesh.util.concatenate(
+        [trimesh.Trimesh(ball.vertices + np.array(at), ball.faces, process=False) for at in places]
+    )

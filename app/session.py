@@ -1,0 +1,359 @@
+"""What one open page knows and does; the page itself only shows it. A script can do the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.drawing import Change, Drawing
+from app.job import Job
+from app.marks import Marks
+from app.study_file import StudyFile
+from app.work import mass_folder
+from ct_inertia.scan.scan import Scan
+from pipeline.new_study import ASSUMED_DENSITY, Found, look
+from stapeskit.faults import StapeskitError
+
+LABELS = "labels.seg.nrrd"
+HAND_LABELS = "_labels.seg.nrrd"
+MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")
+_CLOSE = 1e-6
+
+
+class Session:
+    """A study at work.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the page begins to look for files.
+    study : StudyFile or None
+    scan : Scan or None
+        Opened, for the picture.
+    drawing : Drawing or None
+        Labels, once the stapes was found.
+    marks : Marks or None
+    job : Job or None
+        The step at work, or the last one.
+    mass : dict of str to dict
+        ``found`` and ``cut``: content of their mass.json.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder).absolute()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the study; its files stay."""
+        self.study: StudyFile | None = None
+        self.scan: Scan | None = None
+        self.drawing: Drawing | None = None
+        self.marks: Marks | None = None
+        self.job: Job | None = None
+        self.mass: dict[str, dict[str, Any]] = {}
+        self._hand_labels: Path | None = None
+        self._corners: dict[int, list[float]] = {}
+
+    @property
+    def places(self) -> Any:
+        """Where everything of the study is."""
+        return self.opened_study.places
+
+    @property
+    def opened_study(self) -> StudyFile:
+        """The study.
+
+        Raises
+        ------
+        StapeskitError
+            There is none yet.
+        """
+        if self.study is None:
+            raise StapeskitError("Choose a scan, or open a study, first.")
+        return self.study
+
+    def begin(self, scan: Path, name: str = "") -> None:
+        """Begin a study of a scan; files beside it that belong to it are taken along. Nothing is written yet.
+
+        Parameters
+        ----------
+        scan : Path
+        name : str
+            Of the study; without it that of the scan.
+
+        Raises
+        ------
+        StapeskitError
+            The name is taken or unfit, or the scan cannot be read.
+        """
+        scan = Path(scan).absolute()
+        study = StudyFile.new(scan.parent, name or _free_name(scan))
+        study.tables["scan"] = {"file": study.relative(scan)}
+        opened = _opened(study)
+        companions = _belonging(look(scan.parent))
+        if companions:
+            study.tables["ldv"] = {key: study.relative(path) for key, path in companions.items()}
+        marks = Marks(study)
+        self.clear()
+        self.study, self.scan, self.marks = study, opened, marks
+
+    def rename(self, name: str) -> None:
+        """Give another name to a study that was not saved yet.
+
+        Raises
+        ------
+        StapeskitError
+            It was saved, or the name is taken or unfit.
+        """
+        study = self.opened_study
+        if name == study.path.stem:
+            return
+        if study.path.exists():
+            step = "Begin with the scan again to have it under another name"
+            raise StapeskitError.of("the name", "that of the saved study", name, study.path.name, step)
+        new = StudyFile.new(study.path.parent, name)
+        study.path = new.path
+        study.tables["study"] = {**study.tables.get("study", {}), **new.tables["study"]}
+
+    def open(self, path: Path) -> None:
+        """Go on with a study where it stopped.
+
+        Raises
+        ------
+        StapeskitError
+            The study, or a file that it names, is at fault.
+        """
+        study = StudyFile.read(Path(path))
+        scan, marks = _opened(study), Marks(study)
+        self.clear()
+        self.study, self.scan, self.marks = study, scan, marks
+        self.take_results()
+
+    def set_scan(self, density: str, side: str | None) -> None:
+        """Keep density and side; the assumed density is left out, so that the results say it is assumed."""
+        study, stated = self.opened_study, density.replace(" ", "").replace("±", "+-")
+        if "side" in study.tables.get("study", {}):
+            study.put("study", side=side)
+        else:
+            study.put("scan", side=side)
+        study.put("scan", density_kg_m3=None if stated in ("", ASSUMED_DENSITY) else stated)
+
+    def put_search(self, **values: Any) -> None:
+        """Keep what the stapes is found by: ``seed_mm``, ``box_mm``."""
+        if self.opened_study.labels_are_ours:
+            raise StapeskitError("Go back to the cut as found first: labels say where the stapes is.")
+        self.opened_study.put("scan", **values)
+
+    def put_box_corner(self, corner: int, scan_mm: Sequence[float]) -> None:
+        """Keep one of two corners of the box to search; with both the box holds."""
+        self._corners[corner] = [round(float(value), 4) for value in scan_mm]
+        if len(self._corners) == 2:
+            corners = np.sort(list(self._corners.values()), axis=0)
+            self.put_search(box_mm=corners.ravel().tolist())
+
+    def forget_search(self) -> None:
+        """Forget seed and box."""
+        self._corners.clear()
+        self.put_search(seed_mm=None, box_mm=None)
+
+    def search_text(self) -> str:
+        """Return seed and box in words."""
+        if self.study is None:
+            return ""
+        known = {"seed": self.study.get("scan", "seed_mm"), "box": self.study.get("scan", "box_mm")}
+        texts = [f"{name}: {', '.join(f'{v:g}' for v in value)}" for name, value in known.items() if value]
+        corners = [", ".join(f"{v:g}" for v in place) for place in self._corners.values()]
+        return "; ".join([*texts, *(f"corner: {place}" for place in corners if not known["box"])])
+
+    def set_measurement(self, key: str, name: str | None) -> None:
+        """Choose the vibrometer file, its points or its fiducials."""
+        self.opened_study.put("ldv", **{key: name})
+        if self.marks is not None and key == "fiducials":
+            self.marks.use_fiducials()
+
+    def leave_out_choice(self) -> tuple[list[str], list[str]]:
+        """Return the channels that can be left out, and those that are."""
+        gone = self.study.get("ldv", "leave_out") if self.study else None
+        left = [gone] if isinstance(gone, str) else list(gone or ())
+        measured = self.content("points") or {"beams": []}
+        every = [name for beam in measured["beams"] for name in (beam["channel"], beam["channel_point"])]
+        return list(dict.fromkeys([*left, *every])), left
+
+    def reasons(self) -> tuple[list[str], list[str]]:
+        """Return the codes that the verdict rests on or that are confirmed, and the confirmed ones."""
+        ticked = list(self.study.get("study", "confirmed") or ()) if self.study else []
+        fitted = self.content("fit")
+        codes = [reason["code"] for reason in fitted["verdict"]["reasons"]] if fitted else []
+        return list(dict.fromkeys([*ticked, *codes])), ticked
+
+    def report(self) -> Path:
+        """Return the report of the last fit.
+
+        Raises
+        ------
+        StapeskitError
+            There is none yet.
+        """
+        path: Path = self.places.out / "report.html"
+        if not path.is_file():
+            raise StapeskitError("There is no report yet: press Fit first.")
+        return path
+
+    def start(self, step: str) -> Job:
+        """Begin a step.
+
+        Raises
+        ------
+        StapeskitError
+            Another one is at work, or what it needs is not there yet.
+        """
+        study = self.opened_study
+        if self.job is not None and self.job.running:
+            raise StapeskitError("A step is at work; wait for it, or stop it.")
+        if step == "cut" and not study.labels_are_ours:
+            raise StapeskitError("Nothing was drawn: the cut as found was measured already.")
+        if step in ("points", "fit") and not study.get("ldv", "file"):
+            raise StapeskitError("Choose a vibrometer file first.")
+        if not study.path.exists():
+            study.save(study.tables)
+        self.job = Job(step, study.path)
+        return self.job
+
+    def finish(self) -> str:
+        """Take what the step made and return its fault, empty when all went well."""
+        job = self.job
+        if job is None:
+            return ""
+        fault = job.fault()
+        if not fault:
+            self.take_results()
+        return fault
+
+    def take_results(self) -> None:
+        """Read what the steps have left; labels are read once."""
+        self.mass = {
+            name: json.loads((folder / "mass.json").read_text(encoding="utf-8"))
+            for name in ("found", "cut")
+            if (folder := getattr(self.places, name)).joinpath("mass.json").is_file()
+        }
+        if "found" in self.mass:
+            self._read_labels()
+
+    def _read_labels(self) -> None:
+        from ct_inertia.scan.open_scan import open_labels
+
+        study = self.opened_study
+        found, grid = open_labels(study.places.found / LABELS)
+        if self.drawing is not None and np.array_equal(self.drawing.found, found):
+            return
+        labels, hand = found.astype(np.uint8), None
+        if study.labels_are_ours and (hand := study.file("scan", "labels")) is not None and hand.exists():
+            drawn, drawn_grid = open_labels(hand)
+            if _same_grid(drawn_grid, grid):
+                labels = drawn.astype(np.uint8)
+            else:
+                hand = None
+        self.drawing = Drawing.of(labels, grid.scan_from_index, found.astype(np.uint8))
+        self._hand_labels = hand
+        if hand is not None:
+            self.drawing.opened(hand)
+
+    def end_stroke(self) -> None:
+        """Save the labels after a stroke, and name them in the study.
+
+        Raises
+        ------
+        StapeskitError
+            The labels or the study were changed elsewhere.
+        """
+        if self.drawing is not None and self.drawing.end_stroke():
+            self._save_labels()
+
+    def undo(self) -> Change | None:
+        """Take the last stroke back and save."""
+        if self.drawing is None:
+            return None
+        change = self.drawing.undo()
+        if change.index.size:
+            self._save_labels()
+        return change
+
+    def reset(self) -> None:
+        """Return to the cut as found."""
+        if self.drawing is not None:
+            self.drawing.reset()
+            self._save_labels()
+
+    def _save_labels(self) -> None:
+        """Write the labels that were drawn; labels as found are not given back, so that nothing changes."""
+        study, drawing = self.opened_study, self.drawing
+        if drawing is None:
+            return
+        if self._hand_labels is None:
+            self._hand_labels = study.places.unused(HAND_LABELS)
+        drawing.write(self._hand_labels)
+        if not drawing.as_found:
+            study.put_labels(self._hand_labels)
+        elif study.labels_are_ours:
+            study.put_labels(None)
+
+    def surfaces(self) -> dict[str, Path]:
+        """Return the surfaces of the mass that the study stands for, by name."""
+        folder = None if self.study is None else mass_folder(self.study)
+        names = () if folder is None else ("stapes", "plate")
+        return {name: path for name in names if (path := folder / f"{name}.ply").is_file()}  # type: ignore[operator]
+
+    def content(self, name: str) -> dict[str, Any] | None:
+        """Return what a step left for the page, ``points`` or ``fit``; None without it."""
+        if self.study is None:
+            return None
+        path: Path = getattr(self.places, name)
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+    def files(self) -> list[str]:
+        """Return the names of the files that can be a measurement, its points or its fiducials."""
+        folder = self.folder if self.study is None else self.study.path.parent
+        named = [str(value) for value in (self.study.tables.get("ldv", {}) if self.study else {}).values()]
+        found = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in MEASUREMENTS]
+        return list(dict.fromkeys([*found, *(name for name in named if (folder / name).exists())]))
+
+    def other_results(self) -> list[str]:
+        """Return the folders beside the study that hold K and D, other than its own."""
+        if self.study is None:
+            return []
+        own = self.places.out
+        return [p.parent.name for p in sorted(own.parent.glob("*/kd.json")) if p.parent.name != own.name]
+
+
+def _free_name(scan: Path) -> str:
+    """Return the name of a scan, numbered where there is a study of that name."""
+    from ct_inertia.scan.formats import stem_of
+
+    stem = stem_of(scan.name)
+    number, name = 1, stem
+    while scan.with_name(f"{name}.toml").exists():
+        number += 1
+        name = f"{stem}_{number}"
+    return name
+
+
+def _opened(study: StudyFile) -> Scan | None:
+    from app.grey import opened
+
+    return opened(study.mass_options(hand_work=False))
+
+
+def _belonging(found: Found) -> dict[str, Path]:
+    """Return the measurement that lies beside a scan, with what belongs to it."""
+    if len(found.measurements) != 1:
+        return {}
+    keys = {"points", "fiducials"} & found.others.keys()
+    return {"file": found.measurements[0], **{key: found.others[key] for key in sorted(keys)}}
+
+
+def _same_grid(one: Scan, other: Scan) -> bool:
+    return one.shape == other.shape and np.allclose(one.scan_from_index, other.scan_from_index, atol=_CLOSE)

@@ -1,0 +1,151 @@
+"""Tables and curves of the page, from the files that the steps leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from app.job import TITLES
+
+if TYPE_CHECKING:
+    import altair
+
+Row = dict[str, str]
+_NAMES = {"found": "as found", "cut": "corrected"}
+
+
+def html_table(rows: Sequence[Row]) -> str:
+    """Return rows as an HTML table; every cell is escaped."""
+    if not rows:
+        return ""
+    head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row.values()) + "</tr>" for row in rows
+    )
+    return f'<table class="results"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def mass_rows(masses: Mapping[str, Mapping[str, Any]]) -> list[Row]:
+    """Return mass, volume and moments of the cut as found and of the corrected one, each with its sd."""
+    rows = []
+    for name, mass in masses.items():
+        matrix, sd = (mass["mass_matrix"].get(key) for key in ("matrix_si", "standard_deviation_si"))
+
+        def entry(at: int, factor: float, digits: int, matrix: Any = matrix, sd: Any = sd) -> str:
+            return _with_sd(factor * matrix[at][at], None if sd is None else factor * sd[at][at], digits)
+
+        rows.append(
+            {
+                "cut": _NAMES[name],
+                "mass, mg": entry(0, 1e6, 4),
+                "volume, mm³": f"{1e9 * mass['volume_m3']:.5f}",
+                "M(alpha), mg mm²": entry(3, 1e12, 4),
+                "M(beta), mg mm²": entry(4, 1e12, 4),
+                "M(gamma), mg mm²": entry(5, 1e12, 4),
+            }
+        )
+    return rows
+
+
+def _with_sd(value: float, sd: float | None, digits: int) -> str:
+    return f"{value:.{digits}f}" + ("" if sd is None else f" ± {sd:.{digits}f}")
+
+
+def beam_rows(points: Mapping[str, Any]) -> list[Row]:
+    """Return every beam with its verdict."""
+    return [
+        {
+            "body": beam["body"],
+            "point": beam["point"],
+            "beam": beam["beam"],
+            "verdict": beam["verdict"],
+            "estimate": beam["estimate"],
+            "residual, µm": f"{beam['residual_um']:.3g}",
+        }
+        for beam in points["beams"]
+    ]
+
+
+def registration_text(points: Mapping[str, Any]) -> str:
+    """Return how well the fiducials fit, and which one worst."""
+    count = len({(beam["body"], beam["point"]) for beam in points["beams"]})
+    if points["rms_um"] is None:
+        return f"{count} points; no fiducials tie them to the scan."
+    name, worst = max(points["fiducials"].items(), key=lambda pair: pair[1])
+    return (
+        f"{count} points laid into the scan; the fiducials fit within {points['rms_um']:.0f} µm rms, worst "
+        f"{name} with {worst:.0f} µm."
+    )
+
+
+def fit_rows(fit: Mapping[str, Any]) -> list[Row]:
+    """Return K and D with sd and 95 % intervals."""
+    return [
+        {
+            "": entry["entry"],
+            "of": f"{entry['row']}, {entry['column']}",
+            "value": f"{entry['value']:.5g} ± {entry['sd']:.2g}",
+            "95 %": f"{entry['lower_95']:.5g} to {entry['upper_95']:.5g}",
+            "unit": entry["unit"],
+        }
+        for entry in fit["entries"]
+    ]
+
+
+def verdict_html(verdict: Mapping[str, Any]) -> str:
+    """Return the verdict with its reasons; confirmed ones are named."""
+    level = {"believe": "", "check": "check"}.get(verdict["level"], "no")
+    reasons = "".join(
+        f"<li><code>{escape(one['code'])}</code> {escape(one['text'])}</li>" for one in verdict["reasons"]
+    )
+    confirmed = (
+        f"<p>Checked by you: {escape(', '.join(verdict['confirmed']))}</p>" if verdict["confirmed"] else ""
+    )
+    return (
+        f'<div class="verdict {level}"><b>{escape(verdict["sentence"])}</b>'
+        f"{f'<ul>{reasons}</ul>' if reasons else ''}{confirmed}</div>"
+    )
+
+
+def folded(title: str, content: str) -> str:
+    """Return content that can be unfolded."""
+    return f"<details><summary>{escape(title)}</summary>{content}</details>"
+
+
+def notices_text(notices: Sequence[tuple[str, str]]) -> str:
+    """Return warnings, each once, as HTML that can be unfolded."""
+    every = dict(notices)
+    if not every:
+        return ""
+    items = "".join(f"<li><code>{escape(code)}</code> {escape(text)}</li>" for code, text in every.items())
+    plural = "warning" if len(every) == 1 else "warnings"
+    return folded(f"{len(every)} {plural}", f"<ul>{items}</ul>")
+
+
+def done_text(step: str, seconds: float) -> str:
+    """Return that a step has ended."""
+    return f"{TITLES[step]}: done in {seconds:.0f} s."
+
+
+def curves(fit: Mapping[str, Any]) -> altair.VConcatChart:
+    """Return amplitude and phase, measured (dots) and fitted (lines), over frequency; they can be zoomed."""
+    import altair as alt
+    import pandas as pd
+
+    parts = [pd.DataFrame({**row, "frequency, Hz": fit["freq_hz"]}) for row in fit["responses"]]
+    table = pd.concat(parts, ignore_index=True)
+    base = alt.Chart(table).encode(
+        x=alt.X("frequency, Hz", scale=alt.Scale(type="log", nice=False)),
+        tooltip=["motion", "kind", "frequency, Hz", "amplitude", "phase"],
+    )
+
+    def drawn(what: str, scale: alt.Scale) -> Any:
+        y = alt.Y(what, scale=scale, title="phase, °" if what == "phase" else what)
+        dots = base.transform_filter("datum.kind == 'measured'").mark_circle(size=12, color="#555555")
+        line = base.transform_filter("datum.kind == 'fitted'").mark_line(color="#d55e00")
+        both = alt.layer(dots.encode(y=y), line.encode(y=y)).properties(width=230, height=170)
+        column = alt.Column("motion", title=None, sort=list(dict.fromkeys(table["motion"])))
+        return both.facet(column=column).resolve_scale(y="independent").interactive()
+
+    return alt.vconcat(drawn("amplitude", alt.Scale(type="log")), drawn("phase", alt.Scale()))

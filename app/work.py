@@ -1,0 +1,164 @@
+"""One step of a study in a process of its own: ``python -m app.work STEP STUDY.toml``.
+
+Progress goes to standard output, a JSON object a line; exit codes and sentences are those of the commands.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.study_file import StudyFile, replace_file
+from stapeskit.command import run
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from fitting.result import KDFit
+    from kinematics.results import MotionResult
+
+
+def tell(stage: str, share: float | None = None) -> None:
+    """Report the stage at work."""
+    sys.stdout.write(json.dumps({"stage": stage, "share": share}) + "\n")
+    sys.stdout.flush()
+
+
+def warn(notices: Sequence[Notice]) -> None:
+    """Report warnings."""
+    for notice in notices:
+        sys.stdout.write(json.dumps({"code": notice.code, "text": notice.text}) + "\n")
+
+
+def found(study: StudyFile) -> None:
+    """Find the stapes and measure its mass, without hand work."""
+    _mass(study, study.places.found, hand_work=False)
+
+
+def cut(study: StudyFile) -> None:
+    """Measure the mass with the labels that were drawn."""
+    _mass(study, study.places.cut, hand_work=True)
+
+
+def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
+    from ct_inertia.ct2mass import measure_mass
+
+    result = measure_mass(study.mass_options(hand_work=hand_work), tell)
+    result.write(folder, report=False)
+    warn(result.notices)
+
+
+def points(study: StudyFile) -> None:
+    """Lay the measurement into the scan, and look at every beam."""
+    from kinematics.options import MotionOptions
+    from kinematics.points2dof import measure_motion
+    from stapeskit.records.measured_mass import measured_mass
+
+    folder = mass_folder(study)
+    mass = None if folder is None else measured_mass(folder / "mass.json")
+    options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
+    result = measure_motion(options, mass, tell)
+    warn(result.notices)
+    replace_file(study.places.points, json.dumps(points_content(result)))
+
+
+def points_content(result: MotionResult) -> dict[str, Any]:
+    """Return points in scan mm with the verdicts of their beams, and how well the fiducials fit."""
+    from kinematics.measurement import direction_name
+
+    mass, fit = result.mass, result.placement.registration
+    turn, shift = np.eye(3), np.zeros(3)
+    if mass is not None:
+        pose = mass.record.scan_from_footplate
+        turn, shift = pose.rotation, pose.translation_mm
+    beams = []
+    for body in result.measurement.bodies:
+        arms = np.full((len(body.points), 3), np.nan) if body.positions_m is None else body.positions_m
+        places = 1e3 * arms @ turn.T + shift
+        for point, place, direction in zip(body.points, places, body.file_directions, strict=True):
+            verdicts = [
+                one
+                for one in result.channels
+                if one.body == body.body
+                and one.point == point
+                and np.allclose(one.direction, direction, atol=1e-6)
+            ]
+            worst = next((one for one in verdicts if one.verdict != "ok"), verdicts[0])
+            beams.append(
+                {
+                    "body": body.body,
+                    "point": point,
+                    "beam": direction_name(direction),
+                    "channel": f"{body.body}:{point}:{direction_name(direction)}".replace(" ", ""),
+                    "channel_point": f"{body.body}:{point}",
+                    "scan_mm": [round(float(value), 4) for value in place],
+                    "verdict": worst.verdict,
+                    "estimate": worst.estimate,
+                    "residual_um": round(1e6 * float(worst.residual_rms_m), 6),
+                }
+            )
+    residuals = [] if fit is None else 1e3 * np.linalg.norm(fit.residuals_mm, axis=1)
+    return {
+        "beams": beams,
+        "in_scan": mass is not None,
+        "rms_um": None if fit is None else 1e3 * fit.rms_mm,
+        "fiducials": {} if fit is None else dict(zip(fit.names, map(float, residuals), strict=True)),
+    }
+
+
+def fit(study: StudyFile) -> None:
+    """Run the study as ``scan2kd`` does."""
+    from pipeline.run import run_study
+
+    result = run_study(study.path, study.places.out, progress=tell, tell=warn)
+    content = {"verdict": result.fit.verdict.as_json(), **fit_content(result.fit)}
+    replace_file(study.places.fit, json.dumps(content))
+
+
+def fit_content(result: KDFit) -> dict[str, Any]:
+    """Return K and D with intervals, and measured and simulated responses, for tables and curves."""
+    from fitting.report.figures import responses
+
+    shown = responses(result)
+    order = np.argsort(shown.freq_hz)
+    rows = []
+    for place, name in enumerate(result.dof):
+        for kind, values in (("measured", shown.measured), ("fitted", shown.simulated)):
+            value = values[order, place]
+            unit = 1e9 if name in ("x", "y", "z") else 1e6
+            rows.append(
+                {
+                    "motion": f"{name}, {'nm' if unit == 1e9 else 'µrad'}",
+                    "kind": kind,
+                    "amplitude": [float(f"{unit * one:.6g}") for one in np.abs(value)],
+                    "phase": [round(float(one), 3) for one in np.angle(value, deg=True)],
+                }
+            )
+    return {
+        "entries": json.loads(result.to_frame().to_json(orient="records")),
+        "freq_hz": [round(float(one), 4) for one in shown.freq_hz[order]],
+        "responses": rows,
+    }
+
+
+def mass_folder(study: StudyFile) -> Path | None:
+    """Return the folder of the mass that the study stands for: with hand work where there is some."""
+    drawn = study.places.cut if study.labels_are_ours else study.places.found
+    return next((one for one in (drawn, study.places.found) if (one / "mass.json").is_file()), None)
+
+
+STEPS: dict[str, Callable[[StudyFile], None]] = {"found": found, "cut": cut, "points": points, "fit": fit}
+
+
+def work(words: list[str]) -> None:
+    """Run the step that the words name."""
+    step, path = words
+    STEPS[step](StudyFile.read(Path(path)))
+
+
+if __name__ == "__main__":
+    run("stapeskit app", work)

@@ -1,0 +1,192 @@
+"""From scan to K and D as the page does it, without a browser; ``scan2kd`` repeats its numbers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from app import grey, tables, work
+from app.job import Job
+from app.session import Session
+from app.study_file import StudyFile
+from ct_inertia.scan.open_scan import open_labels
+from pipeline.run import scan2kd
+from simulate import Ear, Experiment, Scan, simulate_study
+from stapeskit.faults import StapeskitError
+
+FILES = ("scan.nrrd", "ldv.csv", "points.csv", "fiducials.csv")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A folder where a study was begun and its mass was found, and its truth."""
+    made = tmp_path_factory.mktemp("made")
+    folder = tmp_path_factory.mktemp("ear")
+    experiment = Experiment(lines=40, stapes_points=6, bone_points=6, seed=2)
+    truth = simulate_study(Ear(), Scan(voxel_um=40.0, samples=6, format="nrrd", seed=2), experiment, made)
+    for name in FILES:
+        shutil.copy(made / name, folder / name)
+    session = Session(folder)
+    session.begin(folder / "scan.nrrd", "ear1")
+    session.set_scan(f"{truth.ear.density_kg_m3}+-20", truth.ear.side)
+    run(session, "found")
+    return folder, truth
+
+
+@pytest.fixture
+def session(measured, tmp_path):
+    folder = tmp_path / "ear"
+    shutil.copytree(measured[0], folder)
+    opened = Session(folder)
+    opened.open(folder / "ear1.toml")
+    return opened
+
+
+def run(session: Session, step: str) -> None:
+    """Do a step in this process: a new one would only load everything again."""
+    study = session.opened_study
+    if not study.path.exists():
+        study.save(study.tables)
+    work.STEPS[step](StudyFile.read(study.path))
+    session.take_results()
+
+
+def behead(session: Session, pen: int) -> None:
+    drawing = session.drawing
+    top = np.argwhere(drawing.shown == 1)[:, 0].max()
+    at = np.argwhere(drawing.shown[top - 5 :] == 1)[:, ::-1].mean(axis=0)
+    at[2] += top - 5
+    drawing.paint(at, pen, 8)
+    session.end_stroke()
+
+
+def test_the_scan_is_shown_before_anything_is_measured(measured):
+    session = Session(measured[0])
+    session.begin(measured[0] / "scan.nrrd")
+    shown, affine = grey.first_look(session.scan)
+    assert shown.dtype == np.uint8
+    assert shown.max() == 255
+    corner = affine @ [0, 0, 0, 1] * [-1.0, -1.0, 1.0, 1.0]
+    assert np.linalg.norm(session.scan.index_points(corner[:3]) - (session.scan.size - 1) * [1, 1, 0]) < 3.0
+    assert session.study.tables["ldv"] == {
+        "file": "ldv.csv", "points": "points.csv", "fiducials": "fiducials.csv"
+    }  # fmt: skip
+    assert not session.study.path.exists()
+
+
+def test_labels_lie_on_the_grey_values_of_the_picture(session):
+    drawing = session.drawing
+    shown = grey.beneath(session.scan, drawing)
+    assert shown.shape == drawing.shown.shape
+    assert np.median(shown[drawing.shown == 1]) > 2 * np.median(shown[drawing.shown == 0]) + 50
+
+
+def test_strokes_change_the_mass_and_undo_gives_the_same_study_back(session):
+    before = session.study.path.read_bytes()
+    mass = session.mass["found"]["mass_kg"]
+    behead(session, 3)
+    hand = session.study.file("scan", "labels")
+    assert np.array_equal(open_labels(hand)[0], session.drawing.labels)
+    run(session, "cut")
+    assert session.mass["cut"]["mass_kg"] < 0.97 * mass
+    kept = hand.read_bytes()
+    run(session, "found")
+    assert session.mass["found"]["mass_kg"] == mass
+    assert hand.read_bytes() == kept
+    rows = tables.mass_rows(session.mass)
+    assert [row["cut"] for row in rows] == ["as found", "corrected"]
+    session.undo()
+    assert session.drawing.as_found
+    assert session.study.path.read_bytes() == before
+    with pytest.raises(StapeskitError):
+        session.start("cut")
+
+
+def test_a_closed_tab_loses_no_stroke_and_a_new_study_spares_its_labels(session):
+    behead(session, 3)
+    behead(session, 2)
+    again = Session(session.folder)
+    again.open(session.study.path)
+    assert np.array_equal(again.drawing.labels, session.drawing.labels)
+    assert not again.drawing.as_found
+    again.reset()
+    assert again.drawing.as_found
+    assert "labels" not in again.study.tables["scan"]
+
+
+def test_a_second_tab_cannot_write_over_the_strokes_of_the_first(session):
+    behead(session, 3)
+    second = Session(session.folder)
+    second.open(session.study.path)
+    behead(session, 2)
+    with pytest.raises(StapeskitError):
+        behead(second, 1)
+    assert np.array_equal(open_labels(session.study.file("scan", "labels"))[0], session.drawing.labels)
+
+
+def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(session, measured):
+    truth = measured[1]
+    session.set_measurement("fiducials", "fiducials.csv")
+    foot = np.array(session.mass["found"]["frames"]["scan_from_footplate"])
+    session.marks.put("anterior", foot[:3, 3] + foot[:3, 0])
+    drawing = session.drawing
+    edge = np.argwhere(drawing.shown == 1)[:, ::-1][0]
+    drawing.paint(edge, 3, 1)
+    session.end_stroke()
+    run(session, "cut")
+    run(session, "points")
+    points = session.content("points")
+    assert {beam["verdict"] for beam in points["beams"]} == {"ok"}
+    assert points["rms_um"] < 50.0
+    assert "points laid into the scan" in tables.registration_text(points)
+    run(session, "fit")
+    shown = session.content("fit")
+    again = scan2kd(session.study.path, out=session.folder / "again")
+    ours, theirs = (
+        json.loads((session.folder / name / "kd.json").read_text()) for name in ("ear1_out", "again")
+    )
+    assert {key for key in ours if ours[key] != theirs[key]} <= {"provenance"}
+    assert again.mass["mass_kg"] == session.mass["cut"]["mass_kg"]
+    assert again.mass["mass_matrix"] == session.mass["cut"]["mass_matrix"]
+    entry = shown["entries"][0]
+    assert abs(entry["value"] - truth.stiffness_si[0, 0]) < 3.5 * entry["sd"]
+    assert session.leave_out_choice()[0][:1] == [points["beams"][0]["channel"]]
+    assert len(tables.fit_rows(shown)) == 12
+
+
+def test_points_lie_in_the_scan_where_they_were_measured(session, measured):
+    run(session, "points")
+    beams = session.content("points")["beams"]
+    stapes = np.array([beam["scan_mm"] for beam in beams if beam["body"] == "stapes"])
+    surface = trimesh.load(session.surfaces()["stapes"], process=False)
+    assert np.max(cKDTree(surface.vertices).query(stapes)[0]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("a step without a study", "Choose a scan"), ("a report before a fit", "press Fit first")],
+)
+def test_what_is_not_there_yet_is_said(measured, words, expected):
+    session = Session(measured[0])
+    if "report" in words:
+        session.begin(measured[0] / "scan.nrrd", "other")
+    with pytest.raises(StapeskitError, match=expected):
+        session.start("found") if "step" in words else session.report()
+
+
+def test_a_refusal_comes_from_the_child_in_the_words_of_the_command_and_no_traceback(measured, tmp_path):
+    shutil.copy(measured[0] / "ldv.csv", tmp_path / "scan.nrrd")
+    study = StudyFile.new(tmp_path, "bad")
+    study.save({"study": {"name": "bad"}, "scan": {"file": "scan.nrrd"}})
+    job = Job("found", study.path)
+    job.wait()
+    fault = job.fault()
+    assert "must be" in fault
+    assert "Traceback" not in fault
+    assert not Path(study.places.found / "mass.json").exists()

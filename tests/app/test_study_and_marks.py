@@ -1,0 +1,138 @@
+"""The study file and the marks: what is written, what is kept, what is refused."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from app.marks import Marks
+from app.study_file import HEAD, StudyFile
+from ct_inertia.frames.fiducials import read_plate_fiducials
+from ct_inertia.frames.landmarks import read_landmarks
+from stapeskit.faults import StapeskitError
+
+FIDUCIALS = """name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame
+a,1,0,0,-2,0,-1,plate
+b,4,0,0,2,0,-1,plate
+c,4,0,3,2,0,1,plate
+d,1,0,3,-2,0,1,plate
+bead,1,1,1,3,3,3,scan
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("scan.nrrd", "ldv.csv", "points.csv"):
+        (tmp_path / name).write_text("x\n")
+    (tmp_path / "fiducials.csv").write_text(FIDUCIALS)
+    return tmp_path
+
+
+@pytest.fixture
+def study(folder):
+    made = StudyFile.new(folder, "ear1")
+    made.put("scan", file=folder / "scan.nrrd", density_kg_m3="1900+-60")
+    made.put("ldv", file=folder / "ldv.csv", points="points.csv", fiducials="fiducials.csv")
+    return made
+
+
+def test_every_key_comes_back_and_those_the_page_does_not_show_stay(study, folder):
+    text = study.path.read_text()
+    study.path.write_text(text + '\n[fit]\nunknowns = ["none"]\nband_hz = [400.0, 5000.0]\n')
+    again = StudyFile.read(study.path)
+    again.put("scan", side="left", anterior=[1.0, 0.0, 0.0])
+    content = tomllib.loads(study.path.read_text())
+    assert content["fit"] == {"unknowns": ["none"], "band_hz": [400.0, 5000.0]}
+    assert content["scan"]["file"] == "scan.nrrd"
+    assert content["scan"]["side"] == "left"
+    again.put("scan", side=None)
+    assert "side" not in tomllib.loads(study.path.read_text())["scan"]
+
+
+def test_a_value_that_the_command_would_refuse_leaves_the_file_as_it_was(study):
+    before = study.path.read_bytes()
+    with pytest.raises(StapeskitError) as raised:
+        study.put("scan", density_kg_m3="bone")
+    assert raised.value.faults[0].thing == "scan.density_kg_m3"
+    assert study.path.read_bytes() == before
+    assert study.get("scan", "density_kg_m3") == "1900+-60"
+
+
+def test_a_study_of_another_hand_is_continued_under_another_name(folder):
+    other = folder / "study.toml"
+    other.write_text('# mine\n[study]\nnotes = "n"\n[scan]\nfile = "scan.nrrd"\n')
+    before = other.read_bytes()
+    study = StudyFile.read(other)
+    study.put("scan", side="right")
+    assert other.read_bytes() == before
+    assert study.path.name == "study_app.toml"
+    assert study.path.read_text().startswith(HEAD)
+    with pytest.raises(StapeskitError, match=r"study_app\.toml"):
+        StudyFile.read(other)
+
+
+def test_what_another_tab_has_saved_is_not_written_over(study):
+    here, there = StudyFile.read(study.path), StudyFile.read(study.path)
+    there.put("scan", side="left")
+    kept = study.path.read_bytes()
+    with pytest.raises(StapeskitError) as raised:
+        here.put("scan", side="right")
+    assert raised.value.faults[0].expected == "as this page left it"
+    assert study.path.read_bytes() == kept
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "..", "ear1"])
+def test_names_that_cannot_be_a_file_or_are_taken_are_refused(study, folder, name):
+    with pytest.raises(StapeskitError) as raised:
+        StudyFile.new(folder, name)
+    assert raised.value.faults[0].thing == "the name"
+
+
+def test_labels_take_the_place_of_seed_and_box_and_give_it_back(study, folder):
+    study.put("scan", seed_mm=[1.0, 2.0, 3.0], box_mm=[0.0, 0.0, 0.0, 5.0, 5.0, 5.0])
+    hand = folder / "ear1_labels.seg.nrrd"
+    hand.write_text("x")
+    study.put_labels(hand)
+    again = StudyFile.read(study.path)
+    assert again.mass_options(hand_work=True).labels == hand
+    assert again.mass_options(hand_work=True).seed_mm is None
+    found = again.mass_options(hand_work=False)
+    assert (found.labels, found.seed_mm) == (None, (1.0, 2.0, 3.0))
+    again.put_labels(None)
+    assert again.get("scan", "box_mm") == [0.0, 0.0, 0.0, 5.0, 5.0, 5.0]
+
+
+def test_marks_are_saved_one_by_one_and_read_by_the_commands(study):
+    marks = Marks(study)
+    assert marks.names[-4:] == ["a", "b", "c", "d"]
+    marks.put("anterior", np.array([1.23456, 2.0, 3.0]))
+    marks.put("head", [0.0, 1.0, 2.0])
+    points = read_landmarks(study.file("scan", "landmarks"))
+    assert np.allclose(points["anterior"], [1.2346, 2.0, 3.0])
+    marks.put("a", [0.0, 0.0, 0.0])
+    marks.put("b", [4.0, 0.0, 0.0])
+    assert study.get("scan", "plate_fiducials") is None
+    assert len(Marks(StudyFile.read(study.path)).plate) == 2
+    marks.put("c", [4.0, 0.0, 2.0])
+    known = read_plate_fiducials(study.file("scan", "plate_fiducials"))
+    assert known.names == ("a", "b", "c")
+    assert np.allclose(known.plate_mm, [[-2, 0, -1], [2, 0, -1], [2, 0, 1]])
+    again = Marks(StudyFile.read(study.path))
+    assert again.placed == marks.placed
+    again.put("head", None)
+    again.put("anterior", None)
+    assert again.study.get("scan", "landmarks") is None
+
+
+def test_landmarks_of_another_program_are_taken_over_and_their_file_stays(study, folder):
+    given = folder / "given.fcsv"
+    given.write_text("# CoordinateSystem = LPS\n# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label\n"
+                     "1,1,2,3,0,0,0,1,1,1,0,anterior\n")  # fmt: skip
+    study.put("scan", landmarks=given)
+    before = given.read_bytes()
+    marks = Marks(study)
+    marks.put("superior", [0.0, 0.0, 9.0])
+    assert given.read_bytes() == before
+    assert set(read_landmarks(study.file("scan", "landmarks"))) == {"anterior", "superior"}
