@@ -104,6 +104,9 @@ class Job:
         code = self._process.wait()
         for thread in self._threads:
             thread.join(timeout=5.0)
+        for pipe in (self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
         if code == 0:
             return ""
         if self.stopped:

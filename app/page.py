@@ -13,6 +13,7 @@ with app.setup:
     import traceback
     import webbrowser
     from pathlib import Path
+    from typing import get_args
 
     import marimo as mo
 
@@ -256,7 +257,7 @@ def fit_controls(attempt, begin, get_fit, get_study, session):
         fit_value("exclude_hz", ""), label="leave out, Hz", placeholder="900-1000, 1980-2020",
         on_change=lambda value: put_fit("fit", "exclude_hz", [one for one in value.split(",") if one]),
     )  # fmt: skip
-    laws = ["viscous", "hysteretic", "fractional", "compare"]
+    laws = [*get_args(default["damping"].annotation)]
     damping = mo.ui.dropdown(
         laws,
         value=fit_value("damping", laws[0]),

@@ -125,6 +125,7 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
         plastic_mask = plate_mask(region, box, box.grey, box.grey > np.float32(middle)) & (local == 0)
         region = None if region.immersing else region
     stapes, other = _by_grey_values(box, local, plastic_mask, middle)
+    air, bone = _levels(box, _bodies(stapes, other, local))
     return Labelled(
         box=box,
         stapes=stapes,
@@ -208,17 +209,56 @@ def _levels(box: Box, local: NDArray[np.uint8]) -> tuple[float, float]:
 def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: float) -> tuple[Mask, Mask]:
     """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
 
-    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between
-    goes to the body whose flood of grey values reaches it first.
+    Bone beside the drawn stapes that has no label means the same as bone labelled other: it is not the
+    stapes. Excepted is what the flood of grey values gives to the body that reaches it first: a layer between
+    the label and the air of up to three voxels, and a gap in the stapes no wider than twice that.
     """
     bone = (box.grey > np.float32(middle)) & ~plastic
     drawn = local == STAPES
     step = float(box.spacing_mm.max())
     near = capped_distance(drawn, box.spacing_mm, (_DRAWN_VOXELS + 1.0) * step) <= _DRAWN_VOXELS * step
     other = bone & ~drawn & (~near | (local == OTHER_BONE))
+    other |= _goes_on(box, drawn, bone, bone & ~drawn & ~other, other)
     markers = (drawn & bone).astype(np.int32) + 2 * other.astype(np.int32)
     parts = flood(-box.grey, markers, bone, smoothing=0.7)
     return parts == 1, parts == 2
+
+
+def _goes_on(box: Box, drawn: Mask, bone: Mask, beside: Mask, other: Mask) -> Mask:
+    """Return which voxels beside the drawn stapes belong to bone that goes on from it to other bone.
+
+    From the nearest drawn voxel through the voxel and on to four voxels away there is bone, and none of the
+    drawn stapes; and such voxels lead to other bone, which a rough surface seen along itself does not.
+    """
+    from scipy.ndimage import binary_erosion, binary_propagation
+    from scipy.spatial import cKDTree
+
+    result = np.zeros_like(beside)
+    voxels = np.argwhere(beside)
+    if not len(voxels):
+        return result
+    spacing = box.spacing_mm[::-1]
+    step = float(spacing.max())
+    border = np.argwhere(drawn & ~binary_erosion(drawn))
+    distance, nearest = cKDTree(border * spacing).query(voxels * spacing)
+    start = border[nearest] * spacing
+    along = (voxels * spacing - start) / distance[:, None]
+    last = np.array(drawn.shape) - 1
+    on = np.ones(len(voxels), dtype=bool)
+    for reach in np.arange(1.0, _DRAWN_VOXELS + 1.5, 0.5) * step:
+        place = np.clip(np.rint((start + reach * along) / spacing), 0, last).astype(np.int64)
+        at = tuple(place.T)
+        on &= (bone[at] & ~drawn[at]) | (reach < distance)
+    result[tuple(voxels[on].T)] = True
+    return np.asarray(binary_propagation(other, mask=other | result)) & result
+
+
+def _bodies(stapes: Mask, other: Mask, local: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the labels of the bodies as they are measured, the same whichever way bone was labelled."""
+    bodies = np.where(local == PLATE, np.uint8(PLATE), np.uint8(0))
+    bodies[other] = OTHER_BONE
+    bodies[stapes] = STAPES
+    return bodies
 
 
 def _plate_in(scan: Scan, overview: Overview, stapes: Mask) -> PlateRegion | None:

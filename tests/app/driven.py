@@ -35,8 +35,12 @@ class Server:
             stderr=subprocess.STDOUT,
             text=True,
         )
-        threading.Thread(target=lambda: self.lines.extend(self.process.stdout or ()), daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         self.address = self._address(120.0)
+
+    def _read(self) -> None:
+        self.lines.extend(self.process.stdout or ())
 
     def _address(self, limit_s: float) -> str:
         end = time.monotonic() + limit_s
@@ -50,6 +54,9 @@ class Server:
         """End it."""
         self.process.terminate()
         self.process.wait(30.0)
+        self._reader.join(10.0)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
 
     @property
     def said(self) -> str:
@@ -96,9 +103,9 @@ class Page:
         self.see(text).click()
         self.settle()
 
-    def wait(self, text: str) -> None:
+    def wait(self, text: str, limit_s: float = 600.0) -> None:
         """Wait for a text."""
-        self.see(text).wait_for()
+        self.see(text).wait_for(timeout=1000.0 * limit_s)
 
     def settle(self, ms: int = 700) -> None:
         """Let the page come to rest."""
