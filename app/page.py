@@ -42,6 +42,7 @@ def state():
     get_study, set_study = mo.state(0)  # counters: what depends on one is shown anew when it goes up
     get_picture, set_picture = mo.state(0)
     get_mass, set_mass = mo.state(0)
+    get_undone, set_undone = mo.state(0)
     get_marks, set_marks = mo.state(0)
     get_points, set_points = mo.state(0)
     get_fit, set_fit = mo.state(0)
@@ -87,7 +88,7 @@ def state():
     return (
         attempt, begin, get_busy, get_fit, get_marks, get_mass, get_picture, get_point, get_points,
         get_said, get_study, picture, session, set_busy, set_fit, set_marks, set_mass, set_picture,
-        set_points, set_said, set_study, up,
+        get_undone, set_points, set_said, set_study, set_undone, up,
     )  # fmt: skip
 
 
@@ -159,7 +160,7 @@ def scan_controls(attempt, begin, get_study, picture, session, set_study):
 
 
 @app.cell
-def cut_controls(attempt, begin, picture, session):
+def cut_controls(attempt, begin, picture, session, set_undone):
     pens = {"look": None, **PENS}
     pen = mo.ui.radio(pens, value="look", inline=True, on_change=lambda value: setattr(picture, "pen", value))
     radius = mo.ui.slider(
@@ -173,10 +174,12 @@ def cut_controls(attempt, begin, picture, session):
         False, label="boundary only", on_change=lambda value: picture.show_boundary(value)
     )
     view = mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=lambda value: picture.set_view(value))
-    undo = mo.ui.button(label="Undo", on_click=lambda _: attempt(lambda: picture.show_change(session.undo())))
+    undo = mo.ui.button(
+        label="Undo", on_click=lambda _: attempt(lambda: picture.show_change(session.undo()), set_undone)
+    )
 
     def back(_):
-        attempt(session.reset)
+        attempt(session.reset, set_undone)
         picture.show_all()
 
     reset = mo.ui.button(label="Back to the cut as found", on_click=back)
@@ -279,49 +282,6 @@ def fit_controls(attempt, begin, get_fit, get_study, session):
 
 
 @app.cell
-def clock(get_busy):
-    tick = mo.ui.refresh(default_interval=1) if get_busy() else None
-    return (tick,)
-
-
-@app.cell
-def progress(
-    get_said, session, set_busy, set_fit, set_marks, set_mass, set_picture, set_points, set_said, tick, up
-):
-    changed = {
-        "found": (set_mass, set_picture),
-        "cut": (set_mass,),
-        "points": (set_points, set_marks),
-        "fit": (set_fit, set_mass),
-    }
-
-    def status():
-        kind, text = get_said()
-        job = session.job
-        if tick is None or job is None:
-            return kind, mo.Html(text) if text.startswith("<") else mo.md(tables.escape(text))
-        if job.running:
-            share = f' value="{job.share:.3f}"' if job.share is not None else ""
-            hidden = mo.Html(f'<div class="clock">{tick}</div>')
-            stop = mo.ui.button(label="Stop", on_click=lambda _: job.stop())
-            bar = mo.Html(f"<progress{share}></progress> {tables.escape(job.progress)}")
-            return "", mo.hstack([bar, stop, hidden], justify="start")
-        fault = session.finish()
-        if fault:
-            set_said(("danger", fault))
-        else:
-            notices = tables.notices_text(job.notices)
-            set_said(("", f"<div>{tables.done_text(job.step, job.seconds)} {notices}</div>"))
-            up(*changed[job.step])
-        set_busy(False)
-        return "", mo.md("")
-
-    _kind, _shown = status()
-    mo.Html(f'<div class="status {_kind}">{_shown}</div>')
-    return
-
-
-@app.cell
 def show_picture(get_picture, picture, session, attempt):
     get_picture()
 
@@ -404,9 +364,9 @@ def layout_side(
 
 
 @app.cell
-def layout_mass(get_mass, session):
-    get_mass()
-    mo.Html(tables.html_table(tables.mass_rows(session.mass)))
+def layout_mass(get_mass, get_undone, session):
+    get_mass(), get_undone()
+    mo.Html(tables.html_table(tables.mass_rows(session.masses)))
     return
 
 
@@ -424,7 +384,7 @@ def layout_fit(get_fit, session):
         [
             mo.Html(tables.verdict_html(fitted["verdict"])),
             mo.Html(tables.html_table(tables.fit_rows(fitted))),
-            tables.curves(fitted),
+            mo.Html(f'<div class="wide">{mo.as_html(tables.curves(fitted))}</div>'),
             mo.md(f"All results: `{session.places.out}`. Again: `scan2kd {session.study.path}`"),
         ]
     ) if fitted else mo.md("")
@@ -444,6 +404,49 @@ def layout_compare(attempt, other, session):
     if other.value:
         attempt(lambda: compared.append(rows()))
     mo.Html("".join(compared))
+    return
+
+
+@app.cell
+def clock(get_busy):
+    tick = mo.ui.refresh(default_interval=1) if get_busy() else None
+    return (tick,)
+
+
+@app.cell
+def progress(
+    get_said, session, set_busy, set_fit, set_marks, set_mass, set_picture, set_points, set_said, tick, up
+):
+    changed = {
+        "found": (set_mass, set_picture),
+        "cut": (set_mass,),
+        "points": (set_points, set_marks),
+        "fit": (set_fit, set_mass),
+    }
+
+    def status():
+        kind, text = get_said()
+        job = session.job
+        if tick is None or job is None:
+            return kind, mo.Html(text) if text.startswith("<") else mo.md(tables.escape(text))
+        if job.running:
+            share = f' value="{job.share:.3f}"' if job.share is not None else ""
+            hidden = mo.Html(f'<div class="clock">{tick}</div>')
+            stop = mo.ui.button(label="Stop", on_click=lambda _: job.stop())
+            bar = mo.Html(f"<progress{share}></progress> {tables.escape(job.progress)}")
+            return "", mo.hstack([bar, stop, hidden], justify="start")
+        fault = session.finish()
+        if fault:
+            set_said(("danger", fault))
+        else:
+            notices = tables.notices_text(job.notices)
+            set_said(("", f"<div>{tables.done_text(job.step, job.seconds)} {notices}</div>"))
+            up(*changed[job.step])
+        set_busy(False)
+        return "", mo.md("")
+
+    _kind, _shown = status()
+    mo.Html(f'<div class="status {_kind}">{_shown}</div>')
     return
 
 

@@ -17,11 +17,13 @@ from app.work import mass_folder
 from ct_inertia.scan.scan import Scan
 from pipeline.new_study import ASSUMED_DENSITY, Found, look
 from stapeskit.faults import StapeskitError
+from stapeskit.records.json_files import read_json
 
 LABELS = "labels.seg.nrrd"
 HAND_LABELS = "_labels.seg.nrrd"
 MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")
 _CLOSE = 1e-6
+_DAMAGED = ("the mass of an earlier step", "Remove its folder, and measure again")
 
 
 class Session:
@@ -235,11 +237,8 @@ class Session:
 
     def take_results(self) -> None:
         """Read what the steps have left; labels are read once."""
-        self.mass = {
-            name: json.loads((folder / "mass.json").read_text(encoding="utf-8"))
-            for name in ("found", "cut")
-            if (folder := getattr(self.places, name)).joinpath("mass.json").is_file()
-        }
+        files = {name: getattr(self.places, name) / "mass.json" for name in ("found", "cut")}
+        self.mass = {name: read_json(path, *_DAMAGED) for name, path in files.items() if path.is_file()}
         if "found" in self.mass:
             self._read_labels()
 
@@ -307,12 +306,21 @@ class Session:
         names = () if folder is None else ("stapes", "plate")
         return {name: path for name in names if (path := folder / f"{name}.ply").is_file()}  # type: ignore[operator]
 
-    def content(self, name: str) -> dict[str, Any] | None:
+    @property
+    def masses(self) -> dict[str, dict[str, Any]]:
+        """Content of mass.json of the cut as found and, while labels are drawn, of the corrected one."""
+        drawn = self.study is not None and self.study.labels_are_ours
+        return {name: mass for name, mass in self.mass.items() if drawn or name != "cut"}
+
+    def content(self, name: str) -> Any:
         """Return what a step left for the page, ``points`` or ``fit``; None without it."""
         if self.study is None:
             return None
         path: Path = getattr(self.places, name)
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
 
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""

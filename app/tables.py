@@ -135,17 +135,19 @@ def curves(fit: Mapping[str, Any]) -> altair.VConcatChart:
 
     parts = [pd.DataFrame({**row, "frequency, Hz": fit["freq_hz"]}) for row in fit["responses"]]
     table = pd.concat(parts, ignore_index=True)
-    base = alt.Chart(table).encode(
-        x=alt.X("frequency, Hz", scale=alt.Scale(type="log", nice=False)),
-        tooltip=["motion", "kind", "frequency, Hz", "amplitude", "phase"],
-    )
+    x = alt.X("frequency, Hz", scale=alt.Scale(type="log", nice=False))
+    columns = ["kind", "frequency, Hz", "amplitude", "phase"]
 
-    def drawn(what: str, scale: alt.Scale) -> Any:
-        y = alt.Y(what, scale=scale, title="phase, °" if what == "phase" else what)
+    def drawn(motion: str, what: str, title: str, scale: alt.Scale) -> Any:
+        base = alt.Chart(table[table["motion"] == motion]).encode(x, alt.Y(what, scale=scale, title=title))
         dots = base.transform_filter("datum.kind == 'measured'").mark_circle(size=12, color="#555555")
         line = base.transform_filter("datum.kind == 'fitted'").mark_line(color="#d55e00")
-        both = alt.layer(dots.encode(y=y), line.encode(y=y)).properties(width=230, height=170)
-        column = alt.Column("motion", title=None, sort=list(dict.fromkeys(table["motion"])))
-        return both.facet(column=column).resolve_scale(y="independent").interactive()
+        both = alt.layer(dots.encode(tooltip=columns), line.encode(tooltip=columns))
+        return both.properties(width=210, height=130).interactive(name=f"{motion[0]}_{what}")
 
-    return alt.vconcat(drawn("amplitude", alt.Scale(type="log")), drawn("phase", alt.Scale()))
+    rows = [
+        drawn(motion, "amplitude", motion, alt.Scale(type="log"))
+        | drawn(motion, "phase", "phase, °", alt.Scale(domain=[-180, 180]))
+        for motion in dict.fromkeys(table["motion"])
+    ]
+    return alt.vconcat(*rows)
