@@ -251,16 +251,16 @@ def fit_controls(attempt, begin, get_fit, get_study, session):
         parts = value if isinstance(value, list) else [value]
         return ", ".join("-".join(map(str, one)) if isinstance(one, list) else str(one) for one in parts)
 
-    options = {entry.key: entry for entry in KDOptions.entries()}
+    keys = {entry.key: entry for entry in KDOptions.entries()}
     dof = mo.ui.text(
-        fit_value("dof", ",".join(options["dof"].default)), label="degrees of freedom",
+        fit_value("dof", ",".join(keys["dof"].default)), label="degrees of freedom",
         on_change=lambda value: put_fit("fit", "dof", value),
     )  # fmt: skip
     exclude = mo.ui.text(
         fit_value("exclude_hz", ""), label="leave out, Hz", placeholder="900-1000, 1980-2020",
         on_change=lambda value: put_fit("fit", "exclude_hz", [one for one in value.split(",") if one]),
     )  # fmt: skip
-    laws = [*get_args(options["damping"].annotation)]
+    laws = [*get_args(keys["damping"].annotation)]
     damping = mo.ui.dropdown(
         laws,
         value=fit_value("damping", laws[0]),

@@ -6,6 +6,8 @@ import asyncio
 import importlib.util
 import os
 import signal
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -51,6 +53,15 @@ def test_the_server_binds_to_this_machine_with_a_token_and_shows_no_tracebacks(m
     assert {"--token", "--no-show-tracebacks"} <= set(words)
     assert Path(words[words.index("run") + 1]).is_file()
     assert words[-2:] == ["--folder", str(tmp_path)]
+
+
+def test_every_name_of_the_page_is_defined_in_one_cell():
+    pytest.importorskip("marimo")
+    page = Path(launch.__file__).with_name("page.py")
+    found = subprocess.run(
+        [sys.executable, "-m", "marimo", "check", str(page)], capture_output=True, text=True
+    )
+    assert "critical" not in found.stdout + found.stderr
 
 
 def answer(address: str) -> tuple[int, str]:
