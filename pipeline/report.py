@@ -33,8 +33,6 @@ _MAIN = (
     "Where the uncertainty comes from",
     "Channels and verdicts",
 )
-# The one view of the report shows all of it.
-_LEFT_OUT = ("The stapes in three dimensions",)
 
 
 def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
@@ -74,7 +72,7 @@ def study_page(result: StudyResult) -> page.Page:
     motion_sections(collected, result.moved)
     report_sections(fit, collected)
     made.section("The moving stapes", page.viewer(moving_stapes(result, pictured)))
-    sections = [each for each in (*collected.sections, *collected.appendix) if each.name not in _LEFT_OUT]
+    sections = [*collected.sections, *collected.appendix]
     first = [section for name in _MAIN for section in sections if section.name == name]
     made.sections.extend(replace(section, folded=False) for section in first)
     made.section("Warnings", page.notices(result.notices, study.about.confirmed))

@@ -49,6 +49,7 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
     shown.add(summary_cards(content), reduced_matrix(content))
     shown.add(page.notices(from_json(content["warnings"])))
     add_sections(shown, content, pictured)
+    shown.section("The stapes in three dimensions", page.viewer(scene(content, pictured)))
     provenance = content["provenance"]
     given = [(key.replace("_", " "), str(value)) for key, value in provenance["parameters"].items()]
     versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
@@ -91,7 +92,6 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
         shown.section("What was measured", page.figure(cut, caption, alt, vector=False), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
     shown.section("Frames", *frame_blocks(content, pictured))
-    shown.section("The stapes in three dimensions", page.viewer(scene(content, pictured)))
     for name, blocks in (
         ("Next to published stapedes", published_blocks(content)),
         ("How the stapes was found and measured", evidence_blocks(content)),
