@@ -253,8 +253,9 @@ def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array
     Notes
     -----
     A closed surface is sampled anew, in a quarter of the time of a decimation; the result is closed, and kept
-    when it has the topology of the given one: no hole appears and none closes. Where that fails, and for open
-    surfaces, corners are removed one by one (Schroeder, Zarge and Lorensen 1992, doi:10.1145/133994.134010).
+    when it has the topology of the given one: no hole that can be seen appears, and none closes. Where that
+    fails, and for open surfaces, corners are removed one by one (Schroeder, Zarge and Lorensen 1992,
+    doi:10.1145/133994.134010).
     """
     import pyvista as pv
 
@@ -274,8 +275,9 @@ def _sampled(surface: PolyData, most: int) -> PolyData | None:
     Returns
     -------
     PolyData or None
-        None where it is not closed, or of another topology, or where a wall is thinner than the cells: both
-        faces of the wall then end on one, and many corners look against the surface that they lie on.
+        None where it is not closed, or of another topology by more than handles smaller than a cell, or where
+        a wall is thinner than the cells: both faces of the wall then end on one, and many corners look
+        against the surface that they lie on.
     """
     import pyvista as pv
 
@@ -290,8 +292,13 @@ def _sampled(surface: PolyData, most: int) -> PolyData | None:
     first = np.array(mask.origin) + (0.5 * (parts - 1) - parts) * cell / parts
     grid = pv.ImageData(dimensions=share.shape, spacing=(cell,) * 3, origin=first)
     sampled = grid.contour(isosurfaces=[0.5], scalars=share.ravel(order="F"), method="flying_edges")
-    if not sampled.is_manifold or _euler_number(sampled) != _euler_number(surface):
+    if not sampled.is_manifold:
         return None
+    if _euler_number(sampled) != _euler_number(surface):
+        some = surface.points[::10]
+        _, near = sampled.find_closest_cell(some, return_closest_point=True)
+        if np.max(np.linalg.norm(near - some, axis=1)) > cell:
+            return None
     sampled = sampled.smooth_taubin(n_iter=12)  # evens the triangles
     below, closest = surface.find_closest_cell(sampled.points, return_closest_point=True)  # type: ignore[misc]
     sampled.points = closest
