@@ -134,7 +134,11 @@ def solve(
     scale = np.ones(lines) if line_scale is None else line_scale
     out = Solution.empty(channels, basis.shape[1], lines)
     for part in blocks(channels, lines):
-        _fit_block(basis, value[:, part], sd[:, part], robust, part, scale[part], out)
+        y, s = value[:, part], sd[:, part]
+        rows = _separable(y, s) if robust == "none" else None
+        if rows is not None and _fit_block(basis, y, s, rows, part, scale, out):
+            continue
+        _fit_lines(basis, y, s, robust, part, scale, out)
     out.weight /= max(int(np.sum(out.good)), 1)
     if robust != "none":
         out.variance_factor = _variance_factor(basis, value, sd, robust, out)
@@ -142,79 +146,96 @@ def solve(
     return out
 
 
+def _separable(y: ComplexArray, sd: Array) -> NDArray[np.bool_] | None:
+    """Return the channels (c,) in use where sd is a product of channel and line and none has gaps."""
+    rows: NDArray[np.bool_] = np.ones(len(y), dtype=bool)
+    if not np.isfinite(y.sum()) or not np.isfinite(sd.sum()):
+        used = np.isfinite(y) & np.isfinite(sd)
+        rows = np.asarray(used.all(axis=1))
+        if not np.array_equal(rows, used.any(axis=1)):
+            return None
+    if not rows.any():
+        return None
+    if sd.strides[0] and sd.strides[1]:
+        some = sd[rows]
+        product = some[:, :1] / some[0, 0] * some[0]
+        if np.any(np.abs(some - product) > _SAME_RATIO * product):
+            return None
+    return rows
+
+
 def _fit_block(
+    basis: Array,
+    y: ComplexArray,
+    sd: Array,
+    rows: NDArray[np.bool_],
+    part: slice,
+    scale: Array,
+    out: Solution,
+) -> bool:
+    """Fit lines that share the ratios of their noise by one QR; return whether they are determined."""
+    own = np.flatnonzero(rows)
+    share, line = sd[own, 0] / sd[own[0], 0], sd[own[0]]
+    weight = 1.0 / share
+    if len(own) < basis.shape[1]:
+        return False
+    q, r = np.linalg.qr(basis[own] * weight[:, None])
+    diagonal = np.abs(np.diag(r))
+    if diagonal.min() <= 1e-9 * diagonal.max():
+        return False
+    white = y if len(own) == len(y) else y[own]
+    flat = np.ascontiguousarray(white * weight[:, None]).view(float)
+    seen = q.T @ flat
+    flat -= q @ seen
+    np.square(flat, out=flat)
+    noise = np.repeat(line**-2.0, 2)
+    inverse = np.linalg.inv(r.T @ r)
+    out.z[:, part] = np.linalg.solve(r, seen).view(complex)
+    out.covariance[part] = 2.0 * line[:, None, None] ** 2 * inverse
+    out.chi2[part] = (flat.sum(axis=0) * noise).reshape(-1, 2).sum(axis=1)
+    out.count[part], out.good[part] = len(own), True
+    out.energy[own] += flat @ noise
+    out.freedom[own] += 2.0 * len(line) * (1.0 - np.sum(q**2, axis=1))
+    out.weight[own] += len(line) * weight**2 / np.max(weight**2)
+    out.square[own] += share**2 * (flat @ np.repeat(scale[part], 2))
+    out.used[own] += len(line)
+    out.explained += float(np.sum(seen**2 @ noise))
+    return True
+
+
+def _fit_lines(
     basis: Array, y: ComplexArray, sd: Array, robust: str, part: slice, scale: Array, out: Solution
 ) -> None:
-    """Fit some lines and enter them into the solution."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        noise = 1.0 / np.square(sd)
-    used = np.isfinite(y) & np.isfinite(noise) & (noise > 0.0)
-    if not used.all():
-        y, noise = np.where(used, y, 0.0), np.where(used, noise, 0.0)
-    weight = noise
-    found = _shared(basis, y, noise) if robust == "none" else None
-    if found is not None:
-        z, inverse, leverage = found
-        good = np.ones(y.shape[1], dtype=bool)
-    else:
-        z, inverse, good = _weighted(basis, y, noise)
-        if robust != "none":
-            start = np.flatnonzero(good)
-            if robust == "t4":  # several optima: start from the only one of Huber's function
-                _reweight(basis, y, noise, z, start, "huber", tolerance=1e-2)
-            weight = _reweight(basis, y, noise, z, start, robust, tolerance=1e-3)
-        final = inverse if weight is noise else _weighted(basis, y, weight)[1]
-        z[:, ~good] = 0.0
-        pairs = basis[:, :, None] * basis[:, None, :]
-        leverage = weight * np.einsum("cij,lij->cl", pairs, final, optimize=True)
-    left = y - _product(basis, z)
+    """Fit lines with weights of their own."""
+    used = np.isfinite(y) & np.isfinite(sd) & (sd > 0.0)
+    y = np.where(used, y, 0.0)
+    noise = np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
+    z, inverse, good = _weighted(basis, y, noise)
+    weight, plain = noise, inverse
+    if robust != "none":
+        start = np.flatnonzero(good)
+        if robust == "t4":  # several optima: start from the only one of Huber's function
+            _reweight(basis, y, noise, z, start, "huber", tolerance=1e-2)
+        weight = _reweight(basis, y, noise, z, start, robust, tolerance=1e-3)
+        inverse = _weighted(basis, y, weight)[1]
+    z[:, ~good] = 0.0
+    left = y - basis @ z
     residual = left.real**2 + left.imag**2
     normal = residual * noise
-    chi2 = normal.sum(axis=0)
-    chosen, largest = used & good, np.max(weight, axis=0)
+    pairs = basis[:, :, None] * basis[:, None, :]
+    leverage = weight * np.einsum("cij,lij->cl", pairs, inverse, optimize=True)
+    chosen = used & good
+    largest = np.max(weight, axis=0)
     out.z[:, part] = np.where(good, z, np.nan)
-    out.covariance[part] = np.where(good[:, None, None], 2.0 * inverse, np.nan)
-    out.chi2[part] = np.where(good, chi2, np.nan)
+    out.covariance[part] = np.where(good[:, None, None], 2.0 * plain, np.nan)
+    out.chi2[part] = np.where(good, normal.sum(axis=0), np.nan)
     out.count[part], out.good[part] = used.sum(axis=0), good
-    out.energy += normal @ good
+    out.energy += (normal * good).sum(axis=1)
     out.freedom += 2.0 * np.sum(chosen * (1.0 - leverage), axis=1)
-    out.weight += weight @ np.where(good & (largest > 0.0), 1.0 / np.where(largest > 0.0, largest, 1.0), 0.0)
-    out.square += (residual * chosen) @ scale
+    out.weight += np.sum(weight * good / np.where(largest > 0.0, largest, 1.0), axis=1)
+    out.square += (residual * chosen) @ scale[part]
     out.used += chosen.sum(axis=1)
-    whole = np.sum((y.real**2 + y.imag**2) * noise, axis=0)
-    out.explained += float(np.sum(np.maximum(whole - chi2, 0.0) * good))
-
-
-def _product(matrix: Array, values: ComplexArray) -> ComplexArray:
-    """Return the product of a real matrix with complex columns, in half the time."""
-    return np.asarray((matrix @ np.ascontiguousarray(values).view(float)).view(complex))
-
-
-def _shared(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray, Array, Array] | None:
-    """Return coefficients, inverse Gram matrices and leverage (c, 1) by one QR factorisation for all lines.
-
-    None where the weights are not a product of channel and line, or do not determine the coefficients.
-    """
-    first = int(np.argmax(noise[:, 0]))
-    product = noise[:, :1] / max(noise[first, 0], 1e-300) * noise[first]
-    if noise[first, 0] == 0.0 or np.any(np.abs(noise - product) > _SAME_RATIO * product):
-        return None
-    root = np.sqrt(noise[:, :1])
-    factors = _factorised(basis, root)
-    if factors is None:
-        return None
-    q, turn = factors
-    inverse = (noise[first, 0] / noise[first])[:, None, None] * (turn @ turn.T)
-    return _product(turn @ q.T, root * y), inverse, np.sum(q**2, axis=1, keepdims=True)
-
-
-def _factorised(basis: Array, root: Array) -> tuple[Array, Array] | None:
-    """Return Q and the inverse of R of weighted columns; None where these are dependent."""
-    q, r = np.linalg.qr(basis * root)
-    diagonal = np.abs(np.diag(r))
-    if np.count_nonzero(root) < basis.shape[1] or diagonal.min() <= 1e-9 * diagonal.max():
-        return None
-    return q, np.linalg.inv(r)
+    out.explained += float(np.sum(np.abs(basis @ z) ** 2 * noise * good))
 
 
 def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray, Array, NDArray[np.bool_]]:
@@ -230,15 +251,18 @@ def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray
     condition = np.linalg.norm(inverse, axis=(1, 2)) * trace
     good = (condition < _CONDITION) & (np.count_nonzero(noise, axis=0) >= size)
     z = np.zeros((size, y.shape[1]), dtype=complex)
+    left = y
     for _ in range(2):
-        right = _product(basis.T, w * (y - _product(basis, z)))
+        right = (basis.T @ np.ascontiguousarray(w * left).view(float)).view(complex)
         z = z + np.einsum("lij,jl->il", inverse, right)
-    for line in np.flatnonzero(~good):
-        factors = _factorised(basis, np.sqrt(w[:, line, None]))
-        if factors is not None:
-            q, turn = factors
-            z[:, line], inverse[line] = turn @ (q.T @ (np.sqrt(w[:, line]) * y[:, line])), turn @ turn.T
-            good[line] = True
+        left = y - basis @ z
+    for line in np.flatnonzero(~good & (np.count_nonzero(noise, axis=0) >= size)):
+        root = np.sqrt(w[:, line])
+        q, r = np.linalg.qr(basis * root[:, None])
+        diagonal = np.abs(np.diag(r))
+        if diagonal.min() > 1e-9 * diagonal.max():
+            turn = np.linalg.inv(r)
+            z[:, line], inverse[line], good[line] = turn @ (q.T @ (root * y[:, line])), turn @ turn.T, True
     return z, inverse / top[:, None, None], good
 
 
@@ -301,7 +325,7 @@ def _variance_factor(basis: Array, value: ComplexArray, sd: Array, kind: str, ou
     s, used = np.tile(s, repeat), np.tile(used, repeat)
     noise = s * np.random.default_rng(0).normal(size=(*s.shape, 2)).view(complex)[..., 0]
     trial = Solution.empty(len(value), basis.shape[1], s.shape[1])
-    _fit_block(basis, noise, np.where(used, s, np.nan), kind, slice(None), np.ones(s.shape[1]), trial)
+    _fit_lines(basis, noise, np.where(used, s, np.nan), kind, slice(None), np.ones(s.shape[1]), trial)
     whole = np.einsum("il,lij,jl->l", trial.z.conj(), np.linalg.inv(trial.covariance), trial.z).real
     counted = float(np.nanmean(whole)) / basis.shape[1]
     seen = [
