@@ -21,7 +21,7 @@ _MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
 _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows from, to 1 %
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
-_MOSTLY_CLIPPED = 0.5  # share p of air at one value: noise leaves p^27 of cubes
+_AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
 _LOUD = calibrated("overview.loud_noise")
 
 
@@ -81,8 +81,8 @@ def look_at(scan: Scan) -> Overview:
     else:
         noise, (padding, outside) = noise_of(grey), _outside(grey)
         levels = material_levels(grey, noise, grid.voxel_mm3, outside)
-        if outside is not None and len(levels) > 1 and _lies_beside_bone(grey, outside, levels):
-            padding, outside = None, None
+        if padding is not None and (len(levels) < 2 or abs(padding - levels[0]) < _AS_AIR * noise):
+            padding, outside = None, None  # air that the export has clipped, or set to a constant
             levels = material_levels(grey, noise, grid.voxel_mm3, None)
         if outside is not None and len(levels) > 1:
             grey[outside] = np.float32(levels[0])
@@ -177,17 +177,3 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     with_solid[joined[grown(touching[labels]) & same]] = True
     outside = with_solid[joined]
     return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
-
-
-def _lies_beside_bone(grey: Grey, outside: Mask, levels: Array) -> bool:
-    """Return whether a constant is air that the export has clipped.
-
-    It lies next to bone then, or most of the other air has its value too: noise clips single voxels, and
-    whole neighbourhoods only where nearly every voxel is clipped.
-    """
-    bone = grey > np.float32(0.5 * (levels[0] + levels[-1]))
-    others = grey[~outside & ~bone]
-    if np.count_nonzero(others == grey[outside][0]) > _MOSTLY_CLIPPED * others.size:
-        return True
-    beside = grown(grown(grown(bone))) & ~bone  # beyond the blur, which is one coarse voxel wide
-    return bool(np.count_nonzero(outside & beside) >= 0.5 * np.count_nonzero(beside))

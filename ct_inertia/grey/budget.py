@@ -30,14 +30,18 @@ def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
     Notes
     -----
     The logarithm of the ratio of likelihoods is half the difference of the sums of squares on the stapes'
-    side over the variance of the noise, times the voxels per independent one. A fluid lies on one side: each
-    eighth of the space around must fit better with the coat.
+    side over the variance of the noise, times the voxels per independent one. A fluid lies on one side: no
+    eighth of the space around may speak clearly against a coat.
     """
     fit, begin = parts.fit, parts.fit.start
     coated = fit_scene(begin, Media.around(begin, USUAL_COAT), fit.storing)
     better = parts.where_own(np.square(fit.residual) - np.square(coated.residual))
-    gains = [float(better[part].sum(dtype=float)) for part in octants(better.shape, parts.transform, moments)]
-    if min(gains) <= 0.0 or sum(gains) < 2.0 * _CLEARLY * begin.noise**2 * begin.correlation:
+    unit = 2.0 * begin.noise**2 * begin.correlation
+    gains = [
+        float(better[part].sum(dtype=float)) / unit
+        for part in octants(better.shape, parts.transform, moments)
+    ]
+    if min(gains) < -_CLEARLY or sum(gains) < _CLEARLY:
         return None
     return parts.integrand - StapesParts.of(coated).integrand
 
@@ -65,7 +69,7 @@ def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: fl
     if parts.soft.any():
         for spread in (common, by_octants):
             yield "surroundings", np.float32(_SOFT_SD / np.sqrt(2.0)) * parts.soft, spread
-    if media.touching is not None:
+    if media.wet:
         wet = fit.shares["plate"] * np.float32(_FLUID_SD * fit.contrasts["plate"] / contrast)
         yield "surroundings", parts.where_own(wet), common
     if parts.coat_sd is not None:

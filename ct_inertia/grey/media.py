@@ -102,6 +102,11 @@ class Media:
         coat = coat if coat is not None and coat.thickness_mm > 0.0 else None
         return cls(coat, _hollows(start.masks["stapes"]), touching, plane, np.zeros_like(start.grey))
 
+    @property
+    def wet(self) -> bool:
+        """A fluid touches the stapes."""
+        return self.touching is not None or (self.plane is not None and self.plane.wets)
+
     def plastic(self, fit: SceneFit, field: Grey, window: Window) -> Grey:
         """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a window.
 
@@ -242,7 +247,7 @@ def media_notices(fit: SceneFit, soft: float, hollow: float) -> list[Notice]:
     ``soft``, ``hollow``: shares of the volume that the medium counts as, and that hollows are.
     """
     notices, media = [], fit.media
-    if abs(soft) > _REPORTED or media.touching is not None:
+    if abs(soft) > _REPORTED or media.wet:
         wet = (
             " A fluid touches it, which is modelled as a body of its own."
             if media.touching is not None

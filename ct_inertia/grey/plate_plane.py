@@ -32,10 +32,13 @@ class FacePlane:
         Along z, y, x; unit in mm; from air into plastic.
     offset_mm : float
         The face is ``normal . r = offset``, r from the middle of voxel 0, 0, 0.
+    wets : bool
+        The stapes lies behind it: the far side of a fluid, for a plate faces the stapes.
     """
 
     normal: Array
     offset_mm: float
+    wets: bool = False
 
     def depth(self, shape: tuple[int, ...], spacing: Array, start: tuple[int, ...]) -> Grey:
         """Return the depth below the face, mm, positive in plastic, in a window that begins at ``start``."""
@@ -82,8 +85,12 @@ def flat_face(start: Start) -> FacePlane | None:
     if np.mean(np.abs(away) < reach) < _FLATNESS:
         return None
     offset = float(middle @ normal)
-    inside = np.argwhere(start.masks["plate"])[::97] * start.spacing
-    return FacePlane(-normal, -offset) if np.median(inside @ normal) < offset else FacePlane(normal, offset)
+    plastic, stapes = (
+        float(np.median(np.argwhere(start.masks[name])[::97] * start.spacing @ normal)) - offset
+        for name in ("plate", "stapes")
+    )
+    sign = -1.0 if plastic < 0.0 else 1.0
+    return FacePlane(sign * normal, sign * offset, wets=plastic * stapes > 0.0)
 
 
 def beside_stapes(start: Start, window: tuple[slice, ...], sigma_mm: float) -> Mask:

@@ -156,6 +156,16 @@ def test_a_stapes_that_the_field_of_view_cuts_is_reported():
     assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
 
 
+@pytest.mark.parametrize("begins", [0.0, 0.03, 0.06])
+def test_air_that_the_export_has_clipped_was_measured(begins):
+    """A window that begins up to two deviations of the noise above air leaves one value nearly everywhere."""
+    scan, _ = ear(**ALONE)
+    grey = np.maximum(scan.read(), np.uint16(AIR + begins * (BONE - AIR)))
+    overview = look_at(Scan.from_array(grey, scan.spacing_mm))
+    assert overview.unmeasured is None
+    assert len(overview.levels) == 2
+
+
 def test_a_mask_is_measured_as_a_mask():
     scan, placed = ear(**ALONE)
     exact = true_moments(placed).volume_mm3
