@@ -107,7 +107,7 @@ def _check_stl_count(path: Path) -> None:
         counted = int.from_bytes(stream.read(_STL_HEADER)[80:], "little")
     held = (size - _STL_HEADER) / _STL_TRIANGLE
     if held != counted:
-        wanted, got = f"of as many triangles as its header counts ({counted})", f"bytes of {held:.6g}"
+        wanted, got = f"one with the {counted} triangles that its header counts", f"{held:.6g} of them"
         raise StapeskitError.of("the STL file", wanted, got, path.name, "Copy or export it again")
 
 
