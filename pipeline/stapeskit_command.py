@@ -146,8 +146,9 @@ def _compare(words: Sequence[str]) -> Outcome:
     """Compare two results, or one with what a change would make of it."""
     from pathlib import Path
 
+    from pipeline.cohort.ears import read_ears
     from pipeline.compare import compare, write_comparison
-    from pipeline.what_if import SENTENCE, effect, read_change, read_folder, write_what_if
+    from pipeline.what_if import SENTENCE, effect, read_change, write_what_if
 
     rest, given = _taken(words, ("--out", "--what-if"))
     out = Path(given["--out"][-1] if given["--out"] else "compare_out")
@@ -165,7 +166,9 @@ def _compare(words: Sequence[str]) -> Outcome:
             for name, first, second, change, p in found.rows()
         ]
     if changes:
-        effects = [effect(read_folder(folder), folder, change) for folder in folders for change in changes]
+        ears = read_ears((folder, folder.resolve().name, {}) for folder in folders)
+        read = list(zip(ears, folders, strict=True))
+        effects = [effect(ear, folder, change) for ear, folder in read for change in changes]
         files += write_what_if(effects, out, inputs, "--force" in rest)
         for one in effects:
             rows += [(f"{one.name}, {place}", text) for place, text in one.rows()]

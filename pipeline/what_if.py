@@ -20,7 +20,6 @@ import numpy as np
 from fitting.laws import LAWS, Law
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
-from stapeskit.records.json_files import read_json
 from stapeskit.spatial import DOF_NAMES, matrix_from_parameters
 
 if TYPE_CHECKING:
@@ -281,23 +280,3 @@ def write_what_if(
         ]  # fmt: skip
         pd.concat(parts).to_csv(stage / FILES[1], index=False, lineterminator="\n")
     return list(outputs.paths())
-
-
-def read_folder(folder: Path) -> Ear:
-    """Read a finished study.
-
-    Raises
-    ------
-    StapeskitError
-        There is none in the folder.
-    """
-    from pipeline.cohort.ears import read_ear
-
-    folder = Path(folder)
-    for name in ("mass.json", "kd.json"):
-        read_json(folder / name, f"the result {folder / name}", "Run scan2kd on its study first")
-    try:
-        return read_ear(folder, folder.resolve().name)
-    except (OSError, LookupError, ValueError, TypeError) as error:
-        expected = "a folder with mass.json and kd.json of a finished study"
-        raise StapeskitError.of(str(folder), expected, error, "", "Run scan2kd on its study first") from error

@@ -117,7 +117,7 @@ class Entry:
         """Return the fault of an unfit value."""
         text = str(got[0] if isinstance(got, list) and len(got) == 1 else got)
         step = self.kind.step
-        if re.fullmatch(r"\d+,\d+", text):
+        if re.fullmatch(r"\d+,\d+", text) and self.kind.fits(text.replace(",", ".")):
             step = f"Write a decimal point: {text.replace(',', '.')}"
         if not step and self.example is not None:
             shown = on_command_line(self.example) if called.startswith("--") else toml(self.example)
@@ -262,7 +262,7 @@ def under(folder: Path, value: Any) -> Any:
 
 def unknown(name: str, known: Sequence[str], where: str = "") -> Fault:
     """Return the fault of a name that no option has, with the nearest one."""
-    by_word = {word.lstrip("-").replace("_", "-"): word for word in known}
+    by_word = {word.rpartition(".")[2].lstrip("-").replace("_", "-"): word for word in known}
     near = difflib.get_close_matches(name.lstrip("-").replace("_", "-"), by_word, 1)
     step = f"Did you mean {by_word[near[0]]}?" if near else ""
     return Fault(name, "a known option", "an unknown one", where, step)

@@ -93,8 +93,10 @@ def read_ears(sources: Iterable[tuple[Path, str, Mapping[str, Any]]]) -> list[Ea
         try:
             ears.append(read_ear(folder, name, about))
         except (OSError, LookupError, ValueError, TypeError, AttributeError) as error:
+            missing = isinstance(error, FileNotFoundError | NotADirectoryError) and error.filename
+            got = f"no {Path(error.filename).name}" if missing else error
             expected = "a folder with mass.json and kd.json of a finished study"
-            faults.append(Fault(str(folder), expected, error, "", "Run scan2kd on its study first"))
+            faults.append(Fault(str(folder), expected, got, "", "Run scan2kd on its study first"))
     raise_all(faults)
     return ears
 

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.ears import Ear, read_ears
 from pipeline.run import StudyResult
-from pipeline.what_if import effect, point_mass, read_change, read_folder, write_what_if
+from pipeline.what_if import effect, point_mass, read_change, write_what_if
 from stapeskit.faults import StapeskitError
 
 K, D, M = 1700.0, 0.02, 3e-6
@@ -74,7 +74,7 @@ def test_what_is_no_change_is_refused(words: str) -> None:
 
 
 def test_a_finished_study_answers(finished: StudyResult, tmp_path: Path) -> None:
-    ear = read_folder(finished.out)
+    (ear,) = read_ears([(finished.out, "ear", {})])
     effects = [effect(ear, finished.out, read_change(one)) for one in ("K*10", "mass+5mg@head")]
     assert effects[0].change_db[0] == pytest.approx(-20.0, abs=0.3)
     assert np.all(effects[0].low_db <= effects[0].high_db)
@@ -82,7 +82,7 @@ def test_a_finished_study_answers(finished: StudyResult, tmp_path: Path) -> None
     table = pd.read_csv(next(path for path in files if path.suffix == ".csv"))
     assert set(table["change"]) == {"K*10", "mass+5mg@head"}
     with pytest.raises(StapeskitError):
-        read_folder(tmp_path)
+        read_ears([(tmp_path, "none", {})])
 
 
 def test_a_run_leaves_nine_files_and_one_record(finished: StudyResult) -> None:
