@@ -89,12 +89,12 @@ def read_ears(sources: Iterable[tuple[Path, str, Mapping[str, Any]]]) -> list[Ea
         Folders that hold no finished study, all in one error.
     """
     ears, faults = list[Ear](), list[Fault]()
-    for folder, name, about in sources:
+    for folder, called, about in sources:
         try:
-            ears.append(read_ear(folder, name, about))
+            ears.append(read_ear(folder, called, about))
         except (OSError, LookupError, ValueError, TypeError, AttributeError) as error:
-            missing = isinstance(error, FileNotFoundError | NotADirectoryError) and error.filename
-            got = f"no {Path(error.filename).name}" if missing else error
+            name = getattr(error, "filename", None)
+            got = str(error) if name is None else f"no {Path(name).name}"
             expected = "a folder with mass.json and kd.json of a finished study"
             faults.append(Fault(str(folder), expected, got, "", "Run scan2kd on its study first"))
     raise_all(faults)
