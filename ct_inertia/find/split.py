@@ -10,7 +10,7 @@ import numpy as np
 
 from ct_inertia.bodies import Box, Separation
 from ct_inertia.calibrated import calibrated
-from ct_inertia.find.box import read_box
+from ct_inertia.find.box import block_for, read_box
 from ct_inertia.find.necks import Neck, find_necks
 from ct_inertia.find.overview import Overview, smooth_noise
 from ct_inertia.find.pieces import HALF_GAP_MM, USUAL_MM3, Labels, Piece, describe_all, united
@@ -105,7 +105,7 @@ def splits(
         low = np.maximum(low, np.floor(middle - reach)).astype(np.int64)
         high = np.minimum(high, np.ceil(middle + reach)).astype(np.int64)
     size_mm = (high - low) * scan.spacing_mm + 2.0 * _MARGIN[0]
-    edge = max(_FINER_MM, float(np.prod(size_mm) / _MOST_VOXELS) ** (1.0 / 3.0))
+    edge = _grid_edge(size_mm, scan.spacing_mm)
     if edge > _COARSEST_MM:
         return
     grid = read_box(scan, low, np.minimum(high, scan.size), edge, margin=_MARGIN)
@@ -126,6 +126,19 @@ def splits(
             yield from _united(way)
             likely = sorted(possible, key=lambda part: -part.size_score)
             yield from _at_necks(way, [p for p in likely if p.size_score > _NECK_SCORE and p.empty_arch])
+
+
+def _grid_edge(size_mm: Array, spacing_mm: Array) -> float:
+    """Return the largest edge of the blocks of a grid: the finest that memory and time allow.
+
+    Blocks are whole voxels and may be much smaller than their largest edge: where the grid then has too many
+    of them, the next larger ones are taken, if gaps are still seen on them.
+    """
+    edge = max(_FINER_MM, float(np.prod(size_mm) / _MOST_VOXELS) ** (1.0 / 3.0))
+    for coarser in np.arange(edge, _COARSEST_MM, 0.001):
+        if np.prod(size_mm / (block_for(spacing_mm, float(coarser)) * spacing_mm)) <= 2.0 * _MOST_VOXELS:
+            return float(coarser)
+    return edge
 
 
 def _of_the_whole(bone: Mask, grid: Box, whole: Piece) -> Mask:
