@@ -105,7 +105,7 @@ def splits(
         low = np.maximum(low, np.floor(middle - reach)).astype(np.int64)
         high = np.minimum(high, np.ceil(middle + reach)).astype(np.int64)
     size_mm = (high - low) * scan.spacing_mm + 2.0 * _MARGIN[0]
-    edge = _grid_edge(size_mm, scan.spacing_mm)
+    edge = grid_edge(size_mm, scan.spacing_mm)
     if edge > _COARSEST_MM:
         return
     grid = read_box(scan, low, np.minimum(high, scan.size), edge, margin=_MARGIN)
@@ -128,7 +128,7 @@ def splits(
             yield from _at_necks(way, [p for p in likely if p.size_score > _NECK_SCORE and p.empty_arch])
 
 
-def _grid_edge(size_mm: Array, spacing_mm: Array) -> float:
+def grid_edge(size_mm: Array, spacing_mm: Array) -> float:
     """Return the largest edge of the blocks of a grid: the finest that memory and time allow.
 
     Blocks are whole voxels and may be much smaller than their largest edge: where the grid then has too many
