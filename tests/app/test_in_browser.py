@@ -51,7 +51,6 @@ def test_scan_to_stiffness_by_mouse(folder):
 def _measure(page, folder):
     page.press("scan.tif")
     page.wait("scan.tif opened")
-    page.press("/^slices$/")
     page.shot("1_opened")
     page.write("density", "none")
     page.press("/^Measure$/")
