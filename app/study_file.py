@@ -112,7 +112,7 @@ class StudyFile:
                 )
         tables = {name: dict(value) for name, value in content.items()}
         if _is_ours(path):
-            return cls(path, tables, _stamp(path))
+            return cls(path, tables, stamp(path))
         own = path.with_name(f"{path.stem}_app.toml")
         if own.exists():
             step = f"Open {own.name}, or move it away"
@@ -195,7 +195,7 @@ class StudyFile:
             if tables.get(name):
                 text += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in tables[name].items())]
         replace_file(self.path, "\n".join(text) + "\n")
-        self.tables, self._seen = dict(tables), _stamp(self.path)
+        self.tables, self._seen = dict(tables), stamp(self.path)
 
     def put_labels(self, path: Path | None) -> None:
         """Name the labels that were drawn, or none.
@@ -255,7 +255,7 @@ def check_unchanged(path: Path, seen: tuple[int, int] | None) -> None:
     StapeskitError
         It has changed, or appeared.
     """
-    if path.exists() and _stamp(path) != seen:
+    if path.exists() and stamp(path) != seen:
         step = "Open the study again: what is there is kept"
         fault = Fault(path.name, "as this page left it", "changed in another tab or program", "", step)
         raise StapeskitError(fault)
@@ -271,10 +271,6 @@ def replace_file(path: Path, content: str | bytes) -> None:
 
 def stamp(path: Path) -> tuple[int, int] | None:
     """Return what tells whether a file has changed: its time and size; None without a file."""
-    return _stamp(path)
-
-
-def _stamp(path: Path) -> tuple[int, int] | None:
     try:
         status = path.stat()
     except OSError:

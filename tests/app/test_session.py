@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -153,7 +154,14 @@ def test_a_second_tab_cannot_write_over_the_strokes_of_the_first(session):
     assert np.array_equal(open_labels(session.study.file("scan", "labels"))[0], session.drawing.labels)
 
 
-def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(session, measured):
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Reports without pictures: to draw them would take twice as long as to compute what is in them."""
+    page = SimpleNamespace(write=lambda path: path.write_text("a report"))
+    monkeypatch.setattr("pipeline.report.study_page", lambda _: page)
+
+
+def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(session, measured, no_pictures):
     truth = measured[1]
     session.set_measurement("fiducials", "fiducials.csv")
     foot = np.array(session.mass["found"]["frames"]["scan_from_footplate"])
