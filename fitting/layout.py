@@ -1,8 +1,8 @@
-"""Vibrometer points of one body, each seen along three axes: its motion, noise and errors."""
+"""Vibrometer points of one body, each seen by three beams: its motion, noise and errors."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -21,17 +21,41 @@ BASE_POINTS_MM = tuple(
 """Nine points on a stapes and eight on the bone around it, footplate frame."""
 
 
+CONE_DEG = 20.0
+"""Usual angle between each of three laser heads and the middle of their view."""
+
+
+def cone_beams(cone_deg: float) -> Array:
+    """Return three beams (3, 3), one a row, at an angle from the y axis and evenly spread around it."""
+    cone, around = np.radians(cone_deg), np.radians([90.0, 210.0, 330.0])
+    across = np.sin(cone) * np.column_stack([np.cos(around), np.sin(around)])
+    return np.column_stack([across[:, 0], np.full(3, np.cos(cone)), across[:, 1]])
+
+
 @dataclass(frozen=True)
 class Layout:
-    """Points (n, 3) in mm about the footplate centre in footplate axes; each is seen along x, y and z."""
+    """Points that three laser heads see.
+
+    Attributes
+    ----------
+    points_mm : ndarray, (n, 3)
+        About the footplate centre in footplate axes.
+    beams : ndarray, (3, 3)
+        Directions towards the heads, one a row, footplate axes.
+    """
 
     points_mm: Array
+    beams: Array = field(default_factory=lambda: cone_beams(CONE_DEG))
+
+    @cached_property
+    def directions(self) -> Array:
+        """Directions of the readings (3 n, 3), point by point."""
+        return np.tile(self.beams, (len(self.points_mm), 1))
 
     @cached_property
     def rows(self) -> Array:
-        """Observation rows (3 n, 6), point by point along x, y and z."""
-        arms = np.repeat(np.asarray(self.points_mm) * 1e-3, 3, axis=0)
-        return point_rows(arms, np.tile(np.eye(3), (len(arms) // 3, 1)))
+        """Observation rows (3 n, 6), point by point."""
+        return point_rows(np.repeat(np.asarray(self.points_mm) * 1e-3, 3, axis=0), self.directions)
 
     @cached_property
     def inverse(self) -> Array:
@@ -51,13 +75,12 @@ class Layout:
             place, axis = divmod(reading, 3)
             shift = np.zeros((len(self.rows), 3))
             shift[3 * place : 3 * place + 3] = np.eye(3)[axis]
-            directions = np.tile(np.eye(3), (len(self.rows) // 3, 1))
-            maps.append(-self.inverse @ shifted_point_rows(directions, shift))
+            maps.append(-self.inverse @ shifted_point_rows(self.directions, shift))
         return np.array(maps)
 
     def laser_maps(self) -> Array:
-        """Return the maps (3, 6, 6) of the motion by a relative error of the laser along each axis."""
-        return np.array([self.inverse[:, axis::3] @ self.rows[axis::3] for axis in range(3)])
+        """Return the maps (3, 6, 6) of the motion by a relative error of each laser."""
+        return np.array([self.inverse[:, beam::3] @ self.rows[beam::3] for beam in range(3)])
 
 
 def frame_maps() -> Array:

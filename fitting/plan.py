@@ -15,7 +15,7 @@ import numpy as np
 
 from fitting.dof2kd import MassSource, fit_of, mass_source
 from fitting.entries import sizes
-from fitting.layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
+from fitting.layout import BASE_POINTS_MM, CONE_DEG, STAPES_POINTS_MM, Layout, cone_beams
 from fitting.options import KDOptions
 from fitting.plane import PISTON_DOF
 from fitting.planned_motion import planned_motion
@@ -68,6 +68,9 @@ Points = Annotated[
 ]
 Mass = Annotated[Any, Kind(_mass, _MASS, "MASS", _IN_ROWS)]
 Sd = Annotated[float, Kind(number_where(lambda value: value >= 0.0), "a number, 0 or positive", "NUMBER")]
+Cone = Annotated[
+    float, Kind(number_where(lambda value: 1.0 <= value <= 60.0), "degrees between 1 and 60", "DEG")
+]
 
 
 class Plan(Options):
@@ -88,6 +91,7 @@ class Plan(Options):
     damping: Annotated[Matrix, Opt("expected D, viscous")] = PAPER_DAMPING
     structure_points_mm: Annotated[Points, Opt("points on the stapes")] = STAPES_POINTS_MM
     base_points_mm: Annotated[Points, Opt("points on the bone")] = BASE_POINTS_MM
+    cone_deg: Annotated[Cone, Opt("between each laser beam and the y axis")] = CONE_DEG
     position_sd_mm: Annotated[Sd, Opt("of each coordinate of a point")] = 0.03
     registration_sd_mm: Annotated[Sd, Opt("of the footplate centre in the vibrometer")] = 0.02
     registration_sd_deg: Annotated[Sd, Opt("of the footplate axes in it")] = 0.1
@@ -99,7 +103,9 @@ class Plan(Options):
     @property
     def layouts(self) -> tuple[Layout, Layout]:
         """Points of structure and base."""
-        return Layout(np.array(self.structure_points_mm)), Layout(np.array(self.base_points_mm))
+        beams = cone_beams(self.cone_deg)
+        structure, base = np.array(self.structure_points_mm), np.array(self.base_points_mm)
+        return Layout(structure, beams), Layout(base, beams)
 
 
 @dataclass(frozen=True)

@@ -103,10 +103,10 @@ def _errors(plan: Plan) -> tuple[list[str], list[float], ComplexArray, list[int]
             both[body] = change
             add(f"position.{body}_{number // 3}_{'xyz'[number % 3]}", 1e-3 * plan.position_sd_mm, both)
     lasers = np.stack([layout.laser_maps() for layout in plan.layouts], axis=1)
-    for axis, both in zip("xyz", lasers, strict=True):
-        add(f"laser_gain.{axis}", 0.01 * plan.gain_sd_percent, both)
-        add(f"laser_phase.{axis}", float(np.radians(plan.phase_sd_deg)), 1j * both)
-        add(f"laser_delay.{axis}", 1e-6 * plan.delay_sd_us, -both, 1)
+    for laser, both in enumerate(lasers, 1):
+        add(f"laser_gain.{laser}", 0.01 * plan.gain_sd_percent, both)
+        add(f"laser_phase.{laser}", float(np.radians(plan.phase_sd_deg)), 1j * both)
+        add(f"laser_delay.{laser}", 1e-6 * plan.delay_sd_us, -both, 1)
     return names, sds, np.array(maps).reshape(-1, 2, 6, 6), powers
 
 

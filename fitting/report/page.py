@@ -276,7 +276,7 @@ def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     places = entries.diagonals(len(fit.dof))
     words = shown_sources(fit.budget)
     variances = {words[source]: np.diag(part)[places] for source, part in fit.budget.items()}
-    size = np.abs(fit.values[places])
+    size = entries.sizes(fit.stiffness, fit.damping)[places]
 
     def row(source: str, variance: Array) -> tuple[str, ...]:
         sd = np.sqrt(np.maximum(variance, 0.0))

@@ -36,7 +36,7 @@ M = np.array(
 )
 DOF = ("y", "alpha", "gamma")
 TRUTH = np.concatenate([K[np.triu_indices(3)], D[np.triu_indices(3)]])
-STAPES, BASE = Layout(np.array(STAPES_POINTS_MM)), Layout(np.array(BASE_POINTS_MM))
+STAPES, BASE = (Layout(np.array(points), np.eye(3)) for points in (STAPES_POINTS_MM, BASE_POINTS_MM))
 ROWS = [1, 3, 5]
 
 
