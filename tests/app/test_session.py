@@ -32,7 +32,7 @@ def measured(tmp_path_factory):
     made = tmp_path_factory.mktemp("made")
     folder = tmp_path_factory.mktemp("ear")
     experiment = Experiment(lines=24, stapes_points=6, bone_points=6, seed=2)
-    truth = simulate_study(Ear(), Scan(voxel_um=45.0, samples=6, format="nrrd", seed=2), experiment, made)
+    truth = simulate_study(Ear(), Scan(voxel_um=52.0, samples=6, format="nrrd", seed=2), experiment, made)
     for name in FILES:
         shutil.copy(made / name, folder / name)
     session = Session(folder)
