@@ -384,8 +384,8 @@ def layout_fit(get_fit, session):
         [
             mo.Html(tables.verdict_html(fitted["verdict"])),
             mo.Html(tables.html_table(tables.fit_rows(fitted))),
-            mo.Html(f'<div class="wide">{mo.as_html(tables.curves(fitted))}</div>'),
-            mo.md(f"All results: `{session.places.out}`. Again: `scan2kd {session.study.path}`"),
+            mo.hstack(tables.curves(fitted), wrap=True, justify="start"),
+            mo.Html(tables.repeat_html(session.places.out, session.study.path)),
         ]
     ) if fitted else mo.md("")
     return

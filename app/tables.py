@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from app.job import TITLES
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import altair
 
 Row = dict[str, str]
@@ -79,6 +81,12 @@ def registration_text(points: Mapping[str, Any]) -> str:
     )
 
 
+def repeat_html(out: Path, study: Path) -> str:
+    """Return where all results are, and the command that makes them again."""
+    words = escape(f"scan2kd {study}")
+    return f'<p class="path">All results: <code>{escape(str(out))}</code>. Again: <code>{words}</code></p>'
+
+
 def fit_rows(fit: Mapping[str, Any]) -> list[Row]:
     """Return K and D with sd and 95 % intervals."""
     return [
@@ -128,8 +136,8 @@ def done_text(step: str, seconds: float) -> str:
     return f"{TITLES[step]}: done in {seconds:.0f} s."
 
 
-def curves(fit: Mapping[str, Any]) -> altair.VConcatChart:
-    """Return amplitude and phase, measured (dots) and fitted (lines), over frequency; they can be zoomed."""
+def curves(fit: Mapping[str, Any]) -> list[altair.VConcatChart]:
+    """Return a chart a motion: amplitude above phase, measured (dots) and fitted (lines), to be zoomed."""
     import altair as alt
     import pandas as pd
 
@@ -143,11 +151,10 @@ def curves(fit: Mapping[str, Any]) -> altair.VConcatChart:
         dots = base.transform_filter("datum.kind == 'measured'").mark_circle(size=12, color="#555555")
         line = base.transform_filter("datum.kind == 'fitted'").mark_line(color="#d55e00")
         both = alt.layer(dots.encode(tooltip=columns), line.encode(tooltip=columns))
-        return both.properties(width=210, height=130).interactive(name=f"{motion[0]}_{what}")
+        return both.properties(width=220, height=140).interactive(name=f"{motion[0]}_{what}")
 
-    rows = [
+    return [
         drawn(motion, "amplitude", motion, alt.Scale(type="log"))
-        | drawn(motion, "phase", "phase, °", alt.Scale(domain=[-180, 180]))
+        & drawn(motion, "phase", "phase, °", alt.Scale(domain=[-180, 180]))
         for motion in dict.fromkeys(table["motion"])
     ]
-    return alt.vconcat(*rows)
