@@ -1,4 +1,4 @@
-"""The page of `stapeskit app`, laid out by marimo. What it does stands in the other modules of this room.
+"""The layout of the page of `stapeskit app`, by marimo; session.py does what it offers.
 
 A widget lives as long as the cell that made it: controls that set a state do not depend on it, surfaces have
 one cell a group, and none of them depends on the clock.

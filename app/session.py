@@ -136,7 +136,7 @@ class Session:
         self.take_results()
 
     def set_scan(self, density: str, side: str | None) -> None:
-        """Keep density and side; the assumed density is left out, so that the results say it is assumed."""
+        """Write density and side into the study; an assumed density is left out, so that results say so."""
         study, stated = self.opened_study, density.replace(" ", "").replace("±", "+-")
         if "side" in study.tables.get("study", {}):
             study.put("study", side=side)

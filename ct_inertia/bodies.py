@@ -73,7 +73,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class PlateRegion:
-    """The plastic plate, on a coarse grid of its own.
+    """The plastic plate as a mask and a field on a grid coarser than that of the stapes.
 
     Attributes
     ----------

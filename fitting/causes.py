@@ -1,4 +1,4 @@
-"""Possible errors other than noise: a table of unknowns with prior size and probability."""
+"""The table of the fit's further unknowns, `UNKNOWNS`: possible errors with prior size and probability."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _head(value: float, _own: Array) -> Array:
 
 
 def _head_moved(axis: int) -> Callable[[float, Parts, Data], None]:
-    """Move what is at the head: first order in its place, so that a mass of zero has no place."""
+    """Return a change that moves the mass at the head along an axis, to first order in the step."""
 
     def change(value: float, parts: Parts, data: Data) -> None:
         mass = (parts.mass - data.mass)[0, 0] * data.root_mass[0] ** 2

@@ -153,7 +153,7 @@ def find_mass(motion: Path | None) -> Path:
 
 
 def mass_source(mass: Any, options: KDOptions) -> MassSource:
-    """Read a mass in any form that it may be given in.
+    """Read the mass matrix from a result of ct2mass, a mass.json, a plain CSV or an array.
 
     Raises
     ------

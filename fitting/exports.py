@@ -159,7 +159,7 @@ def comsol(fit: KDFit) -> str:
 
 
 def prior_json(fit: KDFit) -> str:
-    """Return K and D as a joint normal distribution, for who updates a finite element model."""
+    """Return K and D as a joint normal distribution, a prior for updating a finite element model."""
     from fitting.report.kd_json import ring_of
 
     ring = ring_of(fit)

@@ -154,7 +154,7 @@ class KDFit(Result):
         return np.concatenate(columns, axis=1)
 
     def effect(self, other: Alternative) -> Array:
-        """Return columns (p, k) of what K and D change by where an alternative holds."""
+        """Return how K and D would change if an alternative held, as columns (p, k)."""
         tried = other.found
         if tried.covariance.size == 0:
             tried = _with_rough_covariance(tried)

@@ -124,7 +124,7 @@ def _derivatives(
 
 
 def _recorded(shared: SharedErrors, bodies: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return for which errors (p,) one map was recorded with the motion; it is NaN where the runs differ."""
+    """Return which errors (p,) have one map for all runs; where runs differ, the recorded map is NaN."""
     if shared.maps is None or shared.powers is None:
         return np.zeros(len(shared.names), dtype=bool)
     return np.asarray(np.all(np.isfinite(np.asarray(shared.maps)[:, bodies]), axis=(1, 2, 3)))

@@ -1,6 +1,6 @@
-"""Further unknowns of a model than K, D, damping law and shared errors: one row of a table each.
+"""What an unknown of the fit is: a value that changes the equations of motion; the table is in causes.py.
 
-An `Unknown` changes the parts of the equations of motion by its value. The likelihood, its derivatives, the
+A new unknown is one row of `fitting.causes.UNKNOWNS`. The likelihood, its derivatives, the
 search for causes, ``--unknowns``, kd.json and the page follow from the row.
 """
 

@@ -127,7 +127,7 @@ def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
 
 
 def _numbered(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return owner and place within it (n,) of as many members as each owner has."""
+    """Return for each member the number of its owner (n,) and its own number within that owner (n,)."""
     owner = np.repeat(np.arange(len(count)), count)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
 

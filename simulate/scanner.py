@@ -311,14 +311,14 @@ def _box(solid: Solid, spacing: Array) -> tuple[NDArray[np.int64], NDArray[np.in
 
 
 def _radius2(shape: tuple[int, ...]) -> Array:
-    """Return the squared distance (y, x) from the rotation axis over that of the border of the slices."""
+    """Return the squared distance (y, x) from the rotation axis, divided by that of the slices' border."""
     _, ny, nx = shape
     x, y = ((np.arange(n) - 0.5 * (n - 1)) / (0.5 * n) for n in (nx, ny))
     return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
 
 
 def cup(grey: Floats, cupping: float) -> None:
-    """Darken a slab (z, y, x) of contrast towards the rotation axis by a share of it, in place.
+    """Reduce the contrast of a slab (z, y, x) towards the rotation axis by a share, in place.
 
     Beam hardening as it is left after a scanner's own correction: a parabola that vanishes at the border.
     """

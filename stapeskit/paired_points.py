@@ -145,7 +145,7 @@ def check_pairs(source_mm: Array, target_mm: Array, source: str, to: str) -> Non
 
 
 def sizes_differ(source_mm: Array, target_mm: Array, alike: bool = False) -> bool:
-    """Return whether distances differ by more than half; with ``alike``, all of them by one factor."""
+    """Return whether distances differ by half or more; ``alike``: whether by one common factor."""
     ratios = _distance_ratios(source_mm, target_mm)
     median = float(np.median(ratios))
     differ = not 1.0 / 1.5 < median < 1.5

@@ -1,4 +1,4 @@
-"""Warnings as data: a stable code and a text, carried in results, reports and on the terminal.
+"""Warnings as data: a code and a text; all codes are in the ``warnings.toml`` of their package.
 
 A warning is a `Notice` where it arises and an entry in the ``warnings.toml`` of its room, which says what the
 code means; ``python -m stapeskit.warnings`` prints all of them as a page.

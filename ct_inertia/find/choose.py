@@ -57,7 +57,7 @@ class Candidate:
 
     @property
     def body(self) -> Piece:
-        """The body itself."""
+        """The piece of bone that is proposed as the stapes."""
         return self.whole if self.part is None else self.part
 
     @property
@@ -196,7 +196,7 @@ def _has_grown(way: Split, whole: Piece) -> bool:
 
 
 def _is_better(part: Piece, whole: Piece, way: Split) -> bool:
-    """Return whether a part may stand for its whole.
+    """Return whether a part of a split piece is a better candidate for the stapes than the whole piece.
 
     What hangs at a neck makes a body longer: a body of one empty hole that is only thick is left whole.
     Beside it only the incus can be, and it is no stapes: a split into more bones than these two has cut the

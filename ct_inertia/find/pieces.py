@@ -236,7 +236,7 @@ def count_holes(inside: Mask) -> int:
 
 
 def _surrounded(piece: Piece) -> float:
-    """Return the volume of other pieces within the convex hull of one, as a share of its own."""
+    """Return the volume of other pieces inside a piece's convex hull, divided by the volume of the piece."""
     from scipy.spatial import ConvexHull, QhullError
 
     part = piece.labels[piece.box][::2, ::2, ::2]

@@ -92,7 +92,7 @@ def drawn_plate(plate: Mask, grid: Grid) -> PlateRegion | None:
 
 
 def _surrounds(plastic: Mask, bone: Mask, stapes: Mask, spacing_mm: Array) -> bool:
-    """Return whether plastic lies around the stapes on nearly all sides where no other bone does."""
+    """Return whether plastic lies on nearly all sides of the stapes that are free of other bone."""
     box = widened(used_box(stapes), np.ceil((_RIM_MM + _COLLAR_MM) / spacing_mm[::-1]) + 1)
     own = stapes[box]
     away = capped_distance(own, spacing_mm, 1.2 * (_RIM_MM + _COLLAR_MM))

@@ -69,7 +69,7 @@ class FootplateFrame:
         return np.asarray(sum(self.contributions.values(), np.zeros((6, 6))))
 
     def with_other_surface(self, other: RigidTransform) -> FootplateFrame:
-        """Add the displacement to the frame that another surface gives as a source, ``surroundings``."""
+        """Add the source ``surroundings`` to the uncertainty: the displacement to another surface's frame."""
         step = displacement(self.scan_from_footplate, other)
         return replace(self, contributions={**self.contributions, "surroundings": np.outer(step, step)})
 

@@ -1,4 +1,4 @@
-"""How well the footplate frame is known: influence functions of the surface's errors, no simulation.
+"""The covariance of the footplate frame from errors of the surface, by influence functions.
 
 A small outward height h(r) of the medial face moves the frame by the integral of an influence function a(r)
 h(r): its mean height and the slopes of the robust plane. A normal that errs by e across the rim moves the

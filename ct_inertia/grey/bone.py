@@ -44,7 +44,7 @@ class BoneLevel:
 
 
 def bone_level(fit: SceneFit, excess: Grey) -> BoneLevel:
-    """Return the level by whichever of two ways knows it better.
+    """Return the grey level of bone by the way that has the lower standard deviation.
 
     Parameters
     ----------

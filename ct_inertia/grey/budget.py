@@ -58,7 +58,7 @@ Amount = tuple[str, Grey, Spread]
 
 
 def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: float) -> Iterator[Amount]:
-    """Yield every share of bone that may be wrong; ``misfit``: whether what the scene leaves stands out."""
+    """Yield every uncertain amount of bone; ``misfit``: whether the scene's residual is significant."""
     fit, media, contrast = parts.fit, parts.fit.media, parts.level.contrast
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
     yield "levels", parts.where_own((1.0 - parts.excess) * np.float32(fit.start.air_sd / contrast)), common

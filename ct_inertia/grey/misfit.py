@@ -1,4 +1,4 @@
-"""What the scene leaves of the grey values, by place: one residual is budget and warning.
+"""The residual grey values of the fitted scene, by place: a source of the budget, and a warning.
 
 Fringes, a bent grey scale, rings, motion, cupping and whatever else makes grey values differ from those of
 two sharp materials end here: named with their place and size, not corrected.

@@ -1,4 +1,4 @@
-"""What a fitted scene gives the stapes: its share in each voxel, and what was subtracted from it."""
+"""The share of the stapes in each voxel of a fitted scene, and the subtracted background."""
 
 from __future__ import annotations
 

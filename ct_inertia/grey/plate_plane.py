@@ -1,4 +1,4 @@
-"""The face of a plate near the stapes, held to a plane; a face that is not flat is that of a fluid."""
+"""Fit a plane to the face of the plate near the stapes; a face that is not flat belongs to a fluid."""
 
 from __future__ import annotations
 

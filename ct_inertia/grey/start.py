@@ -1,4 +1,4 @@
-"""Where a scene starts: whose voxel is whose, air, noise, blur and contrasts."""
+"""Initial values of a scene: the body of each voxel, air, noise, blur and contrasts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What storing did to grey values: a range with two ends and steps; levels from before, and the mean effect.
+"""Clipping and rounding of stored grey values: the levels before them, and their mean effect.
 
 A stored value is the true one plus noise, clipped to the range and rounded to a step. Near an end of the
 range, and where steps are no smaller than the noise, its mean is not the true value.

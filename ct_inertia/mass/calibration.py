@@ -1,4 +1,4 @@
-"""Grey value to density: a straight line from a calibration file, and what it makes of a body."""
+"""Density from grey values: the straight line of a calibration file, and the mass of a body by it."""
 
 from __future__ import annotations
 

@@ -32,5 +32,5 @@ def plotter_of(result: MassResult) -> Any:
 
 
 def show(result: MassResult) -> Any:
-    """Show the window; in a notebook the view stands in the cell."""
+    """Show the stapes: in a window, or in the cell of a notebook."""
     return plotter_of(result).show()

@@ -236,7 +236,7 @@ def _other_slices(log: Path, differing: Mapping[str, tuple[float | None, int]]) 
 
 
 def _pixels(path: Path) -> NDArray[Any]:
-    """Return the pixels of a slice, of three equal values or grey with opacity the first one."""
+    """Return the grey values of a slice; of three equal channels, or of grey and opacity, the first."""
     if path.suffix.lower() in _TIFF:
         import tifffile
 

@@ -103,7 +103,7 @@ def _largest(points: Array, faces: Faces, parts: Array) -> tuple[Array, Faces]:
 
 
 def placed(points: Array, faces: Faces, scan_from_index: Array, shape: tuple[int, ...]) -> Surface:
-    """Return a surface given in index x, y, z of a grid of some shape (z, y, x), in scan coordinates."""
+    """Map a surface from grid indices (x, y, z) to scan coordinates; ``shape`` of the grid is (z, y, x)."""
     beyond = np.any((points < -1e-3) | (points > np.array(shape[::-1]) - 1.0 + 1e-3), axis=1)
     vertices = points @ scan_from_index[:3, :3].T + scan_from_index[:3, 3]
     return Surface(vertices, faces, beyond if beyond.any() else None)

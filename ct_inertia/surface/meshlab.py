@@ -1,4 +1,4 @@
-"""pymeshlab, where it works: on some machines it has no wheel, or misses a graphics library."""
+"""Import pymeshlab where it works: on some machines it has no wheel or misses a graphics library."""
 
 from __future__ import annotations
 

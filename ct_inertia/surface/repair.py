@@ -1,4 +1,4 @@
-"""The door for meshes that people bring: read in a child process, mended, closed when asked.
+"""Read meshes that people bring, in a child process; mend them, and close their holes on request.
 
 What is mended is reported; a hole is closed only when that is asked for.
 """
@@ -191,7 +191,7 @@ def _joined(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, lis
 
 
 def _without_doubles(faces: Faces) -> tuple[Faces, int]:
-    """Keep one of faces with the same corners; none of a pair without which the mesh is as closed.
+    """Drop doubled faces; keep one of each, unless the mesh is as closed without both of a pair.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""The surface that an open mesh of many pieces stands for: where its winding number passes one half."""
+"""Close an open mesh of many pieces by the surface where its winding number passes one half."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def winding_number(vertices: Array, faces: NDArray[np.int64], points: Array) -> 
 
 
 def _solid_angles(corners: Array, points: Array) -> Array:
-    """Return the solid angle that triangles (m, 3, 3) fill seen from each point (k, 3), summed.
+    """Return the summed solid angle (k,) of triangles (m, 3, 3), seen from points (k, 3).
 
     Notes
     -----

@@ -58,7 +58,7 @@ def capped_distance(mask: Mask, spacing_mm: Array, cap_mm: float) -> NDArray[np.
 
 
 def closed(mask: Mask, spacing_mm: Array, radius_mm: float) -> Mask:
-    """Return a mask [z, y, x] with the gaps and holes narrower than a ball filled: a closing by the ball."""
+    """Close a mask [z, y, x] by a ball: fill gaps and holes that are narrower than the ball."""
     cap = radius_mm + float(np.max(spacing_mm))
     wide = capped_distance(mask, spacing_mm, cap) <= radius_mm
     return np.asarray(mask | (capped_distance(~wide, spacing_mm, cap) > radius_mm))

@@ -1,4 +1,4 @@
-"""The rows that a command prints and a page shows first: verdict, diagonals, modes, axes, how they came."""
+"""The rows of a fit on the terminal and at the top of pages: verdict, K, D, modes, axes, method."""
 
 from __future__ import annotations
 

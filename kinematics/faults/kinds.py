@@ -1,4 +1,4 @@
-"""The kinds of faults that have a size, as sets of tangents, and who can have them."""
+"""The table of fault kinds, `KINDS`: each a set of tangents, with the owners that can have it."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class Place:
 
 
 def places(layout: Layout, live: Sequence[int], complete: bool) -> list[Place]:
-    """List all places of channels in use; the body only where none is left out (``complete``)."""
+    """List channels, points and lasers in use; with ``complete`` (nothing is left out) also the body."""
     lasers = layout.by_laser(live)
     found = [Place("channel", (int(channel),)) for channel in live]
     found += [Place("point", tuple(own)) for own in layout.by_point(live).values()]

@@ -20,7 +20,7 @@ _CURED = 0.1  # share of the squares that the motion of the other body may leave
 def points_of_other_bodies(
     placed: Measurement, fits: Mapping[tuple[int, int], LineFit], diagnoses: Mapping[int, Diagnosis]
 ) -> Iterator[Notice]:
-    """Name the points at fault that move as another body does at their position.
+    """Return the points at fault that move with another body.
 
     Parameters
     ----------

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.levels import channel_levels, group_levels, own_noise, unknown_noise
 from kinematics.faults.scores import Noise, Test, score_tests, structure
+from kinematics.faults.unstated_noise import channel_levels, group_levels, own_noise, unknown_noise
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout, Priors, expected_errors
 from kinematics.joint.pack import Packed, Readings, pack

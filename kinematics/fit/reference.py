@@ -143,7 +143,7 @@ def _joint_covariance(
 def _shared_errors(
     shared: SharedErrors, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
 ) -> SharedErrors:
-    """Return shared errors of ratios: they depend on two bodies, so that no map of one gives them."""
+    """Return the shared errors of ratios by their derivatives; maps of one body cannot express them."""
     moved = shared.derivatives[:, :, body, :, place]
     with np.errstate(divide="ignore", invalid="ignore"):
         change = shared.derivatives - ratio[None] * moved[:, :, None, :, None]

@@ -97,7 +97,7 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
 
 
 def other_table(header: Sequence[str], names: Sequence[str]) -> str:
-    """Return what to do where a header is that of another table than the one with columns ``names``.
+    """Return the next step for a header that belongs to another table than the one with columns ``names``.
 
     Files that were exchanged on the command line lack many columns, and none of them should be added. Empty
     where the header is of the right table, or of none that is known.

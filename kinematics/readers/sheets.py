@@ -190,7 +190,7 @@ def _names(line: str, separator: str) -> list[str]:
 
 
 def _with_numbers(sheet: Sheet, rows: Sequence[str], region: _Region, faults: list[Fault]) -> Sheet:
-    """Return the table with its rows; only the sound ones where others are at fault."""
+    """Return the table with the numbers of its rows; rows at fault are reported and left out."""
     joined, width, separator = "\n".join(rows), len(sheet.names), region.separator
     comma = separator != "," and "," in joined and "." not in joined
     if '"' not in joined and "_" not in joined:

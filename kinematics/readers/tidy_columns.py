@@ -106,7 +106,7 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
 
 
 def _pair(units: dict[str, Unit], header: Sequence[str]) -> tuple[str, str]:
-    """Return the two columns of the value, in order; else what is there of them, and an empty name."""
+    """Return the two columns of the value; where they are no pair, the names found and an empty name."""
     values = {name: unit.part for name, unit in units.items() if unit.part != "sd"}
     names = list(values)
     if list(values.values()) == ["amp"] and "phase_deg" in header:

@@ -1,4 +1,4 @@
-"""Finished studies side by side: one row an ear, and whether they differ by more than their uncertainty."""
+"""Finished studies as the rows and columns of cohort.csv, and whether they differ significantly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""cohort.html, cohort.csv and cohort.json: the ears side by side, their laws, what they share."""
+"""cohort.html: the ears side by side and their laws; writes the three files of a cohort."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ class Scene:
 
 
 def _drawn(line: Line) -> dict[str, Any]:
-    """Return a line, its points in the frame whose axes are drawn, as the viewer reads it."""
+    """Return a line as the viewer reads it, with its points in the frame whose axes are drawn."""
     names = ("colour", "group", "label", "arrow", "width", "body")
     return {"at": line.points_mm.tolist(), **{name: getattr(line, name) for name in names}}
 

@@ -1,4 +1,4 @@
-"""The noise of groups of lines and of channels where it is not stated.
+"""Estimate the noise of groups of lines, and of channels, where the file does not state it.
 
 Shapes: c channels, G groups.
 """
