@@ -140,21 +140,27 @@ def test_repetitions_scatter_as_the_intervals_say(ear):
     assert "6 repetitions, about" in reported[0]  # after the first of them
 
 
-def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
-    plan = Plan.of(lines=40)
+# What is stated of K22 scatters by a fifth from measurement to measurement, with how well the plane is found.
+@pytest.mark.parametrize("cone_deg", [54.7356, 20.0])
+def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states(cone_deg):
+    plan = Plan.of(lines=40, cone_deg=cone_deg)
     ways = expect(plan)
     promised = ways[0].fit
     source = stated_mass(plan)
     mass = matrix_from_parameters(source.mass.parameters)
     stated, modes = [], []
-    for seed in range(3):
+    for seed in range(5):
         motion = planned_motion(plan, mass, np.random.default_rng(seed))
         result = fit(motion, source.mass)
         own = np.diag(result.covariance - result.model_error @ result.model_error.T)
         stated.append(np.sqrt(own / np.diag(promised.covariance)))
         modes.append(result.derived.frequency_sd_hz / promised.derived.frequency_sd_hz)
-    assert np.median(stated, axis=0) == pytest.approx(np.ones(12), abs=0.1)
-    assert np.median(modes, axis=0) == pytest.approx(np.ones(3), abs=0.1)
+    off = np.abs(np.median(stated, axis=0) - 1.0)
+    assert np.all(np.delete(off, 3) < 0.1)
+    assert off[3] < 0.15
+    turned = np.abs(np.median(modes, axis=0) - 1.0)  # mode 1 is rocking about x: as K22
+    assert turned[0] < 0.15
+    assert np.all(turned[1:] < 0.1)
     names = [way.name for way in ways]
     quiet = ways[names.index("half the noise (4 times the averages)")]
     assert np.all(quiet.relative <= ways[0].relative * 1.02)
