@@ -57,7 +57,8 @@ evidence: $(READY)
 docs: $(READY)
 	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
 	$(BIN)/python -m pipeline.options_page > docs/options.md
-	$(BIN)/python tools/evidence.py --tables
+	$(BIN)/python tools/evidence.py --pages
+	$(BIN)/python -m tools.doc_tables
 site: docs
 	$(BIN)/python -m pip install --quiet --group docs && NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 sample: $(READY)

@@ -21,6 +21,7 @@ from stapeskit.option_types import (
     Table,
     Text,
     Words,
+    one_of,
     output_file,
 )
 from stapeskit.options import Opt, Options, Rule
@@ -79,7 +80,8 @@ class KDOptions(Options):
         "none"
     )
     damping: Annotated[
-        Literal["viscous", "hysteretic", "fractional", "relaxation", "compare"],
+        str,
+        one_of((*DAMPING, COMPARE)),
         Opt(f"damping law; {_law_help()}; compare: all of them"),
     ] = "viscous"
     inplane: Annotated[
