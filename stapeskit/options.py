@@ -359,7 +359,7 @@ def markdown_table(tables: Sequence[type[Options]]) -> str:
         for entry in table.entries():
             metavar = "" if entry.is_flag or entry.opt.positional else f" {entry.kind.metavar}"
             key = f"`{table.table}.{entry.key}`" if table.table else ""
-            unset = entry.default in (None, False, ())
+            unset = entry.default in (None, False, (), "")
             default = "" if unset else f"`{on_command_line(plain(entry.default))}`"
             cells = (f"`{entry.flag}{metavar}`", key, entry.opt.help, default)
             lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
