@@ -1,4 +1,4 @@
-"""A step at work in a process of its own: how far it is, how to stop it, what it said."""
+"""A running step, in a process of its own: its progress, how to stop it, its messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one open page knows and does; the page itself only shows it. A script can do the same."""
+"""State and actions of one open page, without any layout; a script can use them too."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def budget_of(fit: KDFit) -> dict[str, Array]:
 
 
 def _inplane_part(fit: KDFit) -> Array:
-    """Return what the stiffness in the plane adds: Y K_cc Y^T with Y as it is."""
+    """Return the contribution of the stiffness in the plane, Y K_cc Y^T, with Y fixed."""
     plane, data = fit.solution.plane, fit.found.data
     assert plane is not None  # noqa: S101
     turned = fit.coupling

@@ -198,7 +198,7 @@ def _likeliest(laws: Mapping[str, Fit]) -> tuple[Fit, tuple[str, ...]]:
 
 
 def _adopted(found: Fit, causes: Search, compared: bool) -> tuple[Fit, Search]:
-    """Take an unknown that is an inherent part of some ears into the model where the data call for it.
+    """Add an unknown that some ears really have, such as fluid, to the model where the data call for it.
 
     Not where a damping law explains the data as well: the two are distinguished by nothing then.
     """

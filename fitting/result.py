@@ -135,7 +135,7 @@ class KDFit(Result):
 
     @cached_property
     def _to_centre(self) -> Array:
-        """Derivative of K and D about the footplate centre by theta, (p, t), from the draws."""
+        """Derivative (p, t) by theta of K and D about the footplate centre, from the draws."""
         off = self.draws.draws - self.draws.estimate
         return np.asarray(np.linalg.lstsq(self.draws.spread, off, rcond=1e-12)[0].T)
 

@@ -1,4 +1,4 @@
-"""Read everything that a measurement consists of, and look at all of it that is cheap to look at."""
+"""Read all files of a measurement and make every cheap check of them."""
 
 from __future__ import annotations
 

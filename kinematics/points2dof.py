@@ -240,7 +240,7 @@ def _motion(
     calibration: Calibration | None,
     corrections: Sequence[Correction],
 ) -> RigidMotion:
-    """Return the motion of all bodies, corrected by what the lasers' beams show, with its shared errors."""
+    """Return the motion of all bodies with its shared errors, after correction of the lasers' errors."""
     placed, fits = fitted.placed, fitted.fits
     runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
 

@@ -226,7 +226,7 @@ def _running(values: Array, width: int) -> Array:
 
 
 def _joined(body: BodyChannels, parts: Sequence[tuple[ComplexArray, Array | None]]) -> BodyChannels:
-    """Return the body with pooled runs; runs without a noise of their own leave it to the residuals."""
+    """Return the body with pooled runs; without a noise from repeats, the residuals give it later."""
     sds = [sd for _, sd in parts]
     known = all(sd is not None for sd in sds)
     sd = np.stack([part for part in sds if part is not None]) if known else None

@@ -81,7 +81,7 @@ def cohort(population: Population) -> Iterator[Member]:
     ages = rng.integers(35, 85, people.max() + 1)
 
     def alike(sd: float, columns: int) -> Array:
-        """Return draws (ears, columns) that the ears of a person have partly in common."""
+        """Return normal draws (ears, columns) that are correlated between the ears of a person."""
         common = rng.standard_normal((people.max() + 1, columns))[people]
         alone = rng.standard_normal((population.ears, columns))
         return np.asarray(

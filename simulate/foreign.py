@@ -106,7 +106,7 @@ def _nodes(a: Anatomy, side: float, top: float, reach: float) -> tuple[Array, Ar
 
 
 def _outline(a: Anatomy, x: Array, z: Array) -> Array:
-    """Return about the distance from a superellipse whose one long side is flatter, as footplates have it."""
+    """Return the approximate distance from a footplate's outline: a superellipse, one side flatter."""
     w = z + 0.12 * (1.0 - (x / (0.5 * a.length)) ** 2) * np.sign(a.offset + 1e-9)
     r = (np.abs(x / (0.5 * a.length)) ** 2.5 + np.abs(w / (0.5 * a.width)) ** 2.5) ** 0.4
     return np.asarray((r - 1.0) * 0.5 * a.width)

@@ -1,4 +1,4 @@
-"""Points that a vibrometer looks at: on a stapes where all lasers reach, on the bone, and random ones."""
+"""Points to measure: on a stapes where all lasers reach, on the bone, and random ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paired points of two frames: their checks, the least-squares pose between them, and what it leaves."""
+"""Paired points of two frames: checks, the least-squares pose between them, and its residuals."""
 
 from __future__ import annotations
 

@@ -202,7 +202,7 @@ class Session(Generic[Opened]):
         self._child = child
 
     def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], pipe: Connection) -> NoReturn:
-        """Open the source and answer requests until the parent ends; nothing else of the caller runs here."""
+        """In the child process: open the source and answer requests until the parent ends."""
         try:
             _isolate(self._memory)
             answer: Answer = _no_requests

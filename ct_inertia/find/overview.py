@@ -1,4 +1,4 @@
-"""A first look at the whole scan: every n-th voxel, the levels of its materials, what was not scanned."""
+"""A first look at the whole scan: every n-th voxel, levels of materials, the region not scanned."""
 
 from __future__ import annotations
 

@@ -145,7 +145,7 @@ class Piece:
         return self.size_score - penalty - _SURROUNDING * self.surrounding
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the report shows of it."""
+        """Return the measures of the piece that the report shows."""
         return {
             "volume_mm3": round(self.volume_mm3, 4),
             "extents_mm": [round(float(v), 3) for v in self.extents_mm],

@@ -1,4 +1,4 @@
-"""What a person knows about the ear: side, anterior, landmarks. It gives the found axes their sense."""
+"""Hints of a person (side, anterior, landmarks), which give the footplate axes their sense."""
 
 from __future__ import annotations
 

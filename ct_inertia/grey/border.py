@@ -39,7 +39,7 @@ def border_contacts(stapes: Mask, box: Box) -> tuple[BorderContact, ...]:
 
 
 def border_covariance(contacts: Sequence[BorderContact], share: Grey, box: Grid, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of what the border cuts off the body, or leaves on it.
+    """Return the covariance (10, 10) of the moments because the border of the scan cuts the body.
 
     Notes
     -----

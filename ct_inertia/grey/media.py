@@ -139,7 +139,7 @@ class Media:
         return shares
 
     def follow(self, fit: SceneFit, renew: bool) -> None:
-        """Fit the media to what the bodies leave; the soft one only with ``renew``: it is slow."""
+        """Fit the media to what the bodies leave of the data; ``renew``: the soft one too, which is slow."""
         image = np.zeros_like(self.image)
         rest = fit.data - fit.bones() if renew or self.voids is not None else image
         if self.coat is not None:

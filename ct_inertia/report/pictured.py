@@ -1,4 +1,4 @@
-"""What pictures need in addition to mass.json: surfaces, grey values and labels around the stapes."""
+"""The data of pictures beside mass.json: surfaces, grey values and labels around the stapes."""
 
 from __future__ import annotations
 

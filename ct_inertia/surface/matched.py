@@ -99,7 +99,7 @@ class _Rim:
         return cls(index, places.astype(np.float32), centre, size, wanted, inverse)
 
     def lowered(self, part: Grey, coefficients: Array) -> Grey:
-        """Return the field less its level, which is a polynomial near the surface."""
+        """Subtract from the field a level that is a polynomial in space."""
         c = coefficients.astype(np.float32)
         x, y, z = self.places
         level = c[0] + x * (c[1] + c[4] * x + c[7] * y) + y * (c[2] + c[5] * y + c[8] * z)

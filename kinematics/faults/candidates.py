@@ -87,7 +87,7 @@ def _replaces(named: Candidate, unlike: Candidate, level: float) -> bool:
 
 
 def _unlike_others(now: Round, place: Place) -> Candidate:
-    """Return the candidate that these channels read something else than the motion of the others."""
+    """Return the candidate that these channels do not follow the motion of the others."""
     packed = now.packed
     few = 2 * len(place.channels) < len(packed.live)
     fall = now.state.leave_out(place.channels) if few else 0.0

@@ -1,4 +1,4 @@
-"""How large a fault must be to be found: what a clean verdict is worth."""
+"""The smallest fault that would have been found: what a clean verdict excludes."""
 
 from __future__ import annotations
 

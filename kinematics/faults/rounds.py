@@ -85,7 +85,7 @@ class Round:
         return np.where(some, tail, 0.0)
 
     def channel_log_p(self) -> Array:
-        """Return the logarithm of the smallest p-value of each channel's own tests, all of them one test."""
+        """Return the log of each channel's smallest p-value, corrected for the number of its tests."""
         out = np.minimum(self.channel_noise, 0.0)
         count = np.ones(len(out))
         for test in self.tests:

@@ -111,7 +111,7 @@ def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:
 
 
 def _finding(now: Round, best: Candidate) -> Finding:
-    """Return what is believed."""
+    """Return the finding of a candidate that is believed."""
     values, sd = best.values, best.sd
     log_p = float(now.noise.log_tail(max(best.fall, 0.0), max(len(values), 1)))
     if best.kind == "noise":

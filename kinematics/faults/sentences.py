@@ -1,4 +1,4 @@
-"""What a finding is, in words and in the coordinates of the user's file."""
+"""Describe findings in words, with corrections in the coordinates of the user's file."""
 
 from __future__ import annotations
 

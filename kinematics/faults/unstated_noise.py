@@ -21,7 +21,7 @@ _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 
 
 def group_levels(state: State) -> Array:
-    """Return the noise of each group over the assumed one, (G,): a parabola through its logarithm."""
+    """Return the noise of each group of lines relative to the assumed one, (G,), smoothed by a parabola."""
     energy, freedom = (part.sum(axis=1) for part in state.noise_energy)
     some = freedom > 4.0
     if np.sum(freedom) < _LEAST_LEVEL_DOF or np.count_nonzero(some) < 4:

@@ -287,7 +287,7 @@ def _reweight(
     tolerance: float,
     rounds: int = 200,
 ) -> Array:
-    """Reweight lines until each moves by less than ``tolerance`` of its sd; change z, return weights."""
+    """Iterate the robust weights until no line moves by more than ``tolerance`` of its sd; return them."""
     live = lines
     for _ in range(rounds):
         if len(live) == 0:

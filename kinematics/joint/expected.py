@@ -72,7 +72,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Priors:
-    """Standard deviations of errors that are expected.
+    """Prior standard deviations of the errors of lasers and positions.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The thirteen ways in which a channel can differ from what is stated of it, and sets of such parameters.
+"""The thirteen errors that a channel can have, as tangents of its readings, and sets of such parameters.
 
 A channel reads ``f_c b_c . z`` at every line: a factor f_c, a row b_c = [d, p x d] of its position p and beam
 d, and the motion z. Everything that can be wrong with it, or is known with an error only, is a parameter: a

@@ -160,7 +160,7 @@ class ErrorEstimate:
         return found
 
     def largest(self) -> str:
-        """Name the error that is estimated farthest from 0 for what is stated of it, with its size."""
+        """Return in words the estimated error that is largest relative to its stated sd."""
         name, value, sd, stated, unit = self.rows()[int(np.argmax(np.abs(self.values) / self.prior_sd))]
         return f"{name}, by {value:+.3g} +- {sd:.2g} {unit} (stated sd {stated:.2g} {unit})"
 

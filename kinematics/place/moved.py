@@ -70,7 +70,7 @@ class SurfaceCheck:
 def check_surfaces(
     measurement: Measurement, placement: Placement, mass: MassRecord, surfaces: Mapping[str, Surface]
 ) -> tuple[tuple[SurfaceCheck, ...], list[Notice]]:
-    """Hold the points of stapes and plate against their surfaces.
+    """Compare measured points of stapes and plate with their surfaces in the scan.
 
     Parameters
     ----------

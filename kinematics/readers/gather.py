@@ -243,7 +243,7 @@ def _ascending(row: Row) -> Row:
 
 
 def _one_quantity(rows: Sequence[Row], file: str) -> tuple[list[Row], list[Notice]]:
-    """Keep responses rather than amplitudes, and one quantity of each channel, velocity first."""
+    """Keep one quantity of each channel: responses before amplitudes, velocity before others."""
     responses = any(row.channel.per for row in rows)
     rank = {1: 0, 0: 1, 2: 2}
     best: dict[Hashable, int] = {}

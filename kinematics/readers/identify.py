@@ -22,7 +22,7 @@ DEFAULT_RUN = "1"
 
 
 def unused_options(recordings: Sequence[Recording], facts: FileFacts) -> list[Fault]:
-    """List options that no file needs, so that nothing is believed to be set that is not."""
+    """List the options that were given but that no file needs."""
     needed = {
         "beam": any(np.any(np.isnan(one.directions)) for one in recordings),
         "amplitude": any(not one.amplitude_stated and one.frf is None for one in recordings),

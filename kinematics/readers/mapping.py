@@ -1,4 +1,4 @@
-"""Which column or variable of a file is what: by its mapping in TOML, or as a reader recognised it.
+"""The meaning of each column or variable of a file, from its mapping in TOML or from a reader.
 
 ``ldv.csv.toml`` beside ``ldv.csv``, or ``--mapping``; docs/vibrometer_files.md has the keys with examples.
 """

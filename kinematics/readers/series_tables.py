@@ -144,7 +144,7 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
 
 
 def table_of(path: Path, required: Sequence[str], numbers: Sequence[str], texts: Sequence[str] = ()) -> Table:
-    """Read those of some columns that a table has; its faults are still to be raised.
+    """Read the known columns that a table has; the caller raises its faults.
 
     Raises
     ------

@@ -114,7 +114,7 @@ def first_header(text: str) -> Sheet | None:
 
 
 def _regions(lines: Sequence[str]) -> Iterator[_Region]:
-    """Find the tables: rows of numbers, and what stands above them."""
+    """Find the tables of a text: rows of numbers and the lines above them."""
     filled = [number for number, line in enumerate(lines) if line.strip()]
     start = header = at = 0
     while at < len(filled):

@@ -205,7 +205,7 @@ def _row(
 
 
 def _response(one: Function) -> tuple[int, ...]:
-    """Return what a coherence has in common with its response."""
+    """Return the key that a coherence shares with its response."""
     return (one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"])
 
 
@@ -252,7 +252,7 @@ def _runs(functions: Sequence[Function]) -> list[str]:
 
 
 def _step_for_directions(functions: Sequence[Function]) -> str:
-    """Return what to do where a node and direction is there twice."""
+    """Return the next step for a node and direction that occurs twice."""
     labels = (str(one.get(key, "")).strip() for one in functions for key in ("id1", "id2"))
     in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
     if len(in_text) < 2:

@@ -40,7 +40,7 @@ _TIDY = {"body", "dir", "dir_x", "freq_hz"}
 
 
 def kind_of(text: str) -> str:
-    """Return what a text begins as: ``fastscan``, ``points``, ``wide``, ``time`` or none of these."""
+    """Return the layout of a text by its first lines: ``fastscan``, ``points``, ``wide`` or ``time``."""
     sheet = first_header(text)
     if sheet is None:
         return ""
