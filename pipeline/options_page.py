@@ -25,12 +25,15 @@ def options_page() -> str:
     lines = [
         "# Options",
         "",
-        "An option has one name: `--box` on the command line, `box=` in Python, and with its unit `box_mm` "
-        "in a "
-        "study file. Every command also takes `--config FILE.toml`, with options by name, and `--version`.",
+        "An option has one name: `--box` on the command line, `box=` in Python, and in a study file "
+        "the same with its unit, `box_mm`, and underscores. Every command also takes `--config FILE.toml`, "
+        "with options by name, and `--version`.",
     ]
     for command, tables in COMMANDS.items():
-        lines += ["", f"## {command}", "", markdown_table(tables).rstrip()]
+        lines += ["", f"## {command}"]
+        for table in tables:
+            where = f"Keys of `[{table.table}]` in a study file:" if table.table else "Not in a study file:"
+            lines += ["", where, "", markdown_table([table], flags=table is not About).rstrip()]
     return "\n".join(lines) + "\n"
 
 

@@ -352,15 +352,22 @@ def template(title: str, tables: Sequence[type[Options]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def markdown_table(tables: Sequence[type[Options]]) -> str:
-    """Return the options of a command as a Markdown table: command line, study file, meaning, default."""
-    lines = ["| command line | study file | what it does | default |", "|---|---|---|---|"]
+def markdown_table(tables: Sequence[type[Options]], flags: bool = True) -> str:
+    """Return options as a Markdown table: name, meaning, default.
+
+    With ``flags`` the name is that of the command line, with the key of a study file where that differs;
+    without, it is the key.
+    """
+    lines = ["| option | what it does | default |", "|-|-|-|"]
     for table in tables:
         for entry in table.entries():
             metavar = "" if entry.is_flag or entry.opt.positional else f" {entry.kind.metavar}"
-            key = f"`{table.table}.{entry.key}`" if table.table else ""
+            name = f"`{entry.flag if flags else entry.key}{metavar}`"
+            if flags and table.table and entry.key != entry.name:
+                name += f", `{entry.key}`"
             unset = entry.default in (None, False, (), "")
             default = "" if unset else f"`{on_command_line(plain(entry.default))}`"
-            cells = (f"`{entry.flag}{metavar}`", key, entry.opt.help, default)
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+            lines.append(
+                "| " + " | ".join(cell.replace("|", "\\|") for cell in (name, entry.opt.help, default)) + " |"
+            )
     return "\n".join(lines) + "\n"

@@ -1,5 +1,4 @@
-"""The pose of the measurement's coordinates in the footplate frame, with the errors of the frames it rests
-on."""
+"""The pose of the vibrometer in the footplate frame, with the errors of registration and frames."""
 
 from __future__ import annotations
 

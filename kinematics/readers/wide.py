@@ -40,7 +40,7 @@ _TIDY = {"body", "dir", "dir_x", "freq_hz"}
 
 
 def kind_of(text: str) -> str:
-    """Return the layout of a text by its first lines: ``fastscan``, ``points``, ``wide`` or ``time``."""
+    """Return the layout by the first lines: ``fastscan``, ``points``, ``wide``, ``time`` or empty."""
     sheet = first_header(text)
     if sheet is None:
         return ""
