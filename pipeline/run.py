@@ -1,4 +1,4 @@
-"""One study: scan to mass, measurement to motion, motion to stiffness and damping, and the report.
+"""Run one study: mass, motion, stiffness and damping, report; stages that would not change are reused.
 
 Each stage's files appear as soon as it ends, so that a later stage that fails costs nothing of them. A
 result file carries what it was made from (hashes of inputs, parameters, versions): a stage whose files are

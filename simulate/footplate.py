@@ -1,4 +1,4 @@
-"""The footplate frame of an exact mesh by its definition, written apart from the program that looks for it.
+"""The footplate frame of an exact mesh by its definition, independent of `ct_inertia`.
 
 The definition (contract; scales of 60 degrees, 0.05 mm and 0.03 mm belong to it): n are the outward normals
 diffused over 0.05 mm; the medial face F(y) is the largest connected part of the surface where n lies within

@@ -1,4 +1,4 @@
-"""Stapes of many families as implicit bodies, made apart from every phantom that a program was developed on.
+"""Stapes of many shape families as implicit bodies, independent of all phantoms used in development.
 
 A body is a field in mm that is negative inside: rods along curves, a superelliptic footplate, a head; joined,
 hollowed, and bent by a smooth random displacement of space. Body axes: x long axis of the footplate, y from

@@ -1,4 +1,4 @@
-"""Readings of the materials' grey levels: which of them is bone, and from where on a voxel is bone."""
+"""Possible readings of the grey levels: which level is bone, and the threshold of bone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hints of a person (side, anterior, landmarks), which give the footplate axes their sense."""
+"""The sense of the footplate axes: from hints (side, anterior, landmarks), or the choice without any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The covariance of the moments by source: noise, blur, and every share of bone that may be wrong."""
+"""The covariance of the moments by source: noise, blur, and uncertain amounts of bone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ways to a mass (balance, calibrated grey values, density): which is used, how the others differ."""
+"""The ways to a mass (balance, calibrated grey values, stated or assumed density), and their comparison."""
 
 from __future__ import annotations
 

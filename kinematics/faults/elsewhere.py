@@ -1,4 +1,4 @@
-"""What else explains a misfit that no single fault does: single values, lines, or errors of many places."""
+"""Other explanations of a misfit than one fault: single values, lines, or errors at many places."""
 
 from __future__ import annotations
 

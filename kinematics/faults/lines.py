@@ -1,4 +1,4 @@
-"""The residuals of every line of a body, for what packed columns do not show.
+"""The residuals of every line of a body, for faults that compressed lines do not show.
 
 Shapes: c channels, N lines of all runs, r motions.
 """

@@ -1,4 +1,4 @@
-"""One round of the search: the fit under what is believed so far, its noise, and all tests.
+"""One round of the search and its alarm level: the fit under accepted faults, its noise, all tests.
 
 Shapes: c channels.
 """
