@@ -301,7 +301,7 @@ class Session:
             study.put_labels(None)
 
     def surfaces(self) -> dict[str, Path]:
-        """Return the surfaces of the mass that the study stands for, by name."""
+        """Return the surfaces of the study's current mass, by name."""
         folder = None if self.study is None else mass_folder(self.study)
         names = () if folder is None else ("stapes", "plate")
         return {name: path for name in names if (path := folder / f"{name}.ply").is_file()}  # type: ignore[operator]
@@ -330,7 +330,7 @@ class Session:
         return list(dict.fromkeys([*found, *(name for name in named if (folder / name).exists())]))
 
     def other_results(self) -> list[str]:
-        """Return the folders beside the study that hold K and D, other than its own."""
+        """Return the other folders next to the study that hold K and D."""
         if self.study is None:
             return []
         own = self.places.out

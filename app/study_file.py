@@ -30,7 +30,7 @@ TABLES: dict[str, type[Options]] = {
 
 @dataclass(frozen=True)
 class Places:
-    """Where everything of a study is: hand work beside the study, results in folders of their own.
+    """The files of a study: hand work next to it, results in folders.
 
     Attributes
     ----------

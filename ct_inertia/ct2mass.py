@@ -94,7 +94,7 @@ def measure_mass(options: MassOptions, progress: Progress = no_progress) -> Mass
 
 
 def check_inputs(options: MassOptions) -> None:
-    """Look at what is cheap to look at: landmarks, fiducials, calibration, and the header of the scan.
+    """Make the cheap checks of the inputs: landmarks, fiducials, calibration, and the header of the scan.
 
     Raises
     ------

@@ -279,7 +279,7 @@ def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, fl
 
 
 def with_covariance(found: Fit, factor: float | None = None) -> Fit:
-    """Add the covariance where it was left out, with the noise as large as the misfit says."""
+    """Add the covariance where it was left out, scaled by the noise that the misfit shows."""
     if found.covariance.size:
         return found
     factor = max(1.0, found.level) / found.noise if factor is None else factor

@@ -96,7 +96,7 @@ class Unknown:
     only: float | None = None
 
     def fixed(self, value: float) -> Unknown:
-        """Return it held at a value: what is left to estimate is narrow around zero."""
+        """Return the unknown fixed at a value, with a narrow prior for its remainder."""
 
         def change(off: float, parts: Parts, data: Data) -> None:
             self.change(value + off, parts, data)

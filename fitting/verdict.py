@@ -92,7 +92,7 @@ def _is_among(code: str, names: Sequence[str]) -> bool:
 
 
 def _level(code: str, codes: set[str]) -> str:
-    """Return what a warning leads to, given all codes of a study."""
+    """Return the level of the verdict by one warning, given all codes of a study."""
     if any(code in pair and set(pair) <= codes for pair in _TOGETHER):
         return DO_NOT_USE
     level = table()[code].verdict if code in table() else CHECK

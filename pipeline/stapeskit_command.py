@@ -143,7 +143,7 @@ def _app(words: Sequence[str]) -> None:
 
 
 def _compare(words: Sequence[str]) -> Outcome:
-    """Compare two results, or one with what a change would make of it."""
+    """Compare two results, or predict the effect of changes on one or both."""
     from pathlib import Path
 
     from pipeline.cohort.ears import read_ears

@@ -153,7 +153,7 @@ class Ear:
 
 
 def footplate_outline(solid: Solid, gap_mm: float, top_mm: float = WINDOW_TOP_MM) -> Array:
-    """Return the outline of what stands in the oval window, widened by ``gap_mm`` on all sides.
+    """Return the outline of the footplate in the oval window, widened by ``gap_mm`` on all sides.
 
     Parameters
     ----------

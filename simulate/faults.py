@@ -241,7 +241,7 @@ def _shift(state: TrueState, at: list[int], size: float) -> None:
 
 
 def _exchange(groups: int, state: TrueState, at: list[int], _: float) -> None:
-    """Let the signal of each group of channels stand in the group before it."""
+    """Move the signal of each group of channels to the group before it."""
     state.order[at] = state.order[np.roll(at, -len(at) // groups)]
 
 

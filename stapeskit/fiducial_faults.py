@@ -112,7 +112,7 @@ def _each_left_out(pairs: Pairs) -> list[Wrong]:
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause without a free parameter, the sum of squares that it leaves, and what is said of it.
+    """A cause without a free parameter, its residual sum of squares, and its sentence.
 
     It is one of many alike, whose number (its logarithm) it must outweigh: 1 mirror image, n! orders, 47 axes
     for each of 2^n sets of points.
@@ -316,7 +316,7 @@ def _scale_cause(pairs: Pairs, suspect: Wrong) -> str:
 
 
 def _wrong_cause(pairs: Pairs, suspects: Sequence[Wrong]) -> str:
-    """Name the fiducial that lies elsewhere than the others put it, when one explains the misfit."""
+    """Return the one fiducial whose error explains the misfit, if there is one."""
     from scipy.special import fdtrc
 
     first, count = suspects[0], len(pairs)

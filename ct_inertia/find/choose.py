@@ -68,7 +68,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class _Picture:
-    """What the search looks at: the scan, its overview, and what a user said of threshold and place."""
+    """Inputs of the search: the scan, its overview, and a threshold and place given by the user."""
 
     scan: Scan
     overview: Overview
@@ -88,7 +88,7 @@ class _Picture:
         return float(np.percentile(deep, 75.0)) if deep.size >= _LEAST_DEEP else None
 
     def own_level(self, chosen: Candidate) -> Reading | None:
-        """Return the reading half way between air and the body's own bone; None where it is the one taken.
+        """Return the reading with the threshold half way from air to the body's bone; None if already used.
 
         The brightest material of the scan may be bone of another density, so that the first threshold is far
         from the middle of the body's edges.

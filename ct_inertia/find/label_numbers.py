@@ -75,7 +75,7 @@ def body_numbers(
 def _number_by_name(
     names: Mapping[int, str], pattern: re.Pattern[str], where: str, other: int | None = None
 ) -> int | None:
-    """Return the number of the segment whose name holds a pattern; one that is the pattern wins."""
+    """Return the number of the segment whose name contains a pattern; an exact match wins."""
     matching = [number for number, name in names.items() if number != other and pattern.search(name)]
     exact = [number for number in matching if pattern.fullmatch(names[number].strip())]
     matching = exact if len(exact) == 1 else matching

@@ -109,7 +109,7 @@ def _read_codes(labels: Scan) -> tuple[NDArray[np.uint8], dict[int, int]]:
 
 
 def _drop_islands(result: NDArray[np.uint8], labels: Scan) -> list[Notice]:
-    """Leave out what lies apart from the stapes, in place; return a warning that names it.
+    """Remove islands away from the stapes, in place; return a warning that lists them.
 
     Raises
     ------

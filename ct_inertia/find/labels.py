@@ -225,7 +225,7 @@ def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: f
 
 
 def _goes_on(box: Box, drawn: Mask, bone: Mask, beside: Mask, other: Mask) -> Mask:
-    """Return which voxels beside the drawn stapes belong to bone that goes on from it to other bone.
+    """Return the voxels next to the labelled stapes that belong to bone reaching on to other bone.
 
     From the nearest drawn voxel through the voxel and on to four voxels away there is bone, and none of the
     drawn stapes; and such voxels lead to other bone, which a rough surface seen along itself does not.

@@ -112,7 +112,7 @@ def _is_solid(mask: Mask) -> bool:
 def _bright_rest(
     grey: Grey, histogram: NDArray[np.int64], low: float, width: float, noise: float, voxel_mm3: float
 ) -> float | None:
-    """Return a level for what is brighter than every interior voxel: bone too thin to have an inside."""
+    """Return the level of bone that is too thin to have interior voxels, from the brightest voxels."""
     total = np.cumsum(histogram)
     base = float(np.median(grey))
     if total.size and total[-1]:

@@ -70,7 +70,7 @@ def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
-    """Return the plate's voxels on the grid of a box: what a ball fits in, as no blurred rim of bone."""
+    """Return the plate's voxels on the grid of a box: those that an opening by a ball keeps."""
     there = box.taken(grown(region.mask), region.grid, repeat=True)
     there &= (quiet > np.float32(0.5 * (region.air + region.plastic))) & ~bone
     edge = float(box.spacing_mm.max())

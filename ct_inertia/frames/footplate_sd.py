@@ -185,7 +185,7 @@ class Influence:
         return _to_si(parts.T @ parts)
 
     def common_heights(self, sd_mm: Callable[[Array], Array], length_mm: float) -> Array:
-        """Return what heights add whose standard deviation depends on the place, (6, 6), SI.
+        """Return the covariance (6, 6), SI, by common errors of height that depend on the place.
 
         Notes
         -----

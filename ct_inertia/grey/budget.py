@@ -25,7 +25,7 @@ _DEEP, _LEAST_DEEP = 0.95, 100  # share of bone, and independent voxels, that sh
 
 
 def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
-    """Return what a usual coat changes of the stapes' share; None where it fits the scan no better.
+    """Return the change of the stapes' share by a usual coat; None where a coat does not improve the fit.
 
     Notes
     -----

@@ -169,7 +169,7 @@ class Media:
         return np.float32(self.void_grey) * self.void_share
 
     def _find_soft(self, fit: SceneFit, rest: Grey) -> None:
-        """Average what bodies leave where they hardly fill a voxel; keep what stands out of the noise."""
+        """Average the residual where bodies hardly fill a voxel; keep what exceeds the noise."""
         start, contrast = fit.start, fit.contrasts["stapes"]
         total = np.asarray(sum(fit.shares.values()))
         clear = ((total < _CLEAR[0]) & (start.basin != 0)) | (total < _CLEAR[1])

@@ -95,7 +95,7 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
 
 
 def misfit_notice(found: list[PlaceMisfit], coat: float = 0.0, bend: float = 0.0) -> list[Notice]:
-    """Return one warning for all residuals that stand out.
+    """Return one warning for all significant residuals.
 
     ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
     ``bend``: of the grey scale, by its noise.

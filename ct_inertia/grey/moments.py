@@ -76,7 +76,7 @@ def integrals(amount: Grey, scan_from_index: Array, about_mm: Array) -> Array:
 
 
 def effect(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
-    """Return what a small amount of share in each voxel adds to (V, c, S), (10,)."""
+    """Return the change of (V, c, S), (10,), by a small change of the share in each voxel."""
     total = integrals(amount, scan_from_index, moments.centroid_mm)
     return np.concatenate([total[:1], total[1:4] / moments.volume_mm3, total[4:]])
 

@@ -299,7 +299,7 @@ def evidence_blocks(content: Content) -> list[Markup]:
 
 
 def ways_blocks(content: Content) -> list[Markup]:
-    """Return the mass by every way that was given; nothing where it is one."""
+    """Return the mass by each way that was given, where there are several."""
     others = content.get("mass_alternatives") or []
     if not others:
         return []

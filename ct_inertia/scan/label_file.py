@@ -82,7 +82,7 @@ def write_crop(
     dtype: np.dtype[Any],
     scan_from_index: Array,
 ) -> None:
-    """Write a part of a scan as an NRRD of raw voxels that lies where it lay in the scan, slab by slab.
+    """Write a part of a scan as an NRRD of raw voxels in its place in the scan, slab by slab.
 
     Parameters
     ----------

@@ -275,7 +275,7 @@ def wrong_header(path: Path, kind: str, got: str) -> StapeskitError:
 
 
 def looks_like(path: Path, title: str) -> str:
-    """Return what a file of the format ``title`` looks like by its first bytes, where that is another one."""
+    """Return the format that the first bytes of a file suggest, where it is not the format ``title``."""
     if not path.is_file():
         return ""
     with path.open("rb") as stream:

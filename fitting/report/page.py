@@ -60,7 +60,7 @@ def kd_page(fit: KDFit) -> Page:
 
 
 def without_matrices(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the rows of a summary that the matrices beside them do not hold."""
+    """Return the rows of a summary without those that the matrices show."""
     return [row for row in rows if not row[0].startswith(("K(", "D("))]
 
 

@@ -31,7 +31,7 @@ _SAMPLE = 100_000  # values looked at
 
 @dataclass(frozen=True)
 class Screened:
-    """A body whose values that hold nothing are NaN, and by run why: ``zeros`` or ``unused`` by channel."""
+    """A body with empty values as NaN, and for each run why a channel is empty: ``zeros`` or ``unused``."""
 
     body: BodyChannels
     unused: tuple[dict[int, str], ...]

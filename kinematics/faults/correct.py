@@ -101,7 +101,7 @@ def _how(one: Finding) -> str:
 
 
 def _errors(body: BodyChannels, estimated: list[Finding], first: int) -> tuple[ChannelError, ...]:
-    """Return what is estimated as errors of channels."""
+    """Return the corrected findings as errors of channels, with the sd of each estimate."""
     found = []
     for number, one in enumerate(estimated):
         channels = tuple(first + channel for channel in one.channels)

@@ -66,6 +66,6 @@ def _exchanged(what: str, geometry: Geometry, one: list[int], other: list[int]) 
 
 
 def _key(geometry: Geometry) -> bytes:
-    """Return what is equal for geometries that are alike within 1 nm and 1 urad."""
+    """Return a key that is equal for geometries equal within 1 nm and 1 urad."""
     whole = np.hstack([geometry.positions_m * 1e9, geometry.directions * 1e6])
     return bytes((np.round(whole) + 0.0).tobytes())

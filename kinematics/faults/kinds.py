@@ -116,7 +116,7 @@ class Place:
     channels: tuple[int, ...]
 
     def kinds(self, groups: int, parallel: bool) -> list[str]:
-        """List the kinds that can be told here, from so many groups of lines."""
+        """List the kinds of faults that this number of groups of lines can distinguish."""
         return [
             name
             for name, kind in KINDS.items()

@@ -31,7 +31,7 @@ _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the 
 
 @dataclass(frozen=True)
 class Round:
-    """The readings under what is believed so far, and the tests of what else may be wrong.
+    """The readings under the faults accepted so far, and the tests for further faults.
 
     Where noise is not stated, ``levels`` (c,) are that of each channel over the usual one, as assumed, and
     ``spread`` is the standard deviation of their logarithms.

@@ -81,7 +81,7 @@ def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
 
 
 def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
-    """Return the level of noise that is not stated: from columns without motion, else from what is left."""
+    """Return the level of noise that is not stated: from columns without motion, else from residuals."""
     state = estimate.state
     energy, freedom = (float(part.sum()) for part in state.noise_energy)
     if freedom < _LEAST_LEVEL_DOF:

@@ -178,7 +178,7 @@ def _fit(fiducials: Fiducials, target: str, poses: Mapping[str, RigidTransform])
 def _by_references(
     fiducials: Fiducials | None, fit: Registration | None, poses: Mapping[str, RigidTransform]
 ) -> dict[str, Array]:
-    """Return d(fitted pose)/d(frame error), (6, 6), of frames whose references move against others'."""
+    """Return d(fitted pose)/d(frame error), (6, 6), where fiducials refer to several frames."""
     if fiducials is None or fit is None or len(set(fiducials.frames)) == 1:
         return {}
     rows = fit.transform.rotation @ pose_rows(1e-3 * fiducials.vibrometer_mm)

@@ -278,7 +278,7 @@ def _positions(placed: Measurement, fits: Fits) -> tuple[list[Parameter], Array]
 
 
 def _join_positions(covariance: Array, names: Sequence[str], lasers: LaserAgreement) -> None:
-    """Enter the covariance of what is left of the lasers' errors with the errors of positions."""
+    """Add the covariance between the remaining laser errors and the errors of positions."""
     at = {name: place for place, name in enumerate(names)}
     rows = [at[name] for name in lasers.estimate.names]
     for name, column in lasers.across.items():

@@ -39,7 +39,7 @@ def is_frequency(name: str) -> bool:
 
 
 def meaning(name: str) -> tuple[str, str, str] | None:
-    """Return the part, point and axis that a name says; None where it says no part, or two of a kind."""
+    """Return part, point and axis of a column's name; None where the part is missing or ambiguous."""
     part, axis, rest = "", "", []
     for word in _WORD.findall(name):
         low = word.lower()

@@ -45,7 +45,7 @@ class Space:
     where: str
 
     def within(self, fields: Names[str, Any], name: str, element: str = "") -> Space:
-        """Return the fields of a struct, and for other names what is around it."""
+        """Return the fields of a struct, and for other names the variables around it."""
         around = {key: one for key, one in self.names.items() if key != name}
         where = f"{self.where}, {name}({element})" if element else f"{self.where}, {name}"
         return Space(ChainMap(dict(fields), around), where)

@@ -39,7 +39,7 @@ _SAME_PLACE_M = 1e-6  # positions written with four digits
 
 @dataclass(frozen=True)
 class PointTable:
-    """A table over frequency, and what stands above it: point, position (3,), m, axis of the beam, source.
+    """A table over frequency and its header: point, position (3,), m, axis of the beam, source.
 
     Empty and NaN where nothing is said; ``length_stated``: whether the position has a unit.
     """
@@ -63,7 +63,7 @@ def is_of_point(sheet: Sheet) -> bool:
 
 
 def point_table(sheet: Sheet) -> PointTable:
-    """Read what stands above the table of a point.
+    """Read the header above the table of a point.
 
     Raises
     ------

@@ -149,7 +149,7 @@ def _datasets(path: Path, content: bytes, name: str) -> tuple[list[dict[str, Any
 
 
 def _unusable(one: Function) -> str:
-    """Return what a function is that holds neither motion over frequency nor coherence; empty for others."""
+    """Return the kind of a function that is neither motion over frequency nor coherence; else empty."""
     kind = KINDS.get(one["func_type"], f"function of type {one['func_type']}")
     named = motion_unit(_label(one, "ordinate")) is not None
     ordinate = one["ordinate_spec_data_type"]
@@ -165,7 +165,7 @@ def _unusable(one: Function) -> str:
 
 
 def _label(one: Function, axis: str) -> str:
-    """Return the unit that stands at an axis; empty where none is stated."""
+    """Return the unit of an axis; empty where none is stated."""
     label = str(one.get(f"{axis}_axis_units_lab", ""))
     return "" if is_none(label) else label
 

@@ -131,7 +131,7 @@ def statements(record: MassRecord, reduced: Sequence[str]) -> dict[str, Stated]:
 
 
 def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, Stated]:
-    """Return what a block of one mass matrix says; only that of the footplate must name point and axes."""
+    """Return the content of one mass matrix; only that of the footplate must name point and axes."""
     places = np.ix_(*[dof_indices(tuple(dof))] * 2)
     root = np.sqrt(np.diag(mass.matrix))
     scale = np.outer(root, root)[places]

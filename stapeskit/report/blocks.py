@@ -48,7 +48,7 @@ def _blocks() -> TemplateModule:
 
 
 def render(macro: str, *values: Any) -> Markup:
-    """Return what a macro of the template makes of values; every text is escaped."""
+    """Render values by a macro of the template; every text is escaped."""
     block: Markup = getattr(_blocks(), macro)(*values)
     return block
 
