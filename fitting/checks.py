@@ -123,7 +123,7 @@ def _misfit(fit: KDFit) -> Iterator[Notice]:
         )
         yield Notice("misfit", text)
     if judged and not found.data.floored and chdtr(found.n_dof, found.chi2) < MISFIT_P:
-        yield Notice("noise_overstated", f"Residuals are smaller than their stated noise: {level}.")
+        yield Notice("noise_level", f"Residuals are smaller than their stated noise: {level}.")
     far = outlying_hz(fit)
     if len(far):
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
@@ -203,13 +203,13 @@ def _laws(fit: KDFit) -> Iterator[Notice]:
         yield Notice("law_ambiguous", text)
     if lost:
         text = f"These damping laws could not be fitted and are not compared: {', '.join(lost)}."
-        yield Notice("law_undetermined", text)
+        yield Notice("law_ambiguous", text)
 
 
 def _inputs(fit: KDFit) -> Iterator[Notice]:
     data = fit.found.data
     if data.dropped:
-        yield Notice("lines_dropped", f"{data.dropped} lines were left out: a value is missing there.")
+        yield Notice("file_read", f"{data.dropped} lines were left out: a value is missing there.")
     if not fit.solution.inertia.contributions:
         text = "The mass matrix came without an uncertainty; the intervals of K and D do not include it."
         yield Notice("mass_uncertainty_not_given", text)
@@ -225,7 +225,7 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
             "of freedom: K and D err by what the load comes to. Give mass.json, which has all six, or say "
             "by --inplane ignore that the load is small."
         )
-        yield Notice("inplane_mass_not_given", text)
+        yield Notice("inplane_neglected", text)
     if fit.solution.neglected is not None:
         place, change = fit.solution.neglected
         text = (
@@ -283,7 +283,7 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
         radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[place, place]))
         if not _within(radius, _GYRATION_RANGE_MM):
             text = f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human stapes"
-            yield Notice("implausible_inertia", f"{text}; check the units of M.")
+            yield Notice("implausible_mass", f"{text}; check the units of M.")
 
 
 def _within(value: float, ends: tuple[float, float]) -> bool:

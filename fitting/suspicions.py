@@ -31,7 +31,7 @@ def suspicions(data: Data, law: str) -> list[Notice]:
     m = len(data.measured)
     order = np.r_[m : 2 * m, :m]
     readings = {
-        "conjugated_motion": (
+        "phase_convention": (
             replace(bare, y=bare.y.conj(), covariance=bare.covariance.conj()),
             "The phases look like those of amplitudes of e^{-iwt}: the conjugate motion fits",
             "Conjugate the motion, or state the convention to points2dof",
@@ -79,4 +79,4 @@ def _degrees(data: Data) -> list[Notice]:
         f"Rotations times 1 mm are {ratios[0]:.3g} (structure) and {ratios[1]:.3g} (base) times the "
         "displacements: they look like degrees. Write them in radians."
     )
-    return [Notice("rotations_in_degrees", text)]
+    return [Notice("unit_slip", text)]

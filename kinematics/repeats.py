@@ -74,7 +74,7 @@ def pool_repeats(measurement: Measurement) -> tuple[Measurement, tuple[RepeatedR
     notices = [notice for found in compared for notice in found.notices]
     if compared and any(body.sd is None or body.relative for body in measurement.bodies):
         text = "no noise is stated: it was estimated from the scatter between repeats."
-        notices.append(Notice("noise_from_repeats", text))
+        notices.append(Notice("noise_estimated", text))
     common = measurement.common_sd
     if common is not None:
         common = np.stack([np.sqrt(np.mean(common[own] ** 2, axis=0) / len(own)) for own in places])
@@ -149,7 +149,7 @@ def _drift(run: str, gains: ComplexArray, sd: Array) -> list[Notice]:
                 f"run {run}: the {what} of all channels drifts by {shown} from the first repeat to the last "
                 f"(p {trend.pvalue:.1g}). Responses per reference (--reference) do not contain it."
             )
-            return [Notice("repeat_drift", text)]
+            return [Notice("repeats_differ", text)]
     return []
 
 
@@ -183,7 +183,7 @@ def _outlier(
                 f"run {run}: repeat {name} differs from the others {what}. Look at it, and leave it out if "
                 "there is a reason."
             )
-            return [Notice("repeat_outlier", text)]
+            return [Notice("repeats_differ", text)]
     return []
 
 
@@ -197,7 +197,7 @@ def _scatter(run: str, level: float, freedom: float) -> list[Notice]:
         f"run {run}: the repeats scatter {np.sqrt(level):.2g} times as much as their stated noise, gains "
         "apart; the pooled standard deviations were widened accordingly."
     )
-    return [Notice("repeat_scatter", text)]
+    return [Notice("repeats_differ", text)]
 
 
 def _pooled(

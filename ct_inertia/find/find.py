@@ -200,4 +200,4 @@ def _cropped_notice(chosen: Candidate) -> tuple[Notice, ...]:
         "to see where it ends as well as elsewhere; the budget holds the cut (separation). Export 1 mm "
         "more beyond the head, or correct the cut (--labels)."
     )
-    return (Notice("incus_cropped", text),)
+    return (Notice("cut_through_bone", text),)

@@ -147,4 +147,4 @@ def _drop_islands(result: NDArray[np.uint8], labels: Scan) -> list[Notice]:
         f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove "
         "them from the label volume."
     )
-    return [Notice("label_islands_left_out", text)]
+    return [Notice("file_read", text)]

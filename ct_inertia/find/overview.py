@@ -119,7 +119,7 @@ def scan_notices(overview: Overview) -> list[Notice]:
             f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
             "field of view: it was not measured and takes no part in levels, noise and surroundings."
         )
-        notices.append(Notice("outside_not_measured", text))
+        notices.append(Notice("file_read", text))
     return notices
 
 

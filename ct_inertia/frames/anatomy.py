@@ -148,7 +148,7 @@ def _votes(
             continue
         if sense is None:
             text = f"Landmark {name} is not used: it needs --side left or --side right."
-            notices.append(Notice("side_not_given", text))
+            notices.append(Notice("landmark_unused", text))
             continue
         offset = float((point - origin_mm) @ (x_axis if name in ("anterior", "posterior") else z_axis))
         if abs(offset) < _LEAST_OFFSET_MM:

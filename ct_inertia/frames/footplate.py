@@ -167,7 +167,7 @@ def _choose_face(
         trial = solve_at(surface, outward, extent, blur_mm)
         if contradiction(trial.origin, trial.axes, hints) is None:
             text = "The footplate was taken to be another face than the largest, as the landmarks ask."
-            return trial, [Notice("footplate_by_landmark", text)]
+            return trial, [Notice("footplate_ambiguous", text)]
     raise StapeskitError(fault)
 
 

@@ -295,7 +295,7 @@ def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
             "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and "
             "its turn about y says nothing about the plate. Give --plate-fiducials."
         )
-        notices.append(Notice("plate_edges_not_visible", text))
+        notices.append(Notice("plate_axis_ambiguous", text))
     else:
         text = (
             "x of the plate frame is the longest edge of the plate in the sense with the positive component "

@@ -268,14 +268,14 @@ def media_notices(fit: SceneFit, soft: float, hollow: float) -> list[Notice]:
             f"subtracted, and {budget}. Its mass is left out: dry the sample, or add it as a point mass "
             "(--add-mass)."
         )
-        notices.append(Notice("void_filled", text))
+        notices.append(Notice("void_filling", text))
     elif hollow * media.void_sd / contrast > _REPORTED:
         text = (
             f"Closed hollows of the stapes ({100.0 * hollow:.1f} % of its volume) are about as narrow as the "
             f"blur: whether air or fluid fills them is not visible. Air is assumed, and {budget}. Scan with "
             "smaller voxels, or dry the sample."
         )
-        notices.append(Notice("void_filling_unknown", text))
+        notices.append(Notice("void_filling", text))
     return notices
 
 

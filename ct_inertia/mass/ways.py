@@ -33,22 +33,19 @@ class Way:
     ----------
     words : str
         What the mass comes from.
-    code, what, how : str
-        Warning where it has no standard deviation; of what; how one is given.
+    what, how : str
+        What the warning of a missing standard deviation names, and how it is given.
     """
 
     words: str
-    code: str
     what: str
     how: str
 
 
 WAYS = {
-    "mass": Way("the balance", "mass_sd_not_given", "the mass", "--mass-mg M+-SD"),
-    "calibration": Way(
-        "calibrated grey values", "calibration_sd_not_given", "the calibration", "sd_kg_m3 in its file"
-    ),
-    "density": Way("the density", "density_sd_not_given", "the density", "--density RHO+-SD"),
+    "mass": Way("the balance", "the mass", "--mass-mg M+-SD"),
+    "calibration": Way("calibrated grey values", "the calibration", "sd_kg_m3 in its file"),
+    "density": Way("the density", "the density", "--density RHO+-SD"),
 }
 """In the order in which they lead: the balance sees the bone itself, the calibration its grey values, and a
 density is mostly another bone's. The names are those of their sources in the budget."""
@@ -164,7 +161,7 @@ def not_stated(way: MassByWay) -> list[Notice]:
         return []
     entry = WAYS[way.way]
     text = f"No sd of {entry.what} was given ({entry.how}): {way.way} not included in the budget."
-    return [Notice(entry.code, text)]
+    return [Notice("density_sd_not_given", text)]
 
 
 def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:

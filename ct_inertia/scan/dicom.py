@@ -123,7 +123,7 @@ def _one_series(folder: Path) -> tuple[dict[Path, Any], list[Notice]]:
         raise StapeskitError.of("the folder", "one DICOM series", got, folder.name, _APART)
     others = len(heads) - len(stacks[0])
     text = f"{others} single pictures of other series in {folder.name}, such as scouts, were left out."
-    return {file: heads[file] for file in stacks[0]}, [Notice("files_ignored", text)] if others else []
+    return {file: heads[file] for file in stacks[0]}, [Notice("file_read", text)] if others else []
 
 
 def _head(file: Path) -> Any:

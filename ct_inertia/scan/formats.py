@@ -91,7 +91,7 @@ FORMATS = (
         "TIFF",
         "tiff",
         "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any "
-        "packing that tifffile knows; one that says 0 is white is inverted, with a notice (`white_is_zero`)",
+        "packing that tifffile knows; one that says 0 is white is inverted, with a notice",
         (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
         ("tifffile",),
     ),

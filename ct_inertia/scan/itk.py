@@ -333,7 +333,7 @@ def _flattened(
         f"The segmentation has {layers} layers; its segments were numbered {listed}. Where two overlap the "
         f"later one counts."
     )
-    opened.notices.append(Notice("segments_numbered", text))
+    opened.notices.append(Notice("file_read", text))
     opened.dtype = np.dtype(np.uint16)
     opened.read = unpack_once(labelled)
     opened.files = tuple(dict.fromkeys(file for file, _ in voxels.pieces))

@@ -75,7 +75,7 @@ def _place_nifti(opened: Opened, header: Any, name: str) -> None:
     if unit is None:
         unit = 1.0
         text = f"{name} does not say its unit of length: mm was taken, as NIfTI programs do."
-        opened.notices.append(Notice("length_unit_missing", text))
+        opened.notices.append(Notice("length_unit_assumed", text))
     steps = np.abs(np.asarray(header.get_zooms()[:3], dtype=float))
     bare = np.diag([*steps, 1.0])
     affine = sform if sform is not None else qform

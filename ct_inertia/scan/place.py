@@ -119,7 +119,7 @@ def choose_spacing(
     along = "" if np.all(known_axes) else " along " + " and ".join(np.array(list(_AXES))[known_axes])
     held, given = _times(stated[known_axes]), _times(spacing)
     text = f"{name} has voxels of {held} mm{along}; the given {given} mm were used."
-    return spacing, [Notice("spacing_overridden", text)]
+    return spacing, [Notice("file_read", text)]
 
 
 def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, carries_place: bool) -> Scan:
@@ -165,7 +165,7 @@ def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, c
             f"The axes of {name} are left-handed: its {_AXES[axis]} axis was read in reverse, and every "
             f"voxel kept its place."
         )
-        notices.append(Notice("axis_reversed", text))
+        notices.append(Notice("file_read", text))
     if options.mirror is not None:
         fetch = _reversed(fetch, shape, _AXES.index(options.mirror))
     elif not opened.anatomical:
@@ -188,6 +188,7 @@ def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, c
         handedness_confirmed=opened.anatomical,
         carries_place=carries_place,
         nan_as_air=options.nan_as_air,
+        inverted=opened.white_is_zero,
         chunk_planes=opened.depth,
     )
 
@@ -208,10 +209,10 @@ def rescaled(opened: Opened, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
 
 def without_inversion(scan: Scan) -> Scan:
     """Undo the exchange of bright and dark: numbers that name bodies are neither."""
-    if not any(notice.code == "white_is_zero" for notice in scan.notices):
+    if not scan.inverted:
         return scan
-    kept = tuple(notice for notice in scan.notices if notice.code != "white_is_zero")
-    return replace(scan, fetch=_inverted(scan.fetch, scan.dtype), notices=kept)
+    kept = tuple(notice for notice in scan.notices if notice != _white_is_zero(scan.name))
+    return replace(scan, fetch=_inverted(scan.fetch, scan.dtype), notices=kept, inverted=False)
 
 
 def _inverted(fetch: Fetch, dtype: np.dtype[Any]) -> Fetch:
@@ -226,7 +227,7 @@ def _white_is_zero(name: str) -> Notice:
         f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 less "
         f"it; floats change sign). If bone was bright as stored, correct the tag where the scan was exported."
     )
-    return Notice("white_is_zero", text)
+    return Notice("file_read", text)
 
 
 def _reversed(fetch: Fetch, shape: tuple[int, int, int], axis: int) -> Fetch:

@@ -60,6 +60,8 @@ class Scan:
         Other programs read spacing, origin and direction of this format as they are read here.
     nan_as_air : bool
         Voxels that are not finite are read as `fill`; otherwise they are refused.
+    inverted : bool
+        Bright and dark were exchanged, because the file says that 0 is white.
     chunk_planes : int
         Planes that are unpacked together: reading so many at a time unpacks every voxel once.
 
@@ -83,6 +85,7 @@ class Scan:
     handedness_confirmed: bool = False
     carries_place: bool = False
     nan_as_air: bool = False
+    inverted: bool = False
     chunk_planes: int = 1
 
     def __post_init__(self) -> None:

@@ -163,7 +163,7 @@ def _density_notice(name: str, scaling: float, slope: float, intercept: float, u
         f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
         f"file of --calibration."
     )
-    return [Notice("density_in_header", text)]
+    return [Notice("file_read", text)]
 
 
 def open_vgi(path: Path, _: ReadOptions) -> Opened:
@@ -210,7 +210,7 @@ def open_vgi(path: Path, _: ReadOptions) -> Opened:
             f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were "
             f"read as they are stored. Use --mirror if the ear is a mirror image."
         )
-        opened.notices.append(Notice("mirrored_display", text))
+        opened.notices.append(Notice("handedness_unconfirmed", text))
     return opened
 
 

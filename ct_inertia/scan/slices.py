@@ -106,7 +106,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     others = len(images) - len(chosen)
     if others:
         text = f"{others} other image files in {folder.name} are not part of the series and were left out."
-        notices.append(Notice("files_ignored", text))
+        notices.append(Notice("file_read", text))
     return [path for _, path in chosen], notices + _gaps(numbers, folder.name)
 
 
@@ -149,7 +149,7 @@ def _gaps(numbers: list[int], name: str) -> list[Notice]:
         f"The slices in {name} are numbered in steps of {step}: where the others were left out, the "
         f"distance of slices is {step} times that of the scan."
     )
-    return [Notice("slices_in_steps", text)]
+    return [Notice("file_read", text)]
 
 
 def log_spacing(logs: Sequence[Path], shape: Sequence[int]) -> tuple[Array | None, str]:

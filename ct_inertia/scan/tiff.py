@@ -78,13 +78,13 @@ def open_file(path: Path, _: ReadOptions) -> Opened:
         opened.read = _decoder(series, shape, path)
     if several:
         text = f"{path.name} holds {len(tif.series)} images; the first stack was read."
-        opened.notices.append(Notice("first_series_read", text))
+        opened.notices.append(Notice("file_read", text))
     if float(meta.get("spacing") or 1.0) < 0.0:
         text = (
             f"{path.name} has a negative slice distance; its size was used and the order of slices kept. "
             f"Reverse them with --mirror z if the ear is a mirror image."
         )
-        opened.notices.append(Notice("negative_slice_distance", text))
+        opened.notices.append(Notice("file_read", text))
     return opened
 
 

@@ -65,7 +65,7 @@ def _image(node: Any, folder: Path) -> tuple[Any, Mapping[str, Any] | None, list
     if "multiscales" not in attributes and "0" in node and _attributes(node["0"]):
         if "1" in node and "multiscales" in _attributes(node["1"]):
             text = f"{folder.name} holds several images; the first one, 0, was read."
-            notices.append(Notice("first_series_read", text))
+            notices.append(Notice("file_read", text))
         node = node["0"]
         attributes = _attributes(node)
     scales = attributes.get("multiscales")
@@ -150,4 +150,4 @@ def _missing_chunks(array: Any, folder: Path) -> list[Notice]:
         f"{total - stored} of {total} chunks of {folder.name} are not stored and count as {fill:g}: writers "
         f"leave out empty chunks, but so does an incomplete copy."
     )
-    return [Notice("chunks_not_stored", text)]
+    return [Notice("file_read", text)]

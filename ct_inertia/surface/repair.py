@@ -133,7 +133,7 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Mende
     faces, doubled = _without_doubles(faces)
     if doubled:
         notices.append(
-            Notice("faces_doubled", f"{doubled} faces of {name} were there twice; one of each is kept.")
+            Notice("file_read", f"{doubled} faces of {name} were there twice; one of each is kept.")
         )
     holes = boundary_edges(faces)
     if len(holes) and not close:
@@ -145,7 +145,7 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Mende
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         text = f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned outward."
-        notices.append(Notice("surface_turned", text))
+        notices.append(Notice("file_read", text))
     solid = [piece for piece in pieces(faces) if signed_volume(vertices, faces[piece]) > 0.0]
     if len(solid) > 1:
         text = (
@@ -185,7 +185,7 @@ def _joined(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, lis
         vertices = np.column_stack([np.bincount(group, column) / share for column in vertices.T])
         faces = group[faces].astype(np.int64)
         text = f"{count - joined} corners of {name} lay within {reach:.3g} mm of others and were joined."
-        notices.append(Notice("corners_joined", text))
+        notices.append(Notice("file_read", text))
     three = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return vertices, np.asarray(faces[three], dtype=np.int64), notices
 

@@ -219,7 +219,7 @@ def exchanged_bodies(measurement: Measurement) -> Iterator[Notice]:
     own = _misfit(one, one) + _misfit(other, other)
     if own > 0.0 and _misfit(one, other) + _misfit(other, one) < 0.1 * own:
         text = f"the values of {one.body} fit the points of {other.body}, and the reverse"
-        yield Notice("label_swap", f"{text}: the names of the bodies are exchanged.")
+        yield Notice("bodies_exchanged", f"{text}: the names of the bodies are exchanged.")
 
 
 def _misfit(values: BodyChannels, places: BodyChannels) -> float:

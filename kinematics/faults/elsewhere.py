@@ -71,7 +71,7 @@ def _loud_lines(readings: Readings, squares: Array) -> list[Cause]:
         if np.all(np.abs(freq - mains * np.round(freq / mains)) < _NEAR_MAINS_HZ):
             step = f"Leave them out, or average longer between multiples of {mains:.0f} Hz"
             text = f"lines at multiples of {mains:.0f} Hz do not fit a rigid motion: {where}"
-            return [Cause("mains_lines", text, step)]
+            return [Cause("loud_lines", text, step)]
     return [Cause("loud_lines", f"{len(freq)} lines do not fit a rigid motion: {where}", "Leave them out")]
 
 
@@ -92,9 +92,9 @@ def _scatter(now: Round) -> list[Cause]:
     """Look for random errors of one kind at all channels or points."""
     points = list(now.layout.by_point(now.live).values())
     whole = max(now.state.energy / now.noise.level - now.state.freedom, 1e-9)
-    gains = ("gains_scattered", "%", 100.0, "Calibrate the channels, or state larger errors of gains")
+    gains = ("channels_scattered", "%", 100.0, "Calibrate the channels, or state larger errors of gains")
     step = "State them as sd_mm in points.csv, or measure the points again"
-    places = ("positions_scattered", "mm", 1e3, step)
+    places = ("channels_scattered", "mm", 1e3, step)
     trials = (
         ("factors of points", points, (GAIN, PHASE), gains),
         ("gains of channels", [[channel] for channel in now.live], (GAIN,), gains),

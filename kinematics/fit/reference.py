@@ -87,7 +87,7 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
             f"bodies have one, {_places(motion, lost)}: no response is written there. Measure it there too, "
             "or leave --reference out."
         )
-        notices.append(Notice("reference_missing", text))
+        notices.append(Notice("lines_undetermined", text))
     with np.errstate(invalid="ignore"):
         weak = np.abs(ref) < LEAST_SIGNAL_TO_NOISE * motion.standard_deviation[:, body, :, place]
     if np.any(weak):

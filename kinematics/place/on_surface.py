@@ -159,5 +159,5 @@ def _notices(
             f"the points on the plate lie {level:.1f} times their sd off its surface; the covariance of the "
             "registration was enlarged accordingly."
         )
-        notices.append(Notice("surface_points_inconsistent", text))
+        notices.append(Notice("surface_points_off", text))
     return notices

@@ -259,7 +259,7 @@ def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:
         f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
         "deviations; stiffness and damping do not depend on it."
     )
-    return [Notice("per_reference", text)] if units else []
+    return [Notice("file_read", text)] if units else []
 
 
 def _body(
@@ -287,7 +287,7 @@ def _body(
     unused = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
     if known and unused:
         text = f"{unused} values of body {name} have no standard deviation and were not used."
-        notices.append(Notice("sd_missing", text))
+        notices.append(Notice("file_read", text))
     names = tuple(point for point, _ in first)
     listed = {} if points is None else points.sd_m
     body = BodyChannels(

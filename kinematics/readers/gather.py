@@ -112,7 +112,7 @@ def recording_of(
     raise_all([*twice_faults(channels, matrices["value"], twice), *_range_faults(channels, matrices, file)])
     kept = grid > 0.0
     if not np.all(kept):
-        about_lines.append(Notice("dc_line", f"the line at 0 Hz of {file} holds no motion and was dropped."))
+        about_lines.append(Notice("file_read", f"the line at 0 Hz of {file} holds no motion and was dropped."))
         matrices = {name: matrix[:, kept] for name, matrix in matrices.items()}
     if not np.any(kept):
         step = "Export the lines above 0 Hz"
@@ -259,7 +259,7 @@ def _one_quantity(rows: Sequence[Row], file: str) -> tuple[list[Row], list[Notic
         return kept, []
     used, others = (" and ".join(sorted({_quantity(row.channel) for row in part})) for part in (kept, left))
     text = f"{file} holds {used}, used here, and {others} of the same points, left out."
-    return kept, [Notice("quantity_chosen", text)]
+    return kept, [Notice("file_read", text)]
 
 
 def _quantity(channel: Channel) -> str:

@@ -129,11 +129,11 @@ def with_bodies(
     notices = []
     if respelled:
         text = f"names were read as {listed_in} spells them: {list_some(respelled, 3)}."
-        notices.append(Notice("names_alike", text))
+        notices.append(Notice("file_read", text))
     listed = {body for body, _ in points.positions_m} if points is not None else set()
     if absent := listed - {channel.body for channel in assigned}:
         text = f"{listed_in} lists points of {', '.join(sorted(absent))}, of which no file has a value."
-        notices.append(Notice("bodies_not_measured", text))
+        notices.append(Notice("file_read", text))
     return assigned, notices
 
 
@@ -166,4 +166,4 @@ def with_runs(channels: Sequence[Channel], facts: FileFacts) -> tuple[list[Chann
     ]
     listed = list_some((channel.run for channel in named), 6)
     text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
-    return named, [Notice("runs_by_file", text)]
+    return named, [Notice("file_read", text)]

@@ -58,7 +58,7 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
             f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line "
             "(within 1 % of the line spacing and 1e-4 of the frequency)."
         )
-        notices.append(Notice("frequencies_matched", text))
+        notices.append(Notice("file_read", text))
     return joined, [places[key] for key in keys], notices
 
 

@@ -72,7 +72,7 @@ def recording_of_tree(tree: Names[str, Any], path: Path, facts: FileFacts) -> Re
     space = Space({name: one for name, one in tree.items() if name not in strings}, path.name)
     mapping_file = mapping_beside(path, facts.mapping)
     unread = f"MATLAB string arrays ({', '.join(strings)})"
-    notices = [Notice("content_ignored", f"{path.name}: {unread} were not read. {_STRING_STEP}.")]
+    notices = [Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}.")]
     try:
         blocks = layouts(space) if mapping_file is None else [(space, read_mapping(mapping_file), "")]
         if not blocks:

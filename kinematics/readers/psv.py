@@ -154,7 +154,7 @@ def treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
         f"{file} was exported {' and '.join(marks)}: values were mixed between points, so that points do not "
         "err independently. Export the measured values."
     )
-    return [Notice("values_smoothed", text)] if marks else []
+    return [Notice("file_read", text)] if marks else []
 
 
 def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:

@@ -136,7 +136,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
             f"read as {direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports "
             "confirm: compare it with the direction that the PSV program shows."
         )
-        notices.append(Notice("direction_assumed", text))
+        notices.append(Notice("axes_assumed", text))
     per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")
     # the ratio of powers of an empty line is no number: a missing value
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -237,21 +237,21 @@ def _notices(table: Table, columns: Columns, recording: Recording) -> list[Notic
             f"{int(np.sum(missing))} readings of {len(gaps)} channels ({list_some(gaps, 6)}) have no row or "
             f"no value in {file} at lines that other channels of the body have: they count as missing."
         )
-        notices.append(Notice("values_missing", text))
+        notices.append(Notice("file_read", text))
     exact = 0 if recording.sd is None else int(np.sum(recording.sd == 0.0))
     if exact:
         text = f"{exact} values of {file} have a noise of 0: they are exact to 1e-12 of the largest."
-        notices.append(Notice("sd_zero", text))
+        notices.append(Notice("noise_free", text))
     bodies = dict.fromkeys(channel.body for channel in recording.channels)
     if len({body.lower() for body in bodies}) < len(bodies):
         text = f"bodies of {file} differ in case only and were taken as different: {', '.join(bodies)}."
-        notices.append(Notice("names_alike", text))
+        notices.append(Notice("file_read", text))
     if columns.ignored:
         listed = list_some(map(with_meant, columns.ignored), 6)
-        notices.append(Notice("content_ignored", f"columns of {file} that are not used: {listed}."))
+        notices.append(Notice("file_read", f"columns of {file} that are not used: {listed}."))
     if table.comments:
         text = f"{table.comments} lines of {file} begin with # and were skipped."
-        notices.append(Notice("content_ignored", text))
+        notices.append(Notice("file_read", text))
     return notices
 
 

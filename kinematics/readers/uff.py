@@ -265,7 +265,7 @@ def _step_for_directions(functions: Sequence[Function]) -> str:
 
 def _notices(functions: Sequence[Function], left_out: str, stated: bool, file: str) -> list[Notice]:
     """Report what was left out, spectra, and values without a unit."""
-    notices = [Notice("content_ignored", f"{file}: left out: {left_out}.")] if left_out else []
+    notices = [Notice("file_read", f"{file}: left out: {left_out}.")] if left_out else []
     if all(one["func_type"] == SPECTRUM for one in functions):
         text = (
             f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "

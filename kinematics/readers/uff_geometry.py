@@ -76,7 +76,7 @@ def read_geometry(
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
             "for the global one."
         )
-        notices.append(Notice("coordinate_system_missing", text))
+        notices.append(Notice("axes_assumed", text))
     positions = {}
     for label, (position, defined, _) in known.items():
         turn, origin = systems.get(defined, _GLOBAL)

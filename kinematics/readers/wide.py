@@ -92,7 +92,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
     unused = [name for name in dict.fromkeys(unused) if name and not is_frequency(name)]
     if unused:
         text = f"{path.name}: columns that name no part of a signal were left out: {list_some(unused, 12)}."
-        notices.append(Notice("content_ignored", text))
+        notices.append(Notice("file_read", text))
     stated = all(table.length_stated for table in tables)
     statement = "columns by their names"
     if fastscan or of_points:

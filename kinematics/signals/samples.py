@@ -23,23 +23,28 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
     channels : mapping of str to iterable of ndarray (sample,)
         Records of every channel.
     """
-    found: dict[str, list[str]] = {"clipped": [], "dropouts": []}
+    clipped: list[str] = []
+    still: list[str] = []
     for name, rows in channels.items():
         moving = [row for row in rows if len(row) >= 4 * _STILL and np.ptp(row) > 0.0]
         if any(is_clipped(row) for row in moving):
-            found["clipped"].append(name)
+            clipped.append(name)
         elif any(is_still(row) for row in moving):
-            found["dropouts"].append(name)
-    texts = {
-        "clipped": "neighbouring samples lie at the largest or smallest value again and again. The responses "
-        "are too small there: lower the level or take a wider range",
-        "dropouts": f"constant for {_STILL} samples or more in the midst of motion, as when a decoder holds "
-        "its last value. Such responses are too small: measure these points again",
-    }
+            still.append(name)
+    texts = (
+        (
+            clipped,
+            "neighbouring samples lie at the largest or smallest value again and again. The responses are "
+            "too small there: lower the level or take a wider range",
+        ),
+        (
+            still,
+            f"constant for {_STILL} samples or more in the midst of motion, as when a decoder holds its last "
+            "value. Such responses are too small: measure these points again",
+        ),
+    )
     return [
-        Notice(code, f"{', '.join(names)} of {file}: {texts[code]}.")
-        for code, names in found.items()
-        if names
+        Notice("samples_stuck", f"{', '.join(names)} of {file}: {text}.") for names, text in texts if names
     ]
 
 

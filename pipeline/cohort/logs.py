@@ -103,7 +103,7 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
     notices = [notice for row in rows for notice in row.notices]
     if letters == "K":
         text = "D has no common unit: its power of time differs between damping laws. No law of D is fitted."
-        notices.append(Notice("damping_not_comparable", text))
+        notices.append(Notice("cohort_mixed", text))
     values = np.array([row.values for row in rows])
     keep = np.flatnonzero(np.any(np.isfinite(values), axis=0))
     names = [(*PREDICTORS, *responses)[place] for place in keep]

@@ -115,7 +115,7 @@ def test_a_closed_hollow_is_seen_to_be_filled_or_dry(filling):
     found = measure(labelled(grey, ball.spacing, stapes, noise=220.0))
     exact = ball.volume - 4.0 / 3.0 * np.pi * 0.12**3
     codes = {notice.code for notice in found.notices}
-    assert ("void_filled" in codes) == (filling > 0.0)
+    assert ("void_filling" in codes) == (filling > 0.0)
     assert abs(found.moments.volume_mm3 - exact) < 4.0 * found.moments.volume_sd_mm3
 
 

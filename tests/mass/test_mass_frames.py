@@ -134,7 +134,9 @@ def test_superior_without_a_side_is_refused_alone_and_left_out_beside_anterior()
     with pytest.raises(StapeskitError):
         AnatomyHints(None, points)
     frame = footplate_frame(surface_of(Stapes()), AnatomyHints(POSE.rotation[:, 0], points))
-    assert [notice.code for notice in frame.notices] == ["side_not_given"]
+    (notice,) = frame.notices
+    assert notice.code == "landmark_unused"
+    assert "--side left" in notice.text
 
 
 def test_the_directions_are_named_by_the_side() -> None:

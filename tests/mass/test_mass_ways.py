@@ -243,11 +243,13 @@ def test_ways_that_differ_beyond_their_sd_are_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("density", "mass", "code"),
-    [(WithSd(1900.0), None, "density_sd_not_given"), (None, WithSd(4.4), "mass_sd_not_given")],
+    ("density", "mass", "option"),
+    [(WithSd(1900.0), None, "--density RHO+-SD"), (None, WithSd(4.4), "--mass-mg M+-SD")],
 )
-def test_a_missing_sd_is_reported(density: WithSd | None, mass: WithSd | None, code: str) -> None:
-    assert [notice.code for notice in not_stated(ways_of(density, mass)[0])] == [code]
+def test_a_missing_sd_is_reported(density: WithSd | None, mass: WithSd | None, option: str) -> None:
+    (notice,) = not_stated(ways_of(density, mass)[0])
+    assert notice.code == "density_sd_not_given"
+    assert option in notice.text
 
 
 @pytest.mark.parametrize(("density", "mass"), [(WithSd(190.0), None), (None, WithSd(44.0))])

@@ -101,7 +101,7 @@ def test_exchanged_bodies():
     bodies = tuple(
         replace(place, body=name, value=values.value, sd=None) for name, (place, values) in names.items()
     )
-    assert "label_swap" in codes(Measurement("footplate", ("1",), recorded(1).freq_hz, bodies))
+    assert "bodies_exchanged" in codes(Measurement("footplate", ("1",), recorded(1).freq_hz, bodies))
 
 
 def test_rows_of_zeros_are_set_aside_where_the_body_moves():

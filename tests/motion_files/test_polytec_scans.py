@@ -112,7 +112,7 @@ def test_directions_by_their_codes(code, direction, tmp_path):
     """Of the first channel; those beyond exports are reported as assumed, unknown ones left to the user."""
     recording = read_vibrometer(changed(tmp_path, "Info/DAQ_Settings_Fft/Channels", 20, bytes([code])))
     assert np.array_equal(recording.directions[0], direction, equal_nan=True)
-    assert ("direction_assumed" in {notice.code for notice in recording.notices}) == (code == 6)
+    assert ("axes_assumed" in {notice.code for notice in recording.notices}) == (code == 6)
 
 
 def test_points_without_a_record_are_left_out(tmp_path):

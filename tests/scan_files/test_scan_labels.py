@@ -72,7 +72,8 @@ def test_a_layered_segmentation_becomes_one_label_volume(tmp_path):
     assert grid.segment_names == {1: "stapes", 2: "plate", 3: "incus"}
     assert grid.spacing_mm == pytest.approx(SPACING)
     assert grid.origin_mm.tolist() == [1.0, 2.0, 3.0]
-    assert "segments_numbered" in {notice.code for notice in grid.notices}
+    (text,) = [notice.text for notice in grid.notices if notice.code == "file_read"]
+    assert "1 stapes, 2 plate, 3 incus" in text
 
 
 def test_materials_name_the_labels_of_amira(tmp_path):

@@ -226,8 +226,10 @@ def test_folders_of_slices(tmp_path):
     for number in (11, 13):
         (folder / f"rec_{number}.tif").unlink()
     tifffile.imwrite(folder / "preview_001.tif", np.zeros((3, 3), np.uint8))
-    codes = {notice.code for notice in open_scan(folder, SPACING).notices}
-    assert {"slices_in_steps", "files_ignored"} <= codes
+    texts = [n.text for n in open_scan(folder, SPACING).notices if n.code == "file_read"]
+    assert len(texts) == 2
+    assert any(text.startswith("1 other") for text in texts)
+    assert any("--spacing" in text for text in texts)
     for k, image in enumerate(picture()):
         tifffile.imwrite(folder / f"other_{k}.tif", image)
         for channel in (1, 2):
@@ -311,7 +313,9 @@ def test_dicom_folders(tmp_path):
     scout = w.dicom(w.dicom(tmp_path / "scout", picture("i2")), picture("i2")[:1], series="9")
     scan = open_scan(scout)
     assert np.array_equal(scan.read(), picture("i2"))
-    assert {notice.code for notice in scan.notices} == {"files_ignored"}
+    (notice,) = scan.notices
+    assert notice.code == "file_read"
+    assert notice.text.startswith("1 single")
     (two / "1_9.dcm").write_bytes((two / "1_9.dcm").read_bytes()[:-40])
     for file in two.glob("2_*"):
         file.unlink()

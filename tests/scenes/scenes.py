@@ -138,11 +138,11 @@ SCENES: dict[str, Scene] = {
     "eight_bits": _ct(Scan(voxel_um=32.0, dtype="uint8", window=(4000.0, 36000.0), seed=8)),
     "correlated_noise": _ct(
         Scan(voxel_um=32.0, noise=0.05, noise_correlation_voxels=1.0, seed=9),
-        codes=_mass("plate_edges_not_visible"),
+        codes=_mass("plate_axis_ambiguous"),
         without=("plate_axis_sign",),
     ),
     "round_field_of_view": _ct(
-        Scan(voxel_um=32.0, round_field=True, padding=0.0, seed=10), codes=_mass("outside_not_measured")
+        Scan(voxel_um=32.0, round_field=True, padding=0.0, seed=10), codes=_mass("file_read")
     ),
     "dense_on_top": _ct(ear=Ear(density_gradient=0.1)),
     "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic")), without=("outside_published_sizes",)),
@@ -182,7 +182,7 @@ SCENES: dict[str, Scene] = {
     ),
     "missing_values": _points(
         Experiment(lines=80, in_footplate=True, missing=0.1, missing_band=True, seed=9),
-        ("values_missing",),
+        ("file_read",),
     ),
     "three_excitations": _points(
         Experiment(lines=60, in_footplate=True, excitations=("x", "y", "z"), seed=10)
@@ -252,7 +252,7 @@ SCENES: dict[str, Scene] = {
     "few_lines": _fit(experiment=Experiment(lines=14, others=0.3, seed=17)),
     "closed_form": _fit(
         experiment=Experiment(lines=100, others=0.0, exact=True, position_sd_mm=0.0, seed=18),
-        warnings=("noise_overstated",),
+        warnings=("noise_level",),
     ),
 }
 
