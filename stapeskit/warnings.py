@@ -95,11 +95,10 @@ def page() -> str:
     lines = [
         "# Warnings",
         "",
-        "Every warning has a stable code and a text; both are on the terminal, on the page and in the",
-        'JSON results (`"warnings": [{"code", "text"}]`). The text gives the numbers of the case, this page',
-        "what the code means. Warnings of a step travel with its results into the next. The last column says",
-        "what a warning means for the verdict: `information` (the numbers can be used), `check` (look before",
-        "you use them), `do not use`.",
+        "Every warning has a stable code and a text with the numbers of the case, on the terminal, on the",
+        'page and in the JSON results (`"warnings": [{"code", "text"}]`), and travels with the results of',
+        "its step. The last column is its verdict: `information` (the numbers can be used), `check` (look",
+        "before you use them), `do not use`.",
     ]
     for room, command in ROOMS.items():
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)

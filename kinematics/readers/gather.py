@@ -112,7 +112,9 @@ def recording_of(
     raise_all([*twice_faults(channels, matrices["value"], twice), *_range_faults(channels, matrices, file)])
     kept = grid > 0.0
     if not np.all(kept):
-        about_lines.append(Notice("file_read", f"the line at 0 Hz of {file} holds no motion and was dropped."))
+        about_lines.append(
+            Notice("file_read", f"the line at 0 Hz of {file} holds no motion and was dropped.")
+        )
         matrices = {name: matrix[:, kept] for name, matrix in matrices.items()}
     if not np.any(kept):
         step = "Export the lines above 0 Hz"

@@ -14,12 +14,19 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_entry_is_given_by_its_room(room: str) -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / room).rglob("*.py"))
-    text += "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "stapeskit").rglob("*.py"))
+    parts = _words(room) | _words("stapeskit")
     entries = [code for code, entry in table().items() if entry.room == room]
-    parts = set(re.findall(r"[a-z0-9_]+", text))
     missing = [code for code in entries if code not in parts and not _is_made(code, parts)]
+    if room == "stapeskit":  # what two rooms or more say alike is declared here too
+        others = [_words(other) for other in ROOMS if other != room]
+        missing = [code for code in missing if sum(code in words for words in others) < 2]
     assert missing == []
+
+
+def _words(room: str) -> set[str]:
+    """Return the words of the sources of a room."""
+    sources = (path.read_text(encoding="utf-8") for path in (ROOT / room).rglob("*.py"))
+    return set(re.findall(r"[a-z0-9_]+", "\n".join(sources)))
 
 
 def _is_made(code: str, parts: set[str]) -> bool:

@@ -113,7 +113,7 @@ def test_missing_values_and_rows_are_missing(tmp_path):
     assert np.array_equal(np.isnan(measured.bodies[0].value[0].real), [[False, False], [True, True]])
     (notice,) = measured.notices
     assert notice.code == "file_read"
-    assert notice.text.startswith("1 readings")
+    assert notice.text.startswith("2 readings")
 
 
 def test_runs_and_repeats(tmp_path):

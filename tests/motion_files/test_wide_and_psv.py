@@ -186,7 +186,7 @@ def test_values_mixed_between_points_are_reported(tmp_path):
     path = written(tmp_path, fastscan(400, PLACES_M, VELOCITY[:, :, 0], treated="Yes"), "a.txt")
     treated = [notice.text for notice in read_file(path, FileFacts()).notices if notice.code == "file_read"]
     (text,) = treated
-    assert "Interpolated" in text
+    assert "interpolated" in text
 
 
 def test_points_of_two_sources_are_two_runs(tmp_path):
