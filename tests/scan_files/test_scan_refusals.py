@@ -229,7 +229,7 @@ def test_folders_of_slices(tmp_path):
     texts = [n.text for n in open_scan(folder, SPACING).notices if n.code == "file_read"]
     assert len(texts) == 2
     assert any(text.startswith("1 other") for text in texts)
-    assert any("--spacing" in text for text in texts)
+    assert any("steps of 2" in text for text in texts)
     for k, image in enumerate(picture()):
         tifffile.imwrite(folder / f"other_{k}.tif", image)
         for channel in (1, 2):
