@@ -38,7 +38,8 @@ Tidy table, one row per body, point, beam and frequency:
 points.csv:    body, point, x_mm, y_mm, z_mm [, sd_mm]
 fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
                [, frame = plate (default) | scan | footplate] [, sd_mm]
-Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.
+Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X; X.mat with
+--export mat.
 Motion is displacement, peak, e^{{+iwt}}, in footplate axes.
 """
 
@@ -61,15 +62,15 @@ def work(words: Sequence[str]) -> Outcome:
 
     found = with_companions(options, files.mass)
     inputs = [*found.options.inputs().values(), *([found.mass] if found.mass else [])]
-    outputs = output_set(files.out, inputs, files.force)
+    outputs = output_set(files.out, inputs, files.force, files.export)
     outputs.check()
     with progress_line(not files.quiet and not files.as_json) as progress:
         mass = None if found.mass is None else measured_mass(found.mass)
         result = measure_motion(found.options, mass, progress, taken=found.taken)
         progress("drawing the page")
-        outputs = output_set(files.out, result.files, files.force)
+        outputs = output_set(files.out, result.files, files.force, files.export)
         with outputs.staged() as stage:
-            result.write_into(stage, files.out.name)
+            result.write_into(stage, files.out.name, export=files.export)
     content = as_json(result, [str(path) for path in outputs.paths()]) if files.as_json else {}
     return Outcome(
         result.title, result.summary(), result.notices, outputs.paths(), content, files.as_json, files.quiet

@@ -20,6 +20,7 @@ from stapeskit.option_types import (
     ReadFile,
     ReadFiles,
     Text,
+    Words,
     entries,
     existing,
     number_where,
@@ -31,6 +32,9 @@ from stapeskit.options import Opt, Options, Rule
 
 NONE = "none"
 """Word that turns a file off which would be looked for beside the measurement."""
+
+EXPORTS = ("mat",)
+"""What ``--export`` writes beside the table of the motion: X.mat for MATLAB and Octave."""
 
 _TIES = "from the vibrometer to the footplate"
 _LASERS = "how well the lasers agree: shared errors of the motion, of K and of D"
@@ -281,6 +285,13 @@ class MotionFiles(Options):
     out: Annotated[CsvFile, Opt("table of the motion; X.h5, X.channels.csv and X.html beside it")] = Path(
         "dof.csv"
     )
+    export: Annotated[Words, Opt(f"further files: {', '.join(EXPORTS)}", example=["mat"])] = ()
     force: Annotated[Flag, Opt("replace files that this command did not write")] = False
     as_json: Annotated[Flag, Opt("print the whole result as JSON", name="json")] = False
     quiet: Annotated[Flag, Opt("print nothing but errors")] = False
+    rules: ClassVar[tuple[Rule, ...]] = (
+        Rule(
+            lambda v: set(v.export) - set(EXPORTS),
+            lambda v: Fault("--export", f"out of {', '.join(EXPORTS)}", ", ".join(v.export)),
+        ),
+    )

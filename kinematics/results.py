@@ -20,7 +20,7 @@ from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs
 from stapeskit.records.measured_mass import MeasuredMass
-from stapeskit.records.motion import motion_frame, write_motion
+from stapeskit.records.motion import motion_frame, write_motion, write_motion_mat
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -108,25 +108,36 @@ class MotionResult(Result):
 
         return spectra_figure(self.motion)
 
-    def write(self, folder: Path | str, *, force: bool = False, name: str = "dof.csv") -> tuple[Path, ...]:
+    def write(
+        self,
+        folder: Path | str,
+        *,
+        force: bool = False,
+        name: str = "dof.csv",
+        export: Sequence[str] = (),
+    ) -> tuple[Path, ...]:
         """Write dof.csv, dof.h5, dof.channels.csv and dof.html into a folder and return their paths.
 
         Parameters
         ----------
         name : str
             Of the table of the motion; the others are named after it.
+        export : sequence of str
+            Further files, out of `kinematics.options.EXPORTS`: ``mat`` writes dof.mat.
 
         Raises
         ------
         StapeskitError
             An output is an input, or a file of another origin has its name.
         """
-        outputs = output_set(Path(folder) / name, self.files, force)
+        outputs = output_set(Path(folder) / name, self.files, force, export)
         with outputs.staged() as stage:
-            names = self.write_into(stage, name)
+            names = self.write_into(stage, name, export=export)
         return tuple(outputs.folder / one for one in names)
 
-    def write_into(self, folder: Path, name: str = "dof.csv", report: bool = True) -> tuple[str, ...]:
+    def write_into(
+        self, folder: Path, name: str = "dof.csv", report: bool = True, export: Sequence[str] = ()
+    ) -> tuple[str, ...]:
         """Write the files into a folder whose outputs are handled elsewhere; return their names."""
         stem = Path(name).stem
         write_motion(folder, stem, self.motion)
@@ -135,14 +146,17 @@ class MotionResult(Result):
             from kinematics.report.page import motion_page
 
             motion_page(self).write(folder / f"{stem}.html")
-        return tuple(f"{stem}{ending}" for ending in (ENDINGS if report else ENDINGS[:-1]))
+        if "mat" in export:
+            write_motion_mat(folder / f"{stem}.mat", self.motion)
+        endings = (*(ENDINGS if report else ENDINGS[:-1]), *(f".{one}" for one in export))
+        return tuple(f"{stem}{ending}" for ending in endings)
 
 
-def output_set(out: Path, inputs: Sequence[Path], force: bool = False) -> Outputs:
+def output_set(out: Path, inputs: Sequence[Path], force: bool = False, export: Sequence[str] = ()) -> Outputs:
     """Return the files that are written for ``out``, X.csv, and those that are read.
 
     Surfaces and labels beside a mass.json are inputs, too.
     """
     scan = [path.parent / name for path in inputs if path.suffix == ".json" for name in NEXT_TO_MASS]
-    names = [f"{out.stem}{ending}" for ending in ENDINGS]
+    names = [f"{out.stem}{ending}" for ending in (*ENDINGS, *(f".{one}" for one in export))]
     return Outputs("points2dof", out.parent, names, [*inputs, *scan], force)

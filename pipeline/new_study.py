@@ -120,7 +120,8 @@ def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> P
     found = look(folder)
     scan = _one("scan", found.scans, folder, ask)
     ldv = _one("vibrometer file", found.measurements, folder, ask)
-    answers = {name: _answer(ask, name, scan) for name in QUESTIONS}
+    unknown = [name for name in QUESTIONS if name != SPACING or _lacks_spacing(scan)]
+    answers = {name: _answer(ask, name, scan) if name in unknown else "" for name in QUESTIONS}
     outputs = Outputs("stapeskit new", folder, [STUDY], [], force)
     with outputs.staged() as stage:
         text = study_text(folder.resolve().name, scan, ldv, found.others, answers)
@@ -131,7 +132,7 @@ def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> P
 def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
     if not files:
         step = f"Put the {what} there, or write the study by hand: scan2kd --template"
-        raise StapeskitError.of(f"the folder {folder}", f"with a {what}", "none", "", step)
+        raise StapeskitError.of(f"the folder {folder}", f"one with a {what}", "none", "", step)
     if len(files) == 1:
         return files[0]
     usual = [path for path in files if path.name.lower().split(".")[0] in ("scan", "ldv")]
@@ -146,12 +147,38 @@ def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
     return chosen[0]
 
 
+SPACING = "spacing_mm"
 QUESTIONS = {
+    SPACING: "Size of a voxel in mm, which the scan does not carry; H or DX,DY,DZ (empty: filled in later): ",
     "density": "Density of the bone, kg/m3, as VALUE+-SD (empty: 1900+-200 is assumed): ",
     "side": "Left or right ear (empty: not known): ",
     "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
 }
 """What no file says: options of ct2mass, which check the answers."""
+
+
+def _lacks_spacing(scan: Path) -> bool:
+    """Return whether no file says how large the voxels of a scan are."""
+    from ct_inertia.ct2mass import check_inputs
+    from ct_inertia.options import MassOptions
+
+    try:
+        check_inputs(MassOptions.of(scan=scan))
+    except StapeskitError as error:
+        return any(fault.thing == "the voxel spacing" for fault in error.faults)
+    return False
+
+
+def needs(study: Path) -> str:
+    """Return what a new study still lacks before it can run, in words; empty where nothing is missing."""
+    from pipeline.run import check_study
+    from pipeline.study import read_study
+
+    try:
+        check_study(read_study(study))
+    except StapeskitError as error:
+        return str(error)
+    return ""
 
 
 def _answer(ask: Ask | None, name: str, scan: Path) -> str:
@@ -185,7 +212,8 @@ def study_text(
             if always or key in others
         ]
 
-    density, side, anterior = (answers[key] for key in QUESTIONS)
+    spacing, density, side, anterior = (answers[key] for key in QUESTIONS)
+    sizes = [float(part) for part in spacing.split(",")] if spacing else [0.02]
     direction = [float(part) for part in anterior.split(",")] if anterior else [-1.0, 0.0, 0.0]
     comment = "of the bone" if density else "is ASSUMED while this line is a comment: state your own"
     found_in_scan = {"labels": "a cut made elsewhere", "landmarks": "landmarks in the scan",
@@ -195,7 +223,12 @@ def study_text(
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
-            line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", known=False),
+            line(
+                SPACING,
+                sizes if len(sizes) > 1 else sizes[0],
+                "voxel size, where the scan does not carry it",
+                bool(spacing),
+            ),
             line("density_kg_m3", density or ASSUMED_DENSITY, comment, bool(density)),
             line("side", side or "left", "names z superior or inferior", bool(side)),
             line("anterior", direction, "towards anterior in scan axes; its sign counts", bool(anterior)),

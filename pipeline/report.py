@@ -77,8 +77,8 @@ def study_page(result: StudyResult) -> page.Page:
     made.sections.extend(replace(section, folded=False) for section in first)
     made.section("Warnings", page.notices(result.notices, study.about.confirmed))
     made.appendix.extend(replace(section, folded=True) for section in sections if section not in first)
-    made.appendix_section("Methods", page.text(methods(result)))
-    made.appendix_section("Inputs", *(page.inputs(each) for each in _provenances(result)))
+    inputs = (page.inputs(each) for each in _provenances(result))
+    made.appendix_section("Methods and inputs", page.text(methods(result)), *inputs)
     return made
 
 

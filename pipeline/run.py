@@ -40,8 +40,8 @@ FILES = {
 }
 """Files that each stage may write."""
 
-EXTRA = ("plate.ply", "scan_crop.nrrd", "kd.csv")
-"""Of these, what is written with ``all_files`` only: nine files a run are enough for most."""
+EXTRA = ("plate.ply", "scan_crop.nrrd")
+"""Of these, what is written with ``all_files`` only: surfaces and voxels that few have a use for."""
 
 Tell = Callable[[Sequence[Notice]], None]
 
@@ -219,7 +219,6 @@ def run_study(
     tell(fit.notices)
     with outputs["fit"].staged() as stage:
         fit.write_into(stage, report=False)
-        _drop(stage, dropped)
 
     progress("drawing the report")
     result = StudyResult(study, out, measured, moved, fit, tuple(reused))

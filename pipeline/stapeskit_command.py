@@ -113,12 +113,14 @@ def _new(words: Sequence[str]) -> None:
     """Write a study.toml for the files of a folder; ask what no file says, unless --yes."""
     from pathlib import Path
 
-    from pipeline.new_study import new_study
+    from pipeline.new_study import needs, new_study
 
     folders = _folders(words, "new", (0, 1), ("--yes", "--force"))
     ask = None if "--yes" in words or not sys.stdin.isatty() else input
     path = new_study(Path(*folders), ask, force="--force" in words)
-    sys.stdout.write(f"{path} written. Look at it, then run: scan2kd {path}\n")
+    missing = needs(path)
+    still = f"Before it can run:\n{missing}\n" if missing else ""
+    sys.stdout.write(f"{path} written. {still}Look at it, then run: scan2kd {path}\n")
 
 
 def _app(words: Sequence[str]) -> None:
@@ -126,16 +128,15 @@ def _app(words: Sequence[str]) -> None:
     from importlib import import_module
     from pathlib import Path
 
-    rest, more = list(words), []
-    if "--port" in rest[:-1]:
-        place = rest.index("--port")
-        more = rest[place : place + 2]
-        del rest[place : place + 2]
+    rest, given = _taken(words, "app", ("--port",))
     folders = _folders(rest, "app", (0, 1), ("--no-browser",))
-    if more and not (more[1].isascii() and more[1].isdigit() and 0 < int(more[1]) < 65536):
-        from stapeskit.faults import StapeskitError
+    more: list[str] = []
+    for port in given["--port"][-1:]:
+        if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+            from stapeskit.faults import StapeskitError
 
-        raise StapeskitError.of("--port", "a number from 1 to 65535", more[1])
+            raise StapeskitError.of("--port", "a number from 1 to 65535", port)
+        more = ["--port", port]
     if "--no-browser" in rest:
         more.append("--headless")
     # The room of the app is above this one: it is imported only when its command is used.
@@ -150,7 +151,7 @@ def _compare(words: Sequence[str]) -> Outcome:
     from pipeline.compare import compare, write_comparison
     from pipeline.what_if import SENTENCE, effect, read_change, write_what_if
 
-    rest, given = _taken(words, ("--out", "--what-if"))
+    rest, given = _taken(words, "compare", ("--out", "--what-if"))
     out = Path(given["--out"][-1] if given["--out"] else "compare_out")
     changes = [read_change(change) for change in given["--what-if"]]
     folders = [Path(word) for word in _folders(rest, "compare", (1, 2) if changes else (2,), ("--force",))]
@@ -176,14 +177,22 @@ def _compare(words: Sequence[str]) -> Outcome:
     return Outcome("results side by side", rows, (), files)
 
 
-def _taken(words: Sequence[str], options: tuple[str, ...]) -> tuple[list[str], dict[str, list[str]]]:
+def _taken(
+    words: Sequence[str], command: str, options: tuple[str, ...]
+) -> tuple[list[str], dict[str, list[str]]]:
     """Return the words without options and their values, and the values of each option."""
+    from stapeskit.faults import StapeskitError
+
     rest, given = list[str](), {option: list[str]() for option in options}
     waiting = iter(words)
     for word in waiting:
         option, equal, value = word.partition("=")
         if option in given:
-            given[option].append(value if equal else next(waiting, ""))
+            value = value if equal else next(waiting, "")
+            if not value or value.startswith("--"):
+                wanted = f"followed by its value: stapeskit {_OWN[command]}"
+                raise StapeskitError.of(option, wanted, value or "nothing")
+            given[option].append(value)
         else:
             rest.append(word)
     return rest, given

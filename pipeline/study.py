@@ -43,9 +43,7 @@ class About(Options):
     covariates: Annotated[
         Table | None, Opt("any further columns of a cohort", example={"storage_days": 3.0})
     ] = None
-    all_files: Annotated[
-        Flag, Opt("also write plate.ply, scan_crop.nrrd and kd.csv, beside the nine files of a run")
-    ] = False
+    all_files: Annotated[Flag, Opt("also write plate.ply and scan_crop.nrrd")] = False
     truth: Annotated[
         ReadFile | None, Opt("true values of a simulated ear, shown in the report", example="truth.json")
     ] = None

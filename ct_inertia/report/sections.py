@@ -92,13 +92,14 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
         shown.section("What was measured", page.figure(cut, caption, alt, vector=False), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
     shown.section("Frames", *frame_blocks(content, pictured))
-    for name, blocks in (
-        ("Next to published stapedes", published_blocks(content)),
-        ("How the stapes was found and measured", evidence_blocks(content)),
+    measured = evidence_blocks(content)
+    for heading, blocks in (
         ("Ways to the mass", ways_blocks(content)),
+        ("Next to published stapedes", published_blocks(content)),
     ):
         if blocks:
-            shown.appendix_section(name, *blocks)
+            measured += [page.subheading(heading), *blocks]
+    shown.appendix_section("How the stapes was found and measured", *measured)
 
 
 def _missing(content: Content) -> str:

@@ -111,8 +111,7 @@ def sections(fit: KDFit, figures: Mapping[str, Figure]) -> dict[str, list[Markup
     made = {
         "Measured and simulated responses": _responses(figures),
         "Modes": _modes(fit),
-        "Principal axes": _axes(fit, figures),
-        "Plane of the ligament": _plane(fit),
+        "Principal axes and plane of the ligament": [*_axes(fit, figures), *_plane(fit)],
         "Is the model right?": _causes(fit, figures),
         "Where the uncertainty comes from": _budget(fit, figures),
         "What the data determine": _identifiability(fit),

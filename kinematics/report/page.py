@@ -78,18 +78,15 @@ def verdict_block(result: MotionResult) -> Markup:
 
 
 def motion_sections(made: Page, result: MotionResult) -> None:
-    """Append the sections of a motion to a page: motion, channels, registration, shared errors, what would
-    show."""
+    """Append the sections of a motion to a page: motion, channels, residuals, registration."""
     sections: dict[str, Callable[[MotionResult], list[Markup]]] = {
         "Motion of the bodies": _motion,
         "Channels and verdicts": _channels,
         "Residuals of the channels": _residuals,
         "From the vibrometer to the footplate": _registration,
-        "Errors that all lines share": _shared,
-        "What would have been found": _detectable,
     }
     for name, blocks in sections.items():
-        made.section(name, *blocks(result), folded=name == "What would have been found")
+        made.section(name, *blocks(result))
 
 
 def _motion(result: MotionResult) -> list[Markup]:
@@ -139,7 +136,7 @@ def _residuals(result: MotionResult) -> list[Markup]:
     blocks.append(
         page.figure(geometry_figure(result), caption, "points and beams in three views", file="points")
     )
-    return blocks
+    return [*blocks, page.folded("What would have been found", *_detectable(result))]
 
 
 def _registration(result: MotionResult) -> list[Markup]:
@@ -168,7 +165,7 @@ def _registration(result: MotionResult) -> list[Markup]:
         head = ("body", "surface", "points", "rms off it (µm)", "expected (µm)", "p")
         caption = "Did the sample move? Measured points against the surfaces of the scan."
         blocks.append(page.table(head, rows, caption, names=2, file="surfaces"))
-    return blocks
+    return [*blocks, page.subheading("Errors that all lines share"), *_shared(result)]
 
 
 def _shared(result: MotionResult) -> list[Markup]:

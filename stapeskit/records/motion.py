@@ -25,7 +25,8 @@ from stapeskit.warnings import Notice, from_json
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "motion_frame", "read_motion", "write_motion"]
+__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "motion_frame", "read_motion", "write_motion",
+           "write_motion_mat"]  # fmt: skip
 
 SCHEMA = "stapeskit.dof/1"
 MADE_BY = "Make the file with points2dof"
@@ -52,6 +53,40 @@ def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Pa
     _write_csv(csv_path, motion)
     _write_h5(h5_path, motion, f"sha256:{sha256(csv_path)}")
     return csv_path, h5_path
+
+
+def write_motion_mat(path: Path, motion: RigidMotion) -> None:
+    """Write a motion for MATLAB and Octave (version 5): SI, dimensions in the order of `RigidMotion`."""
+    from scipy.io import savemat
+
+    def column(names: Sequence[str]) -> NDArray[np.object_]:
+        return np.array(names, dtype=object)[:, None]
+
+    content: dict[str, Any] = {
+        "q": motion.q,
+        "q_sd": motion.standard_deviation,
+        "covariance": motion.covariance,
+        "freq_hz": motion.freq_hz[:, None],
+        "dof": column(motion.dof),
+        "bodies": column(motion.bodies),
+        "runs": column(motion.runs),
+        "chi2": motion.chi2,
+        "n_dof": motion.n_dof,
+        "reference": motion.reference,
+        "about": motion.about,
+        "axes": motion.axes,
+        "readme": (
+            "q: run x body x line x dof, displacement, peak, e^(+iwt), m and rad, or per unit of the "
+            "reference; q_sd: of the real (= imaginary) part, channel noise only"
+        ),
+    }
+    if motion.shared is not None:
+        content |= {
+            "shared_names": column(motion.shared.names),
+            "shared_covariance": motion.shared.covariance,
+            "shared_derivatives": motion.shared.derivatives,
+        }
+    savemat(path, content)
 
 
 def motion_frame(motion: RigidMotion) -> DataFrame:

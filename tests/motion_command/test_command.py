@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import loadmat
 
+from fitting.dof2kd import dof2kd
 from fitting.verdict import unused_codes
 from kinematics.api import points2dof
 from kinematics.cli import work
@@ -345,6 +347,39 @@ def test_a_point_that_moves_with_the_other_body_is_named(tmp_path):
     assert {one.point for one in result.channels if one.verdict != "ok"} == {"wrong"}
 
 
+def test_the_motion_is_written_for_matlab_and_octave(ear, tmp_path, monkeypatch):
+    folder, _ = ear
+    monkeypatch.chdir(tmp_path)
+    outcome = work([str(folder / "ldv.csv"), "--out", "ear1.csv", "--export", "mat"])
+    assert {path.name for path in outcome.files} == {f"ear1{ending}" for ending in (*ENDINGS, ".mat")}
+    motion, content = read_motion(tmp_path / "ear1.h5"), loadmat(tmp_path / "ear1.mat")
+    for name in ("q", "covariance", "chi2", "n_dof"):
+        np.testing.assert_array_equal(content[name], getattr(motion, name))
+    np.testing.assert_array_equal(content["q_sd"], motion.standard_deviation)
+    np.testing.assert_array_equal(content["freq_hz"].ravel(), motion.freq_hz)
+    np.testing.assert_array_equal(content["shared_covariance"], motion.shared.covariance)
+    named = {name: [str(cell.item()) for cell in content[name].ravel()] for name in ("dof", "bodies", "runs")}
+    assert named == {name: list(getattr(motion, name)) for name in named}
+    with pytest.raises(StapeskitError) as error:
+        work([str(folder / "ldv.csv"), "--export", "xlsx"])
+    assert error.value.faults[0].thing == "--export"
+
+
+def test_amplitudes_of_the_other_sign_of_time_are_told_before_k_and_d_are_believed(ear, tmp_path):
+    """The same file as stated says nothing; conjugated, the motion and the fit are not to be used."""
+    folder, truth = ear
+    for name in ("ldv.csv", "points.csv", "fiducials.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    rewrite(tmp_path / "ldv.csv", lambda table: table.update(-table["im_m_s"]))
+    for place, expected in ((folder, False), (tmp_path, True)):
+        moved = measured(place, mass_of(truth))
+        assert ("phase_convention" in {notice.code for notice in moved.notices}) is expected
+        fit = dof2kd(moved, mass=mass_of(truth))
+        codes = {notice.code for notice in fit.notices}
+        assert ("phase_convention" in codes) is ("conjugated_motion" in codes) is expected
+        assert (fit.verdict.level == "do not use") is expected
+
+
 def test_the_page_has_its_parts(ear):
     """Verdicts, registration, shared errors, what would have been found, three figures, moving bodies."""
     folder, _ = ear
@@ -353,6 +388,10 @@ def test_the_page_has_its_parts(ear):
     drawn = [name for name, text in parts.items() for _ in range(text.count('<figure class="drawing"'))]
     assert drawn == ["Motion of the bodies", *["Residuals of the channels"] * 2]
     assert "<table" in parts["From the vibrometer to the footplate"]
-    assert "laser" in parts["Errors that all lines share"]
-    assert "gain of a channel" in parts["What would have been found"]
+    assert (
+        "laser" in parts["From the vibrometer to the footplate"].partition("Errors that all lines share")[2]
+    )
+    assert (
+        "gain of a channel" in parts["Residuals of the channels"].partition("What would have been found")[2]
+    )
     assert '<figure class="scene" data-scene' in made.html()

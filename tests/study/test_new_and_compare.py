@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 
 from pipeline.compare import compare, write_comparison
-from pipeline.new_study import look, new_study
+from pipeline.new_study import look, needs, new_study
 from pipeline.run import StudyResult
+from pipeline.stapeskit_command import work
 from pipeline.study import read_study
 from simulate import Truth
+from stapeskit.command import run
 from stapeskit.faults import StapeskitError
 
 
@@ -46,6 +48,48 @@ def test_answers_are_checked_and_asked_again(files: Path) -> None:
     assert (study.scan.density_kg_m3.value, study.scan.density_kg_m3.sd) == (1850.0, 40.0)
     assert study.scan.side == "right"
     assert study.scan.anterior == (-1.0, 0.2, 0.0)
+
+
+def test_a_missing_voxel_size_is_asked_for_or_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import SimpleITK as sitk
+    import tifffile
+
+    voxels = sitk.GetArrayFromImage(sitk.ReadImage(files / "scan.nrrd"))
+    (files / "scan.nrrd").unlink()
+    (files / "slices").mkdir()
+    for number, image in enumerate(voxels[:8]):
+        tifffile.imwrite(files / "slices" / f"rec_{number:04}.tif", image, photometric="minisblack")
+    work(["new", str(files), "--yes"])
+    said = capsys.readouterr().out
+    assert "the voxel spacing must be in the file or given" in said
+    answers = iter(["twenty", "0.04", "", "", ""])
+    study = new_study(files, lambda _question: next(answers))
+    assert read_study(study).scan.spacing_mm == pytest.approx((0.04, 0.04, 0.04))
+    assert needs(study) == ""
+
+
+WRONG = [
+    "app --port", "app --port abc", "app --port=99999", "app --nope", "app nowhere --no-browser",
+    "compare", "compare nowhere elsewhere", "compare nowhere --what-if K", "compare a b --out --force",
+    "sample", "sample a b", "sample --yes a", "sample scan.nrrd",
+    "new nowhere", "new scan.nrrd", "new --nope", "new empty",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_what_is_wrong_is_refused_in_a_sentence(
+    words: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (files / "empty").mkdir()
+    monkeypatch.chdir(files)
+    before = sorted(files.rglob("*"))
+    with pytest.raises(SystemExit) as left:
+        run("stapeskit", work, words.split())
+    said = capsys.readouterr()
+    assert left.value.code == 2
+    assert " must be " in said.err
+    assert "Traceback" not in said.err
+    assert sorted(files.rglob("*")) == before
 
 
 def test_a_folder_without_a_scan_is_refused_and_a_study_of_mine_is_kept(files: Path) -> None:

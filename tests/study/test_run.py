@@ -7,12 +7,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.special import chdtri
 
 from pipeline.cohort.ears import read_ear
 from pipeline.report import study_page, summary_rows, write_figures
-from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
+from pipeline.run import EXTRA, FILES, StudyResult, check_study, run_study, scan2kd
 from pipeline.study import read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
@@ -33,10 +34,18 @@ def test_k_and_d_lie_within_their_uncertainty(finished: StudyResult, small: tupl
     assert distance < chdtri(12, 1e-4)
 
 
-def test_nine_files_and_one_record(finished: StudyResult) -> None:
-    names = {path.name for path in finished.out.iterdir()}
-    assert names <= {name for stage in FILES.values() for name in stage} | {MANIFEST}
-    assert {"mass.json", "dof.csv", "kd.json", "report.html"} <= names
+def test_every_file_that_is_promised_and_one_record(finished: StudyResult) -> None:
+    promised = {name for stage in FILES.values() for name in stage} - set(EXTRA)
+    assert {path.name for path in finished.out.iterdir()} == promised | {MANIFEST}
+    table = pd.read_csv(finished.out / "kd.csv").set_index("entry")
+    kd = json.loads((finished.out / "kd.json").read_text())
+    assert table["value"]["K11"] == pytest.approx(kd["stiffness_si"][0][0], rel=1e-8)
+
+
+def test_the_appendix_has_about_ten_sections(finished: StudyResult) -> None:
+    shown = study_page(finished)
+    assert 6 <= len(shown.appendix) <= 10
+    assert {section.name for section in shown.sections}.isdisjoint(one.name for one in shown.appendix)
 
 
 def test_one_verdict_in_the_same_words_everywhere(finished: StudyResult) -> None:
