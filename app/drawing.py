@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.study_file import check_unchanged, stamp
 from stapeskit.arrays import Array
 
 RAS = np.array([-1.0, -1.0, 1.0])
@@ -28,6 +27,8 @@ _MARGIN_MM = 1.0
 
 Labels = NDArray[np.uint8]
 Index = NDArray[np.int64]
+Box = tuple[slice, ...]
+Stroke = list[tuple[Box, Labels]]  # places, and what was there before
 
 
 def ras_axes(direction: Array) -> tuple[tuple[int, ...], tuple[bool, ...]]:
@@ -84,61 +85,46 @@ class Drawing:
     scan_from_index : ndarray, (4, 4)
     found : ndarray of uint8, [z, y, x]
         As they were found.
-    box : tuple of 3 slice
-        Along z, y, x: the part that the picture shows.
-    step : int
-        Voxels per voxel of the picture along each axis; the brush changes all of them.
     """
 
     labels: Labels
     scan_from_index: Array
     found: Labels
-    box: tuple[slice, slice, slice]
-    step: int = 1
-    strokes: list[list[tuple[Index, Labels]]] = field(default_factory=list)
-    _stroke: list[tuple[Index, Labels]] = field(default_factory=list)
-    _last: Index | None = None
-    _stamp: tuple[int, int] | None = None
+    _strokes: list[Stroke] = field(default_factory=list)
+    _stroke: Stroke = field(default_factory=list)
+    _last: Array | None = None
 
-    @classmethod
-    def of(cls, labels: Labels, scan_from_index: Array, found: Labels | None = None) -> Drawing:
-        """Take the labels of a file; those that were found are the same without ``found``."""
-        box, step = shown_part(labels, np.linalg.norm(scan_from_index[:3, :3], axis=0))
-        start = labels.copy() if found is None else found
-        return cls(np.ascontiguousarray(labels), np.asarray(scan_from_index), start, box, step)
-
-    @property
-    def blocks(self) -> Labels:
-        """View [s, a, r, step, step, step] of the part that is shown."""
-        part = ras_view(self.labels[self.box], self._direction)
+    def __post_init__(self) -> None:
+        self.labels = np.ascontiguousarray(self.labels)
+        spacing = np.linalg.norm(self.scan_from_index[:3, :3], axis=0)
+        self.box, self.step = shown_part(self.labels, spacing)
+        part = ras_view(self.labels[self.box], self.scan_from_index[:3, :3] / spacing)
         n, k = np.array(part.shape) // self.step, self.step
         split = part.reshape(n[0], k, n[1], k, n[2], k)
-        return split.transpose(0, 2, 4, 1, 3, 5)  # type: ignore[return-value]
+        # [s, a, r, step, step, step], a view: the brush changes every voxel beneath one of the picture
+        self._blocks: Labels = split.transpose(0, 2, 4, 1, 3, 5)  # type: ignore[assignment]
+
+    @property
+    def _picture(self) -> Labels:
+        middle = self.step // 2
+        return self._blocks[..., middle, middle, middle]
 
     @property
     def shown(self) -> Labels:
         """The labels [s, a, r] of the picture."""
-        middle = self.step // 2
-        return np.ascontiguousarray(self.blocks[..., middle, middle, middle])
+        return np.ascontiguousarray(self._picture)
 
     @property
     def affine(self) -> Array:
         """Affine (4, 4) from an index r, a, s of the picture to RAS mm."""
-        first = np.array([part.start for part in self.box[::-1]])
         own = self.scan_from_index.copy()
-        own[:3, 3] += own[:3, :3] @ first
-        shape = [part.stop - part.start for part in self.box]
-        return ras_affine(own, shape, self.step)
+        own[:3, 3] += own[:3, :3] @ [part.start for part in self.box[::-1]]
+        return ras_affine(own, [part.stop - part.start for part in self.box], self.step)
 
     @property
     def as_found(self) -> bool:
         """Whether every label is as it was found."""
         return np.array_equal(self.labels, self.found)
-
-    @property
-    def _direction(self) -> Array:
-        own = self.scan_from_index[:3, :3]
-        return own / np.linalg.norm(own, axis=0)
 
     def paint(self, voxel: Sequence[float], pen: int, radius: int, normal: int | None = None) -> Change:
         """Draw from the last place of this stroke to a voxel.
@@ -159,76 +145,65 @@ class Drawing:
         Change
             The voxels of the picture that changed.
         """
-        at = np.asarray(voxel, dtype=float)
+        at = np.rint(voxel)[::-1]
         last = at if self._last is None else self._last
-        steps = max(int(np.ceil(np.abs(at - last).max())), 1)
-        places = np.rint(last + np.linspace(0.0, 1.0, steps + 1)[:, None] * (at - last)).astype(np.int64)
-        every = np.unique((places[:, None] + _brush(radius, normal)).reshape(-1, 3), axis=0)
-        blocks = self.blocks
-        r, a, s = every[((every >= 0) & (every < blocks.shape[2::-1])).all(axis=1)].T
-        differ = (blocks[s, a, r] != pen).any(axis=(1, 2, 3))
-        index = np.stack([s, a, r])[:, differ]
         self._last = at
-        if index.size:
-            self._stroke.append((index, blocks[tuple(index)].copy()))
-            blocks[tuple(index)] = pen
-        return self._change(index, blocks)
+        reach = np.full(3, float(radius))
+        if normal is not None:
+            reach[2 - normal] = 0.0
+        low = np.maximum(np.minimum(at, last) - reach, 0).astype(int)
+        high = np.minimum(np.maximum(at, last) + reach + 1, self._picture.shape).astype(int)
+        if np.any(high <= low):
+            return _NO_CHANGE
+        box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        blocks = self._blocks[box]
+        drawn = _near_segment(low, high, last, at, max(radius, 0.5))
+        drawn &= (blocks != pen).any(axis=(3, 4, 5))
+        if drawn.any():
+            self._stroke.append((box, blocks.copy()))
+            blocks[drawn] = pen
+        flat = self._flat(box)[drawn]
+        return Change(flat, np.full(len(flat), pen, dtype=np.uint8))
 
     def end_stroke(self) -> bool:
         """End a stroke and return whether it changed something."""
-        changed, self._last = bool(self._stroke), None
-        if changed:
-            self.strokes.append(self._stroke)
-            self._stroke = []
-        return changed
+        stroke, self._stroke, self._last = self._stroke, [], None
+        if stroke:
+            self._strokes.append(stroke)
+        return bool(stroke)
 
     def undo(self) -> Change:
         """Take the last stroke back."""
         self.end_stroke()
-        return self._restore([self.strokes.pop()] if self.strokes else [])
-
-    def _restore(self, strokes: Sequence[list[tuple[Index, Labels]]]) -> Change:
-        blocks, touched = self.blocks, [np.zeros((3, 0), dtype=np.int64)]
-        for stroke in strokes:
-            for index, before in reversed(stroke):
-                blocks[tuple(index)] = before
-                touched.append(index)
-        return self._change(np.unique(np.concatenate(touched, axis=1), axis=1), blocks)
+        stroke = self._strokes.pop() if self._strokes else []
+        for box, before in reversed(stroke):
+            self._blocks[box] = before
+        if not stroke:
+            return _NO_CHANGE
+        flat = np.unique(np.concatenate([self._flat(box).ravel() for box, _ in stroke]))
+        return Change(flat, self._picture[np.unravel_index(flat, self._picture.shape)])
 
     def reset(self) -> None:
         """Return to the labels as found; this cannot be undone."""
         self.labels[...] = self.found
-        self.strokes.clear()
+        self._strokes.clear()
         self._stroke, self._last = [], None
 
-    def _change(self, index: Index, blocks: Labels) -> Change:
-        middle = self.step // 2
-        flat = np.ravel_multi_index(tuple(index), blocks.shape[:3]) if index.size else np.zeros(0, dtype=int)
-        return Change(
-            flat.astype(np.uint32), blocks[tuple(index)][..., middle, middle, middle].astype(np.uint8)
-        )
+    def _flat(self, box: Box) -> NDArray[np.uint32]:
+        """Return the flat index of every voxel of a box of the picture."""
+        _, n_a, n_r = self._picture.shape
+        s, a, r = np.ix_(*(np.arange(part.start, part.stop, dtype=np.uint32) for part in box))
+        return (s * np.uint32(n_a) + a) * np.uint32(n_r) + r
 
     def write(self, path: Path) -> None:
-        """Write the labels whole, in the axes and on the voxels that they came in.
-
-        Raises
-        ------
-        StapeskitError
-            The file was changed elsewhere since it was last read or written here.
-        """
+        """Write the labels whole, in the axes and on the voxels that they came in."""
         import os
 
         from ct_inertia.scan.label_file import write_segmentation
 
-        check_unchanged(path, self._stamp)
         draft = path.with_name(f".{path.name}.new")
         write_segmentation(draft, [self.labels], self.labels.shape, self.scan_from_index)
         os.replace(draft, path)
-        self._stamp = stamp(path)
-
-    def opened(self, path: Path) -> None:
-        """Take a file as the one that these labels were read from."""
-        self._stamp = stamp(path)
 
 
 @dataclass(frozen=True)
@@ -237,6 +212,9 @@ class Change:
 
     index: NDArray[np.uint32]
     values: Labels
+
+
+_NO_CHANGE = Change(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8))
 
 
 def shown_part(labels: Labels, spacing_mm: Array) -> tuple[tuple[slice, slice, slice], int]:
@@ -261,11 +239,9 @@ def shown_part(labels: Labels, spacing_mm: Array) -> tuple[tuple[slice, slice, s
     return (parts[0], parts[1], parts[2]), step
 
 
-def _brush(radius: int, normal: int | None) -> Index:
-    """Return the offsets (n, 3) of a ball, or of a disc across an axis."""
-    ticks = np.arange(-radius, radius + 1)
-    offsets = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = (offsets**2).sum(axis=1) <= radius * radius
-    if normal is not None:
-        inside &= offsets[:, normal] == 0
-    return offsets[inside]
+def _near_segment(low: Index, high: Index, start: Array, stop: Array, radius: float) -> NDArray[np.bool_]:
+    """Return which voxels from ``low`` to ``high`` [s, a, r] are within a radius of a line."""
+    places = np.moveaxis(np.indices(tuple(high - low)), 0, -1) + low - start
+    along = stop - start
+    share = np.clip(places @ along / max(float(along @ along), 1.0), 0.0, 1.0)
+    return ((places - share[..., None] * along) ** 2).sum(axis=-1) <= radius**2

@@ -7,8 +7,9 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
+
+from app.study_file import StudyFile
 
 TITLES = {
     "found": "Measuring the stapes",
@@ -18,7 +19,6 @@ TITLES = {
 }
 
 
-@dataclass
 class Job:
     """A step of `app.work`, begun when this is made.
 
@@ -28,31 +28,27 @@ class Job:
         Of `TITLES`.
     stage, share : str, float or None
         What is at work, and the part of it that is done.
-    notices : list of (code, text)
-        Warnings.
+    notices : dict of str to str
+        Warnings by code.
     """
 
-    step: str
-    study: Path
-    stage: str = "starting"
-    share: float | None = None
-    notices: list[tuple[str, str]] = field(default_factory=list)
-    began: float = field(default_factory=time.monotonic)
-    stopped: bool = False
-
-    def __post_init__(self) -> None:
-        self._stage_began = self.began
-        self._errors: list[str] = []
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.work", self.step, str(self.study)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=Path(__file__).parents[1],
-        )
-        self._threads = [threading.Thread(target=one, daemon=True) for one in (self._read, self._read_errors)]
-        for thread in self._threads:
-            thread.start()
+    def __init__(self, step: str, study: StudyFile) -> None:
+        self.step, self.stage = step, "starting"
+        self.share: float | None = None
+        self.notices: dict[str, str] = {}
+        self._began = self._stage_began = time.monotonic()
+        self._stopped = False
+        study.kept.mkdir(exist_ok=True)
+        self._log = study.kept / "failure.txt"
+        with self._log.open("wb") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "app.work", step, str(study.path)],
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                cwd=Path(__file__).parents[1],
+            )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _read(self) -> None:
         for line in self._process.stdout or ():
@@ -61,14 +57,11 @@ class Job:
             except ValueError:
                 continue
             if "code" in word:
-                self.notices.append((word["code"], word["text"]))
+                self.notices[word["code"]] = word["text"]
             else:
                 if word["stage"] != self.stage:
                     self._stage_began = time.monotonic()
                 self.stage, self.share = word["stage"], word["share"]
-
-    def _read_errors(self) -> None:
-        self._errors.extend(self._process.stderr or ())
 
     @property
     def running(self) -> bool:
@@ -78,50 +71,38 @@ class Job:
     @property
     def seconds(self) -> float:
         """Since it began."""
-        return time.monotonic() - self.began
+        return time.monotonic() - self._began
 
     @property
     def progress(self) -> str:
         """Title, stage, share and time left in one line."""
         text = f"{TITLES[self.step]}: {self.stage}, {self.seconds:.0f} s"
         if self.share is not None and 0.02 < self.share < 1.0:
-            passed = time.monotonic() - self._stage_began
-            left = passed * (1.0 - self.share) / self.share
+            left = (time.monotonic() - self._stage_began) * (1.0 - self.share) / self.share
             text += f", {100.0 * self.share:.0f} %, about {left:.0f} s left"
         return text
 
     def stop(self) -> None:
         """End it; what finished stages have written stays."""
-        self.stopped = True
+        self._stopped = True
         self._process.terminate()
 
-    def wait(self) -> None:
-        """Wait for its end."""
-        self._process.wait()
-
     def fault(self) -> str:
-        """Return what it said at its end: empty when all went well, never a traceback."""
+        """Wait for its end and return what it said: empty when all went well, never a traceback."""
         code = self._process.wait()
-        for thread in self._threads:
-            thread.join(timeout=5.0)
-        for pipe in (self._process.stdout, self._process.stderr):
-            if pipe is not None:
-                pipe.close()
+        self._reader.join()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        said = self._log.read_text(encoding="utf-8", errors="replace").strip()
+        if code in (0, 2) or self._stopped:
+            self._log.unlink()
         if code == 0:
             return ""
-        if self.stopped:
+        if self._stopped:
             return "Stopped; what was there before is unchanged."
-        if code == 2 and self._errors:
-            return "".join(self._errors).strip()
-        self.log.write_text("".join(self._errors), encoding="utf-8")
+        if code == 2:
+            return said
         return (
             f"stapeskit failed in this step (exit code {code}). This is a bug, not your input: please report "
-            f"{self.log.name}, which lies in {self.log.parent}."
+            f"{self._log.name}, which lies in {self._log.parent}."
         )
-
-    @property
-    def log(self) -> Path:
-        """Where the lines of an unexpected failure are kept."""
-        folder = self.study.with_name(f"{self.study.stem}_app")
-        folder.mkdir(exist_ok=True)
-        return folder / "failure.txt"

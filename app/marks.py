@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from app.study_file import StudyFile, check_unchanged, replace_file, stamp
+from app.study_file import StudyFile, replace_file, stamp
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
+from stapeskit.tables import read_table
 
-LEAST_PLATE_MARKS = 3
-"""Fewer define no plate frame: they are kept, but the study does not use them yet."""
+LEAST = {"landmarks": 1, "plate_fiducials": 3}
+"""Keys of [scan], and from how many marks on the study names them: fewer than 3 define no plate frame."""
 
 Point = tuple[float, float, float]
-_FILES = {"landmarks": "_landmarks.csv", "plate_fiducials": "_plate_fiducials.csv"}
+_COLUMNS = ("x_mm", "y_mm", "z_mm")
 
 
 class Marks:
@@ -22,40 +23,35 @@ class Marks:
 
     Attributes
     ----------
-    landmarks, plate : dict of str to (x, y, z)
+    points : dict of str to dict of str to (x, y, z)
+        Marks by name, by key of [scan].
     references : dict of str to (x, y, z)
         Where the marks of the plate are in the plate frame, by fiducials.csv, mm.
+
+    Raises
+    ------
+    StapeskitError
+        A file of landmarks, fiducials or marks is at fault.
     """
 
     def __init__(self, study: StudyFile) -> None:
-        self.study = study
-        self.landmarks: dict[str, Point] = {}
-        self.plate: dict[str, Point] = {}
-        self.references: dict[str, Point] = {}
-        self._stamps: dict[str, tuple[int, int] | None] = {}
-        self.reload()
-
-    def reload(self) -> None:
-        """Read what the study names.
-
-        Raises
-        ------
-        StapeskitError
-            A file of landmarks, fiducials or marks is at fault.
-        """
         from ct_inertia.frames.fiducials import read_plate_fiducials
         from ct_inertia.frames.landmarks import read_landmarks
 
-        if (path := self.study.file("scan", "landmarks")) is not None:
-            self.landmarks = {name: _point(place) for name, place in read_landmarks(path).items()}
-        path = self.study.file("scan", "plate_fiducials") or self._own("plate_fiducials")
-        if path.exists():
-            self.plate = _read_points(path)
-            if self.study.get("scan", "plate_fiducials"):
+        self.study = study
+        self._stamps = {key: stamp(self._own(key)) for key in LEAST}
+        self.points: dict[str, dict[str, Point]] = {key: {} for key in LEAST}
+        for key, own in self.points.items():
+            path = study.file("scan", key) or self._own(key)
+            if path == self._own(key):
+                kept = _read(path) if path.exists() else {}
+                if study.get("scan", key) or len(kept) < LEAST[key]:
+                    own.update(kept)
+            elif key == "landmarks":
+                own.update({name: _point(at) for name, at in read_landmarks(path).items()})
+            else:
                 given = read_plate_fiducials(path)
-                self.plate = {name: _point(at) for name, at in zip(given.names, given.scan_mm, strict=True)}
-        for key in _FILES:
-            self._stamps[key] = stamp(self._own(key))
+                own.update({name: _point(at) for name, at in zip(given.names, given.scan_mm, strict=True)})
         self.use_fiducials()
 
     def use_fiducials(self) -> None:
@@ -63,14 +59,11 @@ class Marks:
         from kinematics.place.fiducials import read_fiducials
 
         path = self.study.file("ldv", "fiducials")
-        self.references = {}
+        self.references: dict[str, Point] = {}
         if path is not None:
             known = read_fiducials(path)
-            self.references = {
-                name: _point(place)
-                for name, place, frame in zip(known.names, known.reference_mm, known.frames, strict=True)
-                if frame == "plate"
-            }
+            every = zip(known.names, known.reference_mm, known.frames, strict=True)
+            self.references = {name: _point(place) for name, place, frame in every if frame == "plate"}
 
     @property
     def names(self) -> list[str]:
@@ -80,7 +73,7 @@ class Marks:
     @property
     def placed(self) -> dict[str, Point]:
         """Every mark that is set."""
-        return {**self.landmarks, **self.plate}
+        return {name: place for own in self.points.values() for name, place in own.items()}
 
     def put(self, name: str, scan_mm: Sequence[float] | None) -> None:
         """Set a mark, or remove it (None), and save.
@@ -91,36 +84,24 @@ class Marks:
             A file was changed elsewhere.
         """
         key = "landmarks" if name in LANDMARK_NAMES else "plate_fiducials"
-        own = self.landmarks if key == "landmarks" else self.plate
-        before = dict(own)
-        own.pop(name, None)
+        points = {other: place for other, place in self.points[key].items() if other != name}
         if scan_mm is not None:
-            own[name] = _point(scan_mm)
-        try:
-            self._save(key, own)
-        except Exception:
-            own.clear()
-            own.update(before)
-            raise
-
-    def _save(self, key: str, points: Mapping[str, Point]) -> None:
-        path = self._own(key)
-        check_unchanged(path, self._stamps[key])
-        rows: list[list[object]] = [["name", "x_mm", "y_mm", "z_mm"]]
-        if key == "plate_fiducials" and self.references:
-            rows[0] += ["x_ref_mm", "y_ref_mm", "z_ref_mm"]
-        for name, place in points.items():
-            reference = self.references.get(name, ()) if len(rows[0]) > 4 else ()
-            rows.append([name, *place, *reference])
+            points[name] = _point(scan_mm)
+        stated = key == "plate_fiducials" and all(other in self.references for other in points)
+        rows: list[list[object]] = [["name", *_COLUMNS, *(("x_ref_mm", "y_ref_mm", "z_ref_mm") * stated)]]
+        for other, place in points.items():
+            rows.append([other, *place, *(self.references[other] if stated else ())])
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows(rows)
-        replace_file(path, text.getvalue())
-        self._stamps[key] = stamp(path)
-        least = LEAST_PLATE_MARKS if key == "plate_fiducials" else 1
-        self.study.put("scan", **{key: path if len(points) >= least else None})
+        self._stamps[key] = replace_file(self._own(key), text.getvalue(), self._stamps[key])
+        if not points:
+            self._own(key).unlink()
+            self._stamps[key] = None
+        self.points[key] = points
+        self.study.put("scan", **{key: self._own(key) if len(points) >= LEAST[key] else None})
 
     def _own(self, key: str) -> Path:
-        return self.study.places.beside(_FILES[key])
+        return self.study.kept / f"{key}.csv"
 
 
 def _point(place: Iterable[float]) -> Point:
@@ -128,8 +109,9 @@ def _point(place: Iterable[float]) -> Point:
     return x, y, z
 
 
-def _read_points(path: Path) -> dict[str, Point]:
-    """Read marks that are too few for `read_plate_fiducials`."""
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    return {row["name"]: _point([float(row[f"{axis}_mm"]) for axis in "xyz"]) for row in rows}
+def _read(path: Path) -> dict[str, Point]:
+    """Read a file of marks that was written here: it may hold none."""
+    table = read_table(path, lambda _header, _file: ({*_COLUMNS}, {"name"}))
+    column = table.texts["name"]
+    places = zip(*(table.numbers[name] for name in _COLUMNS), strict=True)
+    return {column.names[code]: _point(at) for code, at in zip(column.codes, places, strict=True)}

@@ -24,6 +24,7 @@ with app.setup:
     from app.session import Session
     from fitting.options import KDOptions
     from pipeline.new_study import ASSUMED_DENSITY
+    from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError
 
     def listed(*items):
@@ -61,16 +62,12 @@ def state():
         danger, text = False, None
         try:
             text = action()
-        except (StapeskitError, OSError) as error:
-            danger, text = True, str(error)
-        except Exception:
-            traceback.print_exc(file=sys.stderr)
-            danger, text = (
-                True,
-                "stapeskit failed here. This is a bug: please report the lines in the terminal.",
-            )
-        else:
             up(*setters)
+        except Exception as error:
+            danger, text = True, fault_sentence(error)
+            if text is None:
+                traceback.print_exc(file=sys.stderr)
+                text = "stapeskit failed here. This is a bug: please report the lines in the terminal."
         if text or shown["danger"]:
             set_said(("danger" if danger else "", text or ""))
         shown["danger"] = danger
@@ -111,58 +108,95 @@ def choose(attempt, session, set_fit, set_marks, set_mass, set_picture, set_poin
 
 
 @app.cell
-def scan_controls(attempt, begin, get_study, picture, session, set_study):
+def study_controls(attempt, session):
+    def stated(table, key):
+        return session.study.get(table, key) if session.study else None
+
+    def put(table, key, value):
+        attempt(lambda: session.opened_study.put(table, **{key: value}))
+
+    def as_words(value):
+        """Write a value as a person types it: 900-1000, 1980-2020."""
+        parts = value if isinstance(value, list) else [value]
+        return ", ".join("-".join(map(str, one)) if isinstance(one, list) else str(one) for one in parts)
+
+    def text_field(table, key, label, default="", several=False, **more):
+        """Make a field that shows a key of the study and writes it."""
+        value = stated(table, key)
+
+        def typed(words):
+            put(table, key, [one for one in words.split(",") if one] if several else words)
+
+        shown_text = default if value is None else as_words(value)
+        return mo.ui.text(shown_text, label=label, on_change=typed, **more)
+
+    def ticks(table, key, label, options, value):
+        """Make a list of which several can be ticked."""
+        return mo.ui.multiselect(
+            options, value=value, label=label, full_width=True,
+            on_change=lambda names: put(table, key, list(names)),
+        )  # fmt: skip
+
+    def button(label, action, *setters, **more):
+        """Make a button; what it does may fail."""
+        return mo.ui.button(label=label, on_click=lambda _: attempt(action, *setters), **more)
+
+    return button, put, stated, text_field, ticks
+
+
+@app.cell
+def scan_controls(
+    attempt, begin, browser, button, get_study, picture, session, set_study, stated, text_field
+):
     get_study()
-
-    def scan_value(table, key, default=""):
-        value = session.study.get(table, key) if session.study else None
-        return default if value is None else str(value)
-
-    def put_scan(key, value):
-        attempt(lambda: session.opened_study.put("scan", **{key: value}))
-
-    def measure(_):
-        begin("found", lambda: session.set_scan(density.value, side.value))
-
-    def put_box(corner):
-        def action():
-            if picture.point is None:
-                raise StapeskitError("Click a place in a slice first.")
-            session.put_box_corner(corner, picture.point)
-
-        attempt(action, set_study)
-
-    def put_seed(_):
-        def action():
-            if picture.point is None:
-                raise StapeskitError("Click a place inside the stapes first.")
-            session.put_search(seed_mm=[round(float(value), 4) for value in picture.point])
-
-        attempt(action, set_study)
-
     name = mo.ui.text(
         session.study.path.stem if session.study else "", label="name",
         on_change=lambda value: attempt(lambda: session.rename(value)),
     )  # fmt: skip
-    density = mo.ui.text(scan_value("scan", "density_kg_m3", ASSUMED_DENSITY), label="density, kg/m³")
-    side = mo.ui.dropdown(["left", "right"], value=scan_value("scan", "side") or None, label="side")
-    spacing = mo.ui.text(
-        scan_value("scan", "spacing_mm"), label="voxel, mm", placeholder="from the scan",
-        on_change=lambda value: put_scan("spacing_mm", value),
+    density = mo.ui.text(stated("scan", "density_kg_m3") or ASSUMED_DENSITY, label="density, kg/m³")
+    side = mo.ui.dropdown(
+        ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
+    )
+    spacing = text_field("scan", "spacing_mm", "voxel, mm", placeholder="from the scan")
+
+    def measure():
+        begin("found", lambda: session.set_scan(density.value, side.value))
+
+    def put_seed():
+        session.put_search(seed_mm=[round(float(value), 4) for value in picture.clicked()])
+
+    search_tools = {
+        "Another body was found, or none": listed(
+            button("Crosshair is in the stapes", put_seed, set_study),
+            mo.md("A box to search: the crosshair"),
+            beside(
+                button("is one corner", lambda: session.put_box_corner(0, picture.clicked()), set_study),
+                button(
+                    "is the other corner", lambda: session.put_box_corner(1, picture.clicked()), set_study
+                ),
+            ),
+            button("Forget both", session.forget_search, set_study),
+            mo.md(session.search_text()),
+        )
+    }
+    scan_step = listed(
+        browser, beside(name, density), beside(side, spacing),
+        mo.ui.button(label="Measure", kind="success", on_click=lambda _: measure()),
+        mo.accordion(search_tools),
     )  # fmt: skip
-    seed = mo.ui.button(label="Crosshair is in the stapes", on_click=put_seed)
-    low = mo.ui.button(label="is one corner", on_click=lambda _: put_box(0))
-    high = mo.ui.button(label="is the other corner", on_click=lambda _: put_box(1))
-    forget = mo.ui.button(label="Forget both", on_click=lambda _: attempt(session.forget_search, set_study))
-    measure_button = mo.ui.button(label="Measure", kind="success", on_click=measure)
-    search = mo.md(session.search_text())
-    return density, forget, high, low, measure_button, name, search, seed, side, spacing
+    return (scan_step,)
 
 
 @app.cell
-def cut_controls(attempt, begin, picture, session, set_undone):
-    pens = {"look": None, **PENS}
-    pen = mo.ui.radio(pens, value="look", inline=True, on_change=lambda value: setattr(picture, "pen", value))
+def cut_controls(begin, button, picture, session, set_undone):
+    def back():
+        session.reset()
+        picture.show_all()
+
+    pen = mo.ui.radio(
+        {"look": None, **PENS}, value="look", inline=True,
+        on_change=lambda value: setattr(picture, "pen", value),
+    )  # fmt: skip
     radius = mo.ui.slider(
         1, 15, value=3, label="radius, voxels", show_value=True,
         on_change=lambda value: setattr(picture, "radius", value),
@@ -170,115 +204,72 @@ def cut_controls(attempt, begin, picture, session, set_undone):
     ball = mo.ui.switch(
         True, label="ball (off: this slice)", on_change=lambda value: setattr(picture, "ball", value)
     )
-    boundary = mo.ui.switch(
-        False, label="boundary only", on_change=lambda value: picture.show_boundary(value)
-    )
-    view = mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=lambda value: picture.set_view(value))
-    undo = mo.ui.button(
-        label="Undo", on_click=lambda _: attempt(lambda: picture.show_change(session.undo()), set_undone)
-    )
-
-    def back(_):
-        attempt(session.reset, set_undone)
-        picture.show_all()
-
-    reset = mo.ui.button(label="Back to the cut as found", on_click=back)
+    boundary = mo.ui.switch(False, label="boundary only", on_change=picture.show_boundary)
+    undo = button("Undo", lambda: picture.show_change(session.undo()), set_undone)
     again = mo.ui.button(label="Measure again", kind="success", on_click=lambda _: begin("cut"))
-    return again, ball, boundary, pen, radius, reset, undo, view
+    reset = button("Back to the cut as found", back, set_undone)
+    cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, reset), again)
+    view = mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=picture.set_view)
+    return cut_step, view
 
 
 @app.cell
-def mark_controls(attempt, get_points, get_study, picture, session, set_marks):
+def mark_controls(button, get_points, get_study, picture, session, set_marks):
     get_study(), get_points()  # the names come from the fiducials of the study
 
-    def put_mark(remove=False):
-        def action():
-            if session.marks is None:
-                raise StapeskitError("Choose a scan first.")
-            if picture.point is None and not remove:
-                raise StapeskitError("Click a place in a slice first.")
-            session.marks.put(mark.value, None if remove else picture.point)
-
-        attempt(action, set_marks)
+    def put_mark(place):
+        if session.marks is None:
+            raise StapeskitError("Choose a scan first.")
+        session.marks.put(mark.value, place)
 
     names = session.marks.names if session.marks else ["anterior"]
     mark = mo.ui.dropdown(names, value=names[0], label="the crosshair is at")
-    set_mark = mo.ui.button(label="Set mark", on_click=lambda _: put_mark())
-    remove_mark = mo.ui.button(label="Remove it", on_click=lambda _: put_mark(remove=True))
-    return mark, remove_mark, set_mark
+    set_mark = button("Set mark", lambda: put_mark(picture.clicked()), set_marks)
+    marks_step = listed(mark, beside(set_mark, button("Remove it", lambda: put_mark(None), set_marks)))
+    return (marks_step,)
 
 
 @app.cell
-def measurement_controls(attempt, begin, get_study, session):
-    get_study()
+def measurement_controls(attempt, begin, get_points, get_study, session, set_points, stated, ticks):
+    get_study(), get_points()
 
-    def pick(key):
-        files, value = session.files(), session.study.get("ldv", key) if session.study else None
+    def pick(key, label):
+        files, value = session.files(), stated("ldv", key)
         chosen = value[0] if isinstance(value, list) else value
         return mo.ui.dropdown(
-            files, value=chosen if chosen in files else None, allow_select_none=True,
-            label="vibrometer file" if key == "file" else key,
-            on_change=lambda name: attempt(lambda: session.set_measurement(key, name)),
+            files, value=chosen if chosen in files else None, allow_select_none=True, label=label,
+            on_change=lambda name: attempt(lambda: session.set_measurement(key, name), set_points),
         )  # fmt: skip
 
-    ldv, points, fiducials = (pick(key) for key in ("file", "points", "fiducials"))
-    look = mo.ui.button(label="Look at it", kind="success", on_click=lambda _: begin("points"))
-    return fiducials, ldv, look, points
-
-
-@app.cell
-def leave_out_controls(attempt, get_points, get_study, session):
-    get_study(), get_points()
-    options, gone = session.leave_out_choice()
-    leave_out = mo.ui.multiselect(
-        options, value=gone, label="leave out", full_width=True,
-        on_change=lambda names: attempt(lambda: session.opened_study.put("ldv", leave_out=list(names))),
+    measured = session.content("points")
+    measurement_step = listed(
+        pick("file", "vibrometer file"), pick("points", "points"), pick("fiducials", "fiducials"),
+        mo.ui.button(label="Look at it", kind="success", on_click=lambda _: begin("points")),
+        mo.md(tables.registration_text(measured) if measured else ""),
+        ticks("ldv", "leave_out", "leave out", *session.leave_out_choice()),
     )  # fmt: skip
-    return (leave_out,)
+    return measured, measurement_step
 
 
 @app.cell
-def fit_controls(attempt, begin, get_fit, get_study, session):
+def fit_controls(begin, button, get_fit, get_study, put, session, stated, text_field, ticks):
     get_study(), get_fit()
-
-    def put_fit(table, key, value):
-        attempt(lambda: session.opened_study.put(table, **{key: value}))
-
-    def fit_value(key, default):
-        value = session.study.get("fit", key) if session.study else None
-        if value is None:
-            return default
-        parts = value if isinstance(value, list) else [value]
-        return ", ".join("-".join(map(str, one)) if isinstance(one, list) else str(one) for one in parts)
-
     keys = {entry.key: entry for entry in KDOptions.entries()}
-    dof = mo.ui.text(
-        fit_value("dof", ",".join(keys["dof"].default)), label="degrees of freedom",
-        on_change=lambda value: put_fit("fit", "dof", value),
-    )  # fmt: skip
-    exclude = mo.ui.text(
-        fit_value("exclude_hz", ""), label="leave out, Hz", placeholder="900-1000, 1980-2020",
-        on_change=lambda value: put_fit("fit", "exclude_hz", [one for one in value.split(",") if one]),
-    )  # fmt: skip
     laws = [*get_args(keys["damping"].annotation)]
     damping = mo.ui.dropdown(
-        laws,
-        value=fit_value("damping", laws[0]),
-        label="damping",
-        on_change=lambda value: put_fit("fit", "damping", value),
-    )
-    codes, ticked = session.reasons()
-    confirm = mo.ui.multiselect(
-        codes, value=ticked, label="checked and right", full_width=True,
-        on_change=lambda names: put_fit("study", "confirmed", list(names)),
+        laws, value=stated("fit", "damping") or laws[0], label="damping",
+        on_change=lambda value: put("fit", "damping", value),
     )  # fmt: skip
-    fit = mo.ui.button(label="Fit", kind="success", on_click=lambda _: begin("fit"))
-    open_report = mo.ui.button(
-        label="Open the report",
-        on_click=lambda _: attempt(lambda: webbrowser.open(session.report().as_uri()) and None),
-    )
     other = mo.ui.dropdown(session.other_results(), label="beside it", allow_select_none=True)
-    return confirm, damping, dof, exclude, fit, open_report, other
+    fit_step = listed(
+        text_field("fit", "dof", "degrees of freedom", ",".join(keys["dof"].default)),
+        damping,
+        text_field("fit", "exclude_hz", "leave out, Hz", several=True, placeholder="900-1000, 1980-2020"),
+        ticks("study", "confirmed", "checked and right", *session.reasons()),
+        mo.ui.button(label="Fit", kind="success", on_click=lambda _: begin("fit")),
+        beside(button("Open the report", lambda: webbrowser.open(session.report().as_uri()) and None), other),
+    )
+    return fit_step, other
 
 
 @app.cell
@@ -322,12 +313,9 @@ def show_marks(get_marks, picture, session):
 
 
 @app.cell
-def show_points(get_points, picture, session):
-    get_points()
-    measured = session.content("points")
+def show_points(measured, picture):
     picture.show_points(measured["beams"] if measured and measured["in_scan"] else [])
-    registration = mo.md(tables.registration_text(measured) if measured else "")
-    return measured, registration
+    return
 
 
 @app.cell
@@ -337,29 +325,23 @@ def layout_picture(picture, view):
 
 
 @app.cell
-def layout_side(
-    again, ball, boundary, browser, confirm, damping, density, dof, exclude, fiducials, fit, forget,
-    get_point, high, ldv, leave_out, look, low, mark, marks_table, measure_button, name, open_report, other,
-    pen, points, radius, registration, remove_mark, reset, search, seed, set_mark, side, spacing, undo,
-):  # fmt: skip
+def layout_point(get_point):
     _at = get_point()
-    where = mo.md("click in a slice" if _at is None else f"scan {_at[0]:.3f}, {_at[1]:.3f}, {_at[2]:.3f} mm")
-    search_tools = mo.accordion(
-        {
-            "Another body was found, or none": listed(
-                where, seed, mo.md("A box to search: the crosshair"), beside(low, high), forget, search
-            )
-        }
-    )
-    steps = {
-        "1 Scan": listed(browser, beside(name, density), beside(side, spacing), measure_button, search_tools),
-        "2 Cut": listed(pen, beside(radius, ball), boundary, beside(undo, reset), again),
-        "3 Marks": listed(where, mark, beside(set_mark, remove_mark), marks_table),
-        "4 Measurement": listed(ldv, points, fiducials, look, registration, leave_out),
-        "5 Fit": listed(dof, damping, exclude, confirm, fit, beside(open_report, other)),
+    mo.md("click in a slice" if _at is None else f"scan {_at[0]:.3f}, {_at[1]:.3f}, {_at[2]:.3f} mm")
+    return
+
+
+@app.cell
+def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, scan_step):
+    _steps = {
+        "1 Scan": scan_step,
+        "2 Cut": cut_step,
+        "3 Marks": listed(marks_step, marks_table),
+        "4 Measurement": measurement_step,
+        "5 Fit": fit_step,
     }
-    _steps = mo.accordion(steps, multiple=True, expanded=["1 Scan"])
-    mo.Html(f'<div class="steps"><h1>stapeskit</h1>{_steps}</div>')
+    _shown = mo.accordion(_steps, multiple=True, expanded=["1 Scan"])
+    mo.Html(f'<div class="steps"><h1>stapeskit</h1>{_shown}</div>')
     return
 
 
@@ -385,7 +367,7 @@ def layout_fit(get_fit, session):
             mo.Html(tables.verdict_html(fitted["verdict"])),
             mo.Html(tables.html_table(tables.fit_rows(fitted))),
             mo.hstack(tables.curves(fitted), wrap=True, justify="start"),
-            mo.Html(tables.repeat_html(session.places.out, session.study.path)),
+            mo.Html(tables.repeat_html(session.study.out, session.study.path)),
         ]
     ) if fitted else mo.md("")
     return
@@ -397,7 +379,7 @@ def layout_compare(attempt, other, session):
         from pipeline.compare import compare
 
         names = ("", "this", other.value, "difference", "p")
-        found = compare(session.places.out, session.places.out.with_name(other.value))
+        found = compare(session.study.out, session.study.out.with_name(other.value))
         return tables.html_table([dict(zip(names, row, strict=True)) for row in found.rows()])
 
     compared = []

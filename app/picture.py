@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from app.drawing import RAS, Change, Drawing
 from app.grey import write_nifti
 from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
 
 View = Literal["slices and 3D", "slices", "3D"]
 VIEWS: tuple[View, ...] = ("slices", "slices and 3D", "3D")
@@ -83,6 +84,18 @@ class Picture(NiiVue):  # type: ignore[misc]
         self._files = tempfile.TemporaryDirectory(prefix="stapeskit_app_")
         self._number = 0
         self._groups: dict[str, list[Mesh]] = {}
+
+    def clicked(self) -> Array:
+        """Return the crosshair in scan coordinates, mm.
+
+        Raises
+        ------
+        StapeskitError
+            No place was clicked yet.
+        """
+        if self.point is None:
+            raise StapeskitError("Click a place in a slice first.")
+        return self.point
 
     def show(self, grey: NDArray[np.uint8], affine: Array, drawing: Drawing | None = None) -> None:
         """Show grey values [s, a, r] and, on the same voxels, the labels of a drawing."""

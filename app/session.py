@@ -9,20 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from app.drawing import Change, Drawing
+from app.drawing import Change, Drawing, Labels
 from app.job import Job
 from app.marks import Marks
-from app.study_file import StudyFile
+from app.study_file import StudyFile, check_unchanged, stamp
 from app.work import mass_folder
 from ct_inertia.scan.scan import Scan
-from pipeline.new_study import ASSUMED_DENSITY, Found, look
+from pipeline.new_study import ASSUMED_DENSITY, look
 from stapeskit.faults import StapeskitError
 from stapeskit.records.json_files import read_json
 
 LABELS = "labels.seg.nrrd"
-HAND_LABELS = "_labels.seg.nrrd"
 MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")
-_CLOSE = 1e-6
 _DAMAGED = ("the mass of an earlier step", "Remove its folder, and measure again")
 
 
@@ -47,23 +45,15 @@ class Session:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder).absolute()
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget the study; its files stay."""
         self.study: StudyFile | None = None
         self.scan: Scan | None = None
         self.drawing: Drawing | None = None
         self.marks: Marks | None = None
         self.job: Job | None = None
         self.mass: dict[str, dict[str, Any]] = {}
-        self._hand_labels: Path | None = None
+        self._hand: Path | None = None  # the labels that were drawn, and how they were left
+        self._hand_seen: tuple[int, int] | None = None
         self._corners: dict[int, list[float]] = {}
-
-    @property
-    def places(self) -> Any:
-        """Where everything of the study is."""
-        return self.opened_study.places
 
     @property
     def opened_study(self) -> StudyFile:
@@ -94,14 +84,34 @@ class Session:
         """
         scan = Path(scan).absolute()
         study = StudyFile.new(scan.parent, name or _free_name(scan))
-        study.tables["scan"] = {"file": study.relative(scan)}
-        opened = _opened(study)
-        companions = _belonging(look(scan.parent))
-        if companions:
-            study.tables["ldv"] = {key: study.relative(path) for key, path in companions.items()}
-        marks = Marks(study)
-        self.clear()
-        self.study, self.scan, self.marks = study, opened, marks
+        study.text = study.changed("scan", file=scan)
+        beside = look(scan.parent)
+        if len(beside.measurements) == 1:
+            tied = {key: beside.others.get(key) for key in ("points", "fiducials")}
+            study.text = study.changed("ldv", file=beside.measurements[0], **tied)
+        self._take(study)
+
+    def open(self, path: Path) -> None:
+        """Go on with a study where it stopped.
+
+        Raises
+        ------
+        StapeskitError
+            The study, or a file that it names, is at fault.
+        """
+        self._take(StudyFile.read(path))
+
+    def _take(self, study: StudyFile) -> None:
+        """Take a study in place of the one that was open, when all that it names can be read."""
+        from app.grey import opened
+
+        if self.job is not None and self.job.running:
+            raise StapeskitError("A step is at work; wait for it, or stop it.")
+        new = Session(self.folder)
+        new.study, new.marks = study, Marks(study)
+        new.scan = opened(study.mass_options(hand_work=False))
+        new.take_results()
+        self.__dict__.update(new.__dict__)
 
     def rename(self, name: str) -> None:
         """Give another name to a study that was not saved yet.
@@ -117,31 +127,13 @@ class Session:
         if study.path.exists():
             step = "Begin with the scan again to have it under another name"
             raise StapeskitError.of("the name", "that of the saved study", name, study.path.name, step)
-        new = StudyFile.new(study.path.parent, name)
-        study.path = new.path
-        study.tables["study"] = {**study.tables.get("study", {}), **new.tables["study"]}
-
-    def open(self, path: Path) -> None:
-        """Go on with a study where it stopped.
-
-        Raises
-        ------
-        StapeskitError
-            The study, or a file that it names, is at fault.
-        """
-        study = StudyFile.read(Path(path))
-        scan, marks = _opened(study), Marks(study)
-        self.clear()
-        self.study, self.scan, self.marks = study, scan, marks
-        self.take_results()
+        study.path = StudyFile.new(study.path.parent, name).path
+        study.text = study.changed("study", name=study.path.stem)
 
     def set_scan(self, density: str, side: str | None) -> None:
         """Write density and side into the study; an assumed density is left out, so that results say so."""
         study, stated = self.opened_study, density.replace(" ", "").replace("±", "+-")
-        if "side" in study.tables.get("study", {}):
-            study.put("study", side=side)
-        else:
-            study.put("scan", side=side)
+        study.put("study" if study.get("study", "side") else "scan", side=side)
         study.put("scan", density_kg_m3=None if stated in ("", ASSUMED_DENSITY) else stated)
 
     def put_search(self, **values: Any) -> None:
@@ -200,7 +192,7 @@ class Session:
         StapeskitError
             There is none yet.
         """
-        path: Path = self.places.out / "report.html"
+        path = self.opened_study.out / "report.html"
         if not path.is_file():
             raise StapeskitError("There is no report yet: press Fit first.")
         return path
@@ -221,23 +213,24 @@ class Session:
         if step in ("points", "fit") and not study.get("ldv", "file"):
             raise StapeskitError("Choose a vibrometer file first.")
         if not study.path.exists():
-            study.save(study.tables)
-        self.job = Job(step, study.path)
+            study.save(study.text)
+        self.job = Job(step, study)
         return self.job
 
     def finish(self) -> str:
         """Take what the step made and return its fault, empty when all went well."""
-        job = self.job
-        if job is None:
-            return ""
-        fault = job.fault()
-        if not fault:
-            self.take_results()
+        fault = self.job.fault() if self.job is not None else ""
+        try:
+            if not fault:
+                self.take_results()
+        except StapeskitError as error:
+            return str(error)
         return fault
 
     def take_results(self) -> None:
-        """Read what the steps have left; labels are read once."""
-        files = {name: getattr(self.places, name) / "mass.json" for name in ("found", "cut")}
+        """Read what the steps have left."""
+        study = self.opened_study
+        files = {name: getattr(study, name) / "mass.json" for name in ("found", "cut")}
         self.mass = {name: read_json(path, *_DAMAGED) for name, path in files.items() if path.is_file()}
         if "found" in self.mass:
             self._read_labels()
@@ -246,20 +239,20 @@ class Session:
         from ct_inertia.scan.open_scan import open_labels
 
         study = self.opened_study
-        found, grid = open_labels(study.places.found / LABELS)
+        read, grid = open_labels(study.found / LABELS)
+        found: Labels = read.astype(np.uint8)
         if self.drawing is not None and np.array_equal(self.drawing.found, found):
             return
-        labels, hand = found.astype(np.uint8), None
-        if study.labels_are_ours and (hand := study.file("scan", "labels")) is not None and hand.exists():
+        labels: Labels = found.copy()
+        self._hand = self._hand_seen = None
+        hand = study.file("scan", "labels")
+        if study.labels_are_ours and hand is not None and hand.exists():
+            seen = stamp(hand)
             drawn, drawn_grid = open_labels(hand)
-            if _same_grid(drawn_grid, grid):
-                labels = drawn.astype(np.uint8)
-            else:
-                hand = None
-        self.drawing = Drawing.of(labels, grid.scan_from_index, found.astype(np.uint8))
-        self._hand_labels = hand
-        if hand is not None:
-            self.drawing.opened(hand)
+            same = drawn.shape == found.shape
+            if same and np.allclose(drawn_grid.scan_from_index, grid.scan_from_index, atol=1e-6):
+                labels, self._hand, self._hand_seen = drawn.astype(np.uint8), hand, seen
+        self.drawing = Drawing(labels, np.asarray(grid.scan_from_index), found)
 
     def end_stroke(self) -> None:
         """Save the labels after a stroke, and name them in the study.
@@ -292,19 +285,21 @@ class Session:
         study, drawing = self.opened_study, self.drawing
         if drawing is None:
             return
-        if self._hand_labels is None:
-            self._hand_labels = study.places.unused(HAND_LABELS)
-        drawing.write(self._hand_labels)
+        if self._hand is None:
+            self._hand = _unused(study.kept / LABELS)
+        check_unchanged(self._hand, self._hand_seen)
+        drawing.write(self._hand)
+        self._hand_seen = stamp(self._hand)
         if not drawing.as_found:
-            study.put_labels(self._hand_labels)
+            study.put_labels(self._hand)
         elif study.labels_are_ours:
             study.put_labels(None)
 
     def surfaces(self) -> dict[str, Path]:
         """Return the surfaces of the study's current mass, by name."""
         folder = None if self.study is None else mass_folder(self.study)
-        names = () if folder is None else ("stapes", "plate")
-        return {name: path for name in names if (path := folder / f"{name}.ply").is_file()}  # type: ignore[operator]
+        files = {} if folder is None else {name: folder / f"{name}.ply" for name in ("stapes", "plate")}
+        return {name: path for name, path in files.items() if path.is_file()}
 
     @property
     def masses(self) -> dict[str, dict[str, Any]]:
@@ -314,26 +309,25 @@ class Session:
 
     def content(self, name: str) -> Any:
         """Return what a step left for the page, ``points`` or ``fit``; None without it."""
-        if self.study is None:
-            return None
-        path: Path = getattr(self.places, name)
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            return json.loads((self.opened_study.kept / f"{name}.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # a StapeskitError, too, is a ValueError
             return None
 
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""
-        folder = self.folder if self.study is None else self.study.path.parent
-        named = [str(value) for value in (self.study.tables.get("ldv", {}) if self.study else {}).values()]
+        if self.study is None:
+            return []
+        folder = self.study.path.parent
         found = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in MEASUREMENTS]
+        named = [str(value) for value in self.study.tables.get("ldv", {}).values()]
         return list(dict.fromkeys([*found, *(name for name in named if (folder / name).exists())]))
 
     def other_results(self) -> list[str]:
         """Return the other folders next to the study that hold K and D."""
         if self.study is None:
             return []
-        own = self.places.out
+        own = self.study.out
         return [p.parent.name for p in sorted(own.parent.glob("*/kd.json")) if p.parent.name != own.name]
 
 
@@ -341,27 +335,14 @@ def _free_name(scan: Path) -> str:
     """Return the name of a scan, numbered where there is a study of that name."""
     from ct_inertia.scan.formats import stem_of
 
-    stem = stem_of(scan.name)
-    number, name = 1, stem
-    while scan.with_name(f"{name}.toml").exists():
+    return _unused(scan.with_name(f"{stem_of(scan.name)}.toml")).stem
+
+
+def _unused(path: Path) -> Path:
+    """Return a path, numbered where there is a file of that name."""
+    stem, suffix = path.name.split(".", 1) if path.name == LABELS else (path.stem, path.suffix[1:])
+    free, number = path, 1
+    while free.exists():
         number += 1
-        name = f"{stem}_{number}"
-    return name
-
-
-def _opened(study: StudyFile) -> Scan | None:
-    from app.grey import opened
-
-    return opened(study.mass_options(hand_work=False))
-
-
-def _belonging(found: Found) -> dict[str, Path]:
-    """Return the measurement that lies beside a scan, with what belongs to it."""
-    if len(found.measurements) != 1:
-        return {}
-    keys = {"points", "fiducials"} & found.others.keys()
-    return {"file": found.measurements[0], **{key: found.others[key] for key in sorted(keys)}}
-
-
-def _same_grid(one: Scan, other: Scan) -> bool:
-    return one.shape == other.shape and np.allclose(one.scan_from_index, other.scan_from_index, atol=_CLOSE)
+        free = path.with_name(f"{stem}_{number}.{suffix}")
+    return free

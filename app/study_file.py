@@ -1,102 +1,46 @@
-"""The study that the page edits: a file of ``scan2kd``, written whole after every change."""
+"""The study that the page edits: a file of ``scan2kd``, saved after every change, its comments kept."""
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 from ct_inertia.options import MassOptions
-from fitting.options import KDOptions
-from kinematics.options import MotionOptions
-from pipeline.study import About
-from stapeskit.faults import Fault, StapeskitError
-from stapeskit.options import Options, read_toml, toml
+from pipeline.study import TABLES
+from stapeskit.faults import StapeskitError
+from stapeskit.options import read_toml
+from stapeskit.records.json_files import read_json
 
-HEAD = "# Written by stapeskit app after every change; comments are not kept."
-SEARCH = ("threshold", "seed_mm", "box_mm")
-"""Keys of [scan] that the stapes is sought by; labels take their place."""
-
-TABLES: dict[str, type[Options]] = {
-    "study": About,
-    "scan": MassOptions,
-    "ldv": MotionOptions,
-    "fit": KDOptions,
-}
-
-
-@dataclass(frozen=True)
-class Places:
-    """The files of a study: hand work next to it, results in folders.
-
-    Attributes
-    ----------
-    study : Path
-        The study file, NAME.toml.
-    """
-
-    study: Path
-
-    def beside(self, ending: str) -> Path:
-        """Return NAME with an ending, in the folder of the study."""
-        return self.study.with_name(self.study.stem + ending)
-
-    @property
-    def found(self) -> Path:
-        """Folder of the mass as found without hand work."""
-        return self.beside("_app") / "found"
-
-    @property
-    def cut(self) -> Path:
-        """Folder of the mass with the labels that were drawn."""
-        return self.beside("_app") / "cut"
-
-    @property
-    def points(self) -> Path:
-        """What was found of the measurement, for the page."""
-        return self.beside("_app") / "points.json"
-
-    @property
-    def fit(self) -> Path:
-        """What was fitted, for the page."""
-        return self.beside("_app") / "fit.json"
-
-    @property
-    def out(self) -> Path:
-        """Folder of ``scan2kd NAME.toml``."""
-        return self.beside("_out")
-
-    def unused(self, ending: str) -> Path:
-        """Return NAME with an ending, numbered where a file of that name exists."""
-        path, number = self.beside(ending), 1
-        while path.exists():
-            number += 1
-            stem, suffix = ending.split(".", 1)
-            path = self.beside(f"{stem}_{number}.{suffix}")
-        return path
+SEARCH = ("labels", "threshold", "seed_mm", "box_mm")
+"""Keys of [scan] that the stapes is sought by; labels that are drawn take their place."""
 
 
 @dataclass
 class StudyFile:
-    """Tables of a study in memory and on disk.
+    """A study in memory and on disk; everything else of it that the page keeps is in NAME_app/.
 
     Attributes
     ----------
     path : Path
-    tables : dict of str to dict
-        As in the file: study, scan, ldv, fit.
+        The study file, NAME.toml.
+    text : str
+        Its content as it is here.
+    seen : tuple or None
+        The `stamp` of the file when it was last read or written here.
     """
 
     path: Path
-    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
-    _seen: tuple[int, int] | None = None  # what tells that the file on disk is as this page left it
+    text: str
+    seen: tuple[int, int] | None = None
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:
-        """Open a study; one that the app did not write is continued in NAME_app.toml.
+        """Open a study.
 
         Raises
         ------
@@ -104,23 +48,11 @@ class StudyFile:
             The file is missing or no TOML, or holds something else than tables.
         """
         path = Path(path).absolute()
-        content = read_toml(path)
-        for name, value in content.items():
+        for name, value in read_toml(path).items():
             if not isinstance(value, Mapping):
-                raise StapeskitError.of(
-                    f"the entry {name}", "in one of the tables of a study", value, path.name
-                )
-        tables = {name: dict(value) for name, value in content.items()}
-        if _is_ours(path):
-            return cls(path, tables, stamp(path))
-        own = path.with_name(f"{path.stem}_app.toml")
-        if own.exists():
-            step = f"Open {own.name}, or move it away"
-            raise StapeskitError.of(
-                f"the study {path.name}", "one that the app has not continued yet", own.name, "", step
-            )
-        tables.setdefault("study", {}).setdefault("name", path.stem)
-        return cls(own, tables)
+                raise StapeskitError.of(f"the entry {name}", "in a table of a study", value, path.name)
+        seen = stamp(path)
+        return cls(path, path.read_text(encoding="utf-8-sig"), seen)
 
     @classmethod
     def new(cls, folder: Path, name: str) -> StudyFile:
@@ -139,12 +71,40 @@ class StudyFile:
         if path.exists():
             step = "Open it, or choose another name"
             raise StapeskitError.of("the name", "that of no study in this folder", path.name, "", step)
-        return cls(path, {"study": {"name": name}})
+        study = cls(path, "")
+        study.text = study.changed("study", name=name)
+        return study
 
     @property
-    def places(self) -> Places:
-        """Where results and hand work are."""
-        return Places(self.path)
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """The tables of the study: study, scan, ldv, fit."""
+        return tomlkit.parse(self.text).unwrap()
+
+    @property
+    def kept(self) -> Path:
+        """Folder of what the page keeps: hand work, and what its steps found."""
+        return self.path.with_name(f"{self.path.stem}_app")
+
+    @property
+    def found(self) -> Path:
+        """Folder of the mass as found without hand work."""
+        return self.kept / "found"
+
+    @property
+    def cut(self) -> Path:
+        """Folder of the mass with the labels that were drawn."""
+        return self.kept / "cut"
+
+    @property
+    def out(self) -> Path:
+        """Folder of ``scan2kd NAME.toml``."""
+        return self.path.with_name(f"{self.path.stem}_out")
+
+    @property
+    def labels_are_ours(self) -> bool:
+        """Whether the labels of the study were drawn in the app: they are in its folder."""
+        labels = self.file("scan", "labels")
+        return labels is not None and labels.parent == self.kept
 
     def get(self, table: str, key: str) -> Any:
         """Return a value, None where there is none."""
@@ -155,72 +115,58 @@ class StudyFile:
         value = self.get(table, key)
         return None if not value or value == "none" else self.path.parent / str(value)
 
+    def changed(self, table: str, **values: Any) -> str:
+        """Return the text with other values of a table; None, an empty text or list removes a key."""
+        document = tomlkit.parse(self.text)
+        own = document.setdefault(table, tomlkit.table())
+        for key, value in values.items():
+            if value is None or value in ("", [], ()):
+                own.pop(key, None)
+            elif own.get(key) != value:
+                own[key] = self._relative(value) if isinstance(value, Path) else value
+        if not own:
+            document.pop(table)
+        return tomlkit.dumps(document)
+
     def put(self, table: str, **values: Any) -> None:
-        """Set keys of a table and save; None, an empty text or list removes a key. Paths become relative.
+        """Set keys of a table and save.
 
         Raises
         ------
         StapeskitError
             A value is not what it must be, or the file was changed elsewhere; nothing is changed then.
         """
-        new = {**self.tables.get(table, {})}
-        for key, value in values.items():
-            if value is None or value in ("", [], ()):
-                new.pop(key, None)
-            else:
-                new[key] = self.relative(value) if isinstance(value, Path) else value
-        if new == self.tables.get(table, {}) and self.path.exists():
-            return
-        TABLES[table].from_study(new, self.path.name, self.path.parent)
-        self.save({**self.tables, table: new})
+        new = StudyFile(self.path, self.changed(table, **values))
+        TABLES[table].from_study(new.tables.get(table, {}), self.path.name, self.path.parent)
+        if new.text != self.text or not self.path.exists():
+            self.save(new.text)
 
-    def relative(self, path: Path) -> str:
-        """Return a path as the study names it."""
-        path, folder = Path(path).absolute(), self.path.parent
-        inside = path.is_relative_to(folder)
-        return path.relative_to(folder).as_posix() if inside else path.as_posix()
-
-    def save(self, tables: Mapping[str, dict[str, Any]]) -> None:
-        """Write the study at once and keep its tables.
+    def save(self, text: str) -> None:
+        """Write the study.
 
         Raises
         ------
         StapeskitError
-            The file is not as this page left it: another tab, or an editor, has changed it.
+            Another tab, or an editor, has changed the file since it was read or written here.
         """
-        check_unchanged(self.path, self._seen)
-        order = [*TABLES, *(name for name in tables if name not in TABLES)]
-        text = [HEAD]
-        for name in order:
-            if tables.get(name):
-                text += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in tables[name].items())]
-        replace_file(self.path, "\n".join(text) + "\n")
-        self.tables, self._seen = dict(tables), stamp(self.path)
+        self.seen = replace_file(self.path, text, self.seen)
+        self.text = text
+
+    def _relative(self, path: Path) -> str:
+        path, folder = Path(path).absolute(), self.path.parent
+        inside = path.is_relative_to(folder)
+        return path.relative_to(folder).as_posix() if inside else path.as_posix()
 
     def put_labels(self, path: Path | None) -> None:
-        """Name the labels that were drawn, or none.
-
-        Labels say where the stapes is, and exclude what it is sought by: that is kept in NAME_app/search.json
-        meanwhile.
-        """
-        search = {key: self.get("scan", key) for key in SEARCH if self.get("scan", key) is not None}
-        if path is None:
-            self.put("scan", labels=None, **self._search())
-            return
-        if search:
-            replace_file(self._search_file, json.dumps(search))
-        self.put("scan", labels=path, **dict.fromkeys(SEARCH))
-
-    @property
-    def _search_file(self) -> Path:
-        return self.places.beside("_app") / "search.json"
+        """Name the labels that were drawn in place of what the stapes was found by, or that again (None)."""
+        self.put("scan", **(self._search() if path is None else {**dict.fromkeys(SEARCH), "labels": path}))
 
     def _search(self) -> dict[str, Any]:
-        """Return what the stapes was sought by before labels were drawn."""
-        if not self._search_file.is_file():
-            return {}
-        kept = json.loads(self._search_file.read_text(encoding="utf-8"))
-        return {key: kept[key] for key in SEARCH if key in kept}
+        """Return what the stapes was found by: the mass as found carries it."""
+        used = read_json(self.found / "mass.json", "the mass as found", "Measure again")
+        stated = used["provenance"]["parameters"]
+        values = {key: stated.get(key) for key in SEARCH}
+        return values | ({"labels": Path(values["labels"])} if values["labels"] else {})
 
     def mass_options(self, *, hand_work: bool) -> MassOptions:
         """Return the options of ct2mass; without hand work the labels that were drawn here are left out.
@@ -230,21 +176,34 @@ class StudyFile:
         StapeskitError
             What is wrong with the table, or both tables that may name the side contradict each other.
         """
-        values = dict(self.tables.get("scan", {}))
+        tables = self.tables
+        values = dict(tables.get("scan", {}))
         if not hand_work and self.labels_are_ours:
-            values.pop("labels", None)
             values |= self._search()
-        side = self.get("study", "side")
+        side = tables.get("study", {}).get("side")
         if side and values.get("side", side) != side:
             got = f"{side} in [study] and {values['side']} in [scan]"
             raise StapeskitError.of("the side of the ear", "stated once or alike", got, self.path.name)
-        values |= {"side": side} if side else {}
+        values = {
+            key: value for key, value in {**values, **({"side": side} if side else {})}.items() if value
+        }
         return MassOptions.from_study(values, self.path.name, self.path.parent)
 
-    @property
-    def labels_are_ours(self) -> bool:
-        """Whether the labels of the study were drawn in the app, by their name."""
-        return str(self.get("scan", "labels") or "").startswith(f"{self.path.stem}_labels")
+
+def replace_file(path: Path, content: str, seen: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Write a file so that it is there whole or as it was, and return its `stamp`.
+
+    Raises
+    ------
+    StapeskitError
+        It is not as it was seen last.
+    """
+    check_unchanged(path, seen)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.new")
+    draft.write_text(content, encoding="utf-8")
+    os.replace(draft, path)
+    return stamp(path)
 
 
 def check_unchanged(path: Path, seen: tuple[int, int] | None) -> None:
@@ -257,16 +216,8 @@ def check_unchanged(path: Path, seen: tuple[int, int] | None) -> None:
     """
     if path.exists() and stamp(path) != seen:
         step = "Open the study again: what is there is kept"
-        fault = Fault(path.name, "as this page left it", "changed in another tab or program", "", step)
-        raise StapeskitError(fault)
-
-
-def replace_file(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is there whole or as it was."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.new")
-    draft.write_bytes(content.encode() if isinstance(content, str) else content)
-    os.replace(draft, path)
+        got = "changed in another tab or program"
+        raise StapeskitError.of(path.name, "as this page left it", got, "", step)
 
 
 def stamp(path: Path) -> tuple[int, int] | None:
@@ -276,7 +227,3 @@ def stamp(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_mtime_ns, status.st_size
-
-
-def _is_ours(path: Path) -> bool:
-    return path.read_text(encoding="utf-8", errors="replace").startswith(HEAD)

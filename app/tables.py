@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -83,7 +84,7 @@ def registration_text(points: Mapping[str, Any]) -> str:
 
 def repeat_html(out: Path, study: Path) -> str:
     """Return where all results are, and the command that makes them again."""
-    words = escape(f"scan2kd {study}")
+    words = escape(f"scan2kd {shlex.quote(str(study))}")
     return f'<p class="path">All results: <code>{escape(str(out))}</code>. Again: <code>{words}</code></p>'
 
 
@@ -121,14 +122,13 @@ def folded(title: str, content: str) -> str:
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
-def notices_text(notices: Sequence[tuple[str, str]]) -> str:
-    """Return warnings, each once, as HTML that can be unfolded."""
-    every = dict(notices)
-    if not every:
+def notices_text(notices: Mapping[str, str]) -> str:
+    """Return warnings by code as HTML that can be unfolded."""
+    if not notices:
         return ""
-    items = "".join(f"<li><code>{escape(code)}</code> {escape(text)}</li>" for code, text in every.items())
-    plural = "warning" if len(every) == 1 else "warnings"
-    return folded(f"{len(every)} {plural}", f"<ul>{items}</ul>")
+    items = "".join(f"<li><code>{escape(code)}</code> {escape(text)}</li>" for code, text in notices.items())
+    plural = "warning" if len(notices) == 1 else "warnings"
+    return folded(f"{len(notices)} {plural}", f"<ul>{items}</ul>")
 
 
 def done_text(step: str, seconds: float) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.study_file import StudyFile, replace_file
+from app.study_file import StudyFile, replace_file, stamp
 from stapeskit.command import run
 from stapeskit.warnings import Notice
 
@@ -34,14 +34,20 @@ def warn(notices: Sequence[Notice]) -> None:
         sys.stdout.write(json.dumps({"code": notice.code, "text": notice.text}) + "\n")
 
 
+def keep(study: StudyFile, name: str, content: dict[str, Any]) -> None:
+    """Write what the page shows of a step into NAME_app/."""
+    path = study.kept / f"{name}.json"
+    replace_file(path, json.dumps(content), stamp(path))
+
+
 def found(study: StudyFile) -> None:
     """Find the stapes and measure its mass, without hand work."""
-    _mass(study, study.places.found, hand_work=False)
+    _mass(study, study.found, hand_work=False)
 
 
 def cut(study: StudyFile) -> None:
     """Measure the mass with the labels that were drawn."""
-    _mass(study, study.places.cut, hand_work=True)
+    _mass(study, study.cut, hand_work=True)
 
 
 def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
@@ -63,7 +69,7 @@ def points(study: StudyFile) -> None:
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     result = measure_motion(options, mass, tell)
     warn(result.notices)
-    replace_file(study.places.points, json.dumps(points_content(result)))
+    keep(study, "points", points_content(result))
 
 
 def points_content(result: MotionResult) -> dict[str, Any]:
@@ -114,9 +120,9 @@ def fit(study: StudyFile) -> None:
     """Run the study as ``scan2kd`` does."""
     from pipeline.run import run_study
 
-    result = run_study(study.path, study.places.out, progress=tell, tell=warn)
+    result = run_study(study.path, study.out, progress=tell, tell=warn)
     content = {"verdict": result.fit.verdict.as_json(), **fit_content(result.fit)}
-    replace_file(study.places.fit, json.dumps(content))
+    keep(study, "fit", content)
 
 
 def fit_content(result: KDFit) -> dict[str, Any]:
@@ -147,8 +153,8 @@ def fit_content(result: KDFit) -> dict[str, Any]:
 
 def mass_folder(study: StudyFile) -> Path | None:
     """Return the folder of the mass that the study stands for: with hand work where there is some."""
-    drawn = study.places.cut if study.labels_are_ours else study.places.found
-    return next((one for one in (drawn, study.places.found) if (one / "mass.json").is_file()), None)
+    drawn = study.cut if study.labels_are_ours else study.found
+    return next((one for one in (drawn, study.found) if (one / "mass.json").is_file()), None)
 
 
 STEPS: dict[str, Callable[[StudyFile], None]] = {"found": found, "cut": cut, "points": points, "fit": fit}

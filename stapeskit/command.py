@@ -105,7 +105,7 @@ def _exit_code(prog: str, work: Callable[[list[str]], Outcome | None]) -> int:
         sys.stderr.write(f"{prog}: interrupted; no output was changed.\n")
         return 130
     except Exception as error:
-        sentence = _sentence(error)
+        sentence = fault_sentence(error)
         if sentence is not None:
             sys.stderr.write(printable(f"{sentence}\n"))
             return 2
@@ -116,7 +116,7 @@ def _exit_code(prog: str, work: Callable[[list[str]], Outcome | None]) -> int:
         return 1
 
 
-def _sentence(error: Exception) -> str | None:
+def fault_sentence(error: Exception) -> str | None:
     """Return what to say of a fault of the input or the system; None for a bug."""
     from stapeskit.faults import Fault, StapeskitError
 

@@ -88,7 +88,7 @@ def _draw_and_undo(page, folder):
     across = np.array([0.5, 0.0, 0.0])
     page.drag(coronal.place(below - across), coronal.place(below + across))
     page.shot("4_stroke")
-    drawn, _ = _labels(folder / "scan_labels.seg.nrrd")
+    drawn, _ = _labels(folder / "scan_app/labels.seg.nrrd")
     changed = grid.scan_points(np.argwhere(drawn != found)[:, ::-1])
     assert {*np.unique(drawn[drawn != found])} == {3}
     assert np.abs(changed[:, 2].mean() - below[2]) < 0.04
@@ -108,10 +108,10 @@ def _draw_and_undo(page, folder):
     page.press("look")
     page.press("Undo")
     page.settle(1500)
-    assert np.array_equal(_labels(folder / "scan_labels.seg.nrrd")[0], drawn)
+    assert np.array_equal(_labels(folder / "scan_app/labels.seg.nrrd")[0], drawn)
     page.press("Undo")
     page.settle(1500)
-    assert np.array_equal(_labels(folder / "scan_labels.seg.nrrd")[0], found)
+    assert np.array_equal(_labels(folder / "scan_app/labels.seg.nrrd")[0], found)
     assert "labels" not in (folder / "scan.toml").read_text()
     page.press("Measure again")
     page.wait("measured already")
@@ -130,7 +130,7 @@ def _set_marks(page, folder):
     page.tab.get_by_label("the crosshair is at").locator("visible=true").first.select_option(label="anterior")
     page.press("Set mark")
     page.settle(1500)
-    lines = (folder / "scan_landmarks.csv").read_text().splitlines()
+    lines = (folder / "scan_app/landmarks.csv").read_text().splitlines()
     assert np.allclose([float(v) for v in lines[1].split(",")[1:]], at, atol=1e-3)
     page.shot("7_mark")
 

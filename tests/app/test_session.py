@@ -55,7 +55,7 @@ def run(session: Session, step: str) -> None:
     """Do a step in this process: a new one would only load everything again."""
     study = session.opened_study
     if not study.path.exists():
-        study.save(study.tables)
+        study.save(study.text)
     work.STEPS[step](StudyFile.read(study.path))
     session.take_results()
 
@@ -126,7 +126,7 @@ def test_bone_that_is_erased_and_bone_drawn_as_other_bone_mean_the_same(session)
 def test_labels_as_found_given_back_as_a_file_weigh_the_same_within_a_tenth_of_the_sd(session):
     found = session.mass["found"]
     options = session.study.mass_options(hand_work=False)
-    given = {"labels": session.places.found / "labels.seg.nrrd", "file": options.file}
+    given = {"labels": session.found / "labels.seg.nrrd", "file": options.file}
     again = measure_mass(replace(options, **given)).content()
     sd = found["mass_matrix"]["standard_deviation_si"][0][0]
     assert abs(again["mass_kg"] - found["mass_kg"]) < 0.1 * sd, (again["mass_kg"], found["mass_kg"], sd)
@@ -226,10 +226,9 @@ def test_what_is_not_there_yet_is_said(measured, words, expected):
 def test_a_refusal_comes_from_the_child_in_the_words_of_the_command_and_no_traceback(measured, tmp_path):
     shutil.copy(measured[0] / "ldv.csv", tmp_path / "scan.nrrd")
     study = StudyFile.new(tmp_path, "bad")
-    study.save({"study": {"name": "bad"}, "scan": {"file": "scan.nrrd"}})
-    job = Job("found", study.path)
-    job.wait()
+    study.put("scan", file="scan.nrrd")
+    job = Job("found", study)
     fault = job.fault()
     assert "must be" in fault
     assert "Traceback" not in fault
-    assert not Path(study.places.found / "mass.json").exists()
+    assert not Path(study.found / "mass.json").exists()
