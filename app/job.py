@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -38,15 +39,15 @@ class Job:
         self.notices: dict[str, str] = {}
         self._began = self._stage_began = time.monotonic()
         self._stopped = False
-        study.kept.mkdir(exist_ok=True)
         self._log = study.kept / "failure.txt"
-        with self._log.open("wb") as errors:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "app.work", step, str(study.path)],
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                cwd=Path(__file__).parents[1],
-            )
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed when it was read, in `fault`
+        self._said = ""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app.work", step, str(study.path)],
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            cwd=Path(__file__).parents[1],
+        )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -93,15 +94,18 @@ class Job:
         self._reader.join()
         if self._process.stdout is not None:
             self._process.stdout.close()
-        said = self._log.read_text(encoding="utf-8", errors="replace").strip()
-        if code in (0, 2) or self._stopped:
-            self._log.unlink()
+        if not self._errors.closed:
+            with self._errors:
+                self._errors.seek(0)
+                self._said = self._errors.read().decode(errors="replace").strip()
         if code == 0:
             return ""
-        if self._stopped:
+        if self._stopped or code == 130:
             return "Stopped; what was there before is unchanged."
         if code == 2:
-            return said
+            return self._said
+        self._log.parent.mkdir(exist_ok=True)
+        self._log.write_text(self._said, encoding="utf-8")
         return (
             f"stapeskit failed in this step (exit code {code}). This is a bug, not your input: please report "
             f"{self._log.name}, which lies in {self._log.parent}."

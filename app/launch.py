@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stapeskit.faults import StapeskitError
 
-NEEDED = ("marimo", "ipyniivue", "altair")
+NEEDED = ("marimo", "ipyniivue", "altair", "tomlkit")
 """Packages of the extra."""
 
 INSTALL = "pip install 'stapeskit[app]'"

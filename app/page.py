@@ -153,7 +153,7 @@ def scan_controls(
         session.study.path.stem if session.study else "", label="name",
         on_change=lambda value: attempt(lambda: session.rename(value)),
     )  # fmt: skip
-    density = mo.ui.text(stated("scan", "density_kg_m3") or ASSUMED_DENSITY, label="density, kg/m³")
+    density = mo.ui.text(str(stated("scan", "density_kg_m3") or ASSUMED_DENSITY), label="density, kg/m³")
     side = mo.ui.dropdown(
         ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
     )

@@ -171,18 +171,20 @@ class Session:
 
     def leave_out_choice(self) -> tuple[list[str], list[str]]:
         """Return the channels that can be left out, and those that are."""
-        gone = self.study.get("ldv", "leave_out") if self.study else None
-        left = [gone] if isinstance(gone, str) else list(gone or ())
         measured = self.content("points") or {"beams": []}
         every = [name for beam in measured["beams"] for name in (beam["channel"], beam["channel_point"])]
-        return list(dict.fromkeys([*left, *every])), left
+        return self._choice("ldv", "leave_out", every)
 
     def reasons(self) -> tuple[list[str], list[str]]:
         """Return the codes that the verdict rests on or that are confirmed, and the confirmed ones."""
-        ticked = list(self.study.get("study", "confirmed") or ()) if self.study else []
-        fitted = self.content("fit")
-        codes = [reason["code"] for reason in fitted["verdict"]["reasons"]] if fitted else []
-        return list(dict.fromkeys([*ticked, *codes])), ticked
+        fitted = self.content("fit") or {"verdict": {"reasons": []}}
+        return self._choice("study", "confirmed", [one["code"] for one in fitted["verdict"]["reasons"]])
+
+    def _choice(self, table: str, key: str, every: list[str]) -> tuple[list[str], list[str]]:
+        """Return what can be chosen for a key, and what the study has chosen."""
+        value = (self.study.get(table, key) if self.study else None) or []
+        chosen = [value] if isinstance(value, str) else list(value)
+        return list(dict.fromkeys([*chosen, *every])), chosen
 
     def report(self) -> Path:
         """Return the report of the last fit.

@@ -81,32 +81,26 @@ def points_content(result: MotionResult) -> dict[str, Any]:
     if mass is not None:
         pose = mass.record.scan_from_footplate
         turn, shift = pose.rotation, pose.translation_mm
-    beams = []
+    places = {}
     for body in result.measurement.bodies:
         arms = np.full((len(body.points), 3), np.nan) if body.positions_m is None else body.positions_m
-        places = 1e3 * arms @ turn.T + shift
-        for point, place, direction in zip(body.points, places, body.file_directions, strict=True):
-            verdicts = [
-                one
-                for one in result.channels
-                if one.body == body.body
-                and one.point == point
-                and np.allclose(one.direction, direction, atol=1e-6)
-            ]
-            worst = next((one for one in verdicts if one.verdict != "ok"), verdicts[0])
-            beams.append(
-                {
-                    "body": body.body,
-                    "point": point,
-                    "beam": direction_name(direction),
-                    "channel": f"{body.body}:{point}:{direction_name(direction)}".replace(" ", ""),
-                    "channel_point": f"{body.body}:{point}",
-                    "scan_mm": [round(float(value), 4) for value in place],
-                    "verdict": worst.verdict,
-                    "estimate": worst.estimate,
-                    "residual_um": round(1e6 * float(worst.residual_rms_m), 6),
-                }
-            )
+        every = zip(body.points, 1e3 * arms @ turn.T + shift, strict=True)
+        places |= {(body.body, point): [round(float(v), 4) for v in place] for point, place in every}
+    beams = [
+        {
+            "body": one.body,
+            "point": one.point,
+            "beam": direction_name(one.direction),
+            "channel": f"{one.body}:{one.point}:{direction_name(one.direction)}".replace(" ", ""),
+            "channel_point": f"{one.body}:{one.point}",
+            "scan_mm": places[one.body, one.point],
+            "verdict": one.verdict,
+            "estimate": one.estimate,
+            "residual_um": round(1e6 * float(one.residual_rms_m), 6),
+        }
+        for one in result.channels
+        if (one.body, one.point) in places
+    ]
     residuals = [] if fit is None else 1e3 * np.linalg.norm(fit.residuals_mm, axis=1)
     return {
         "beams": beams,
@@ -128,6 +122,7 @@ def fit(study: StudyFile) -> None:
 def fit_content(result: KDFit) -> dict[str, Any]:
     """Return K and D with intervals, and measured and simulated responses, for tables and curves."""
     from fitting.report.figures import responses
+    from stapeskit.report.figures import dof_unit
 
     shown = responses(result)
     order = np.argsort(shown.freq_hz)
@@ -135,10 +130,10 @@ def fit_content(result: KDFit) -> dict[str, Any]:
     for place, name in enumerate(result.dof):
         for kind, values in (("measured", shown.measured), ("fitted", shown.simulated)):
             value = values[order, place]
-            unit = 1e9 if name in ("x", "y", "z") else 1e6
+            unit, symbol = dof_unit(name)
             rows.append(
                 {
-                    "motion": f"{name}, {'nm' if unit == 1e9 else 'µrad'}",
+                    "motion": f"{name}, {symbol}",
                     "kind": kind,
                     "amplitude": [float(f"{unit * one:.6g}") for one in np.abs(value)],
                     "phase": [round(float(one), 3) for one in np.angle(value, deg=True)],

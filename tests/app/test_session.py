@@ -44,7 +44,7 @@ def measured(tmp_path_factory):
 
 @pytest.fixture
 def session(measured, tmp_path):
-    folder = tmp_path / "ear"
+    folder = tmp_path / "Ohr 1 ä"
     shutil.copytree(measured[0], folder)
     opened = Session(folder)
     opened.open(folder / "ear1.toml")
@@ -126,7 +126,7 @@ def test_bone_that_is_erased_and_bone_drawn_as_other_bone_mean_the_same(session)
 def test_labels_as_found_given_back_as_a_file_weigh_the_same_within_a_tenth_of_the_sd(session):
     found = session.mass["found"]
     options = session.study.mass_options(hand_work=False)
-    given = {"labels": session.found / "labels.seg.nrrd", "file": options.file}
+    given = {"labels": session.study.found / "labels.seg.nrrd", "file": options.file}
     again = measure_mass(replace(options, **given)).content()
     sd = found["mass_matrix"]["standard_deviation_si"][0][0]
     assert abs(again["mass_kg"] - found["mass_kg"]) < 0.1 * sd, (again["mass_kg"], found["mass_kg"], sd)
@@ -224,11 +224,36 @@ def test_what_is_not_there_yet_is_said(measured, words, expected):
 
 
 def test_a_refusal_comes_from_the_child_in_the_words_of_the_command_and_no_traceback(measured, tmp_path):
-    shutil.copy(measured[0] / "ldv.csv", tmp_path / "scan.nrrd")
-    study = StudyFile.new(tmp_path, "bad")
+    folder = tmp_path / "Ohr 2 ü"
+    folder.mkdir()
+    shutil.copy(measured[0] / "ldv.csv", folder / "scan.nrrd")
+    study = StudyFile.new(folder, "schön")
     study.put("scan", file="scan.nrrd")
     job = Job("found", study)
     fault = job.fault()
     assert "must be" in fault
     assert "Traceback" not in fault
     assert not Path(study.found / "mass.json").exists()
+
+
+def test_a_scan_that_cannot_be_read_leaves_the_study_that_was_open(session, tmp_path):
+    bad = tmp_path / "bad.nrrd"
+    bad.write_text("no scan")
+    before = session.study, session.drawing, session.marks
+    with pytest.raises(StapeskitError):
+        session.begin(bad)
+    assert (session.study, session.drawing, session.marks) == before
+
+
+def test_labels_that_somebody_else_made_are_neither_written_over_nor_forgotten(session):
+    given = session.folder / "ear1_labels.seg.nrrd"
+    shutil.copy(session.study.found / "labels.seg.nrrd", given)
+    session.study.put("scan", labels=given)
+    run(session, "found")
+    before, kept = session.study.path.read_bytes(), given.read_bytes()
+    behead(session, 3)
+    assert session.study.labels_are_ours
+    assert given.read_bytes() == kept
+    session.undo()
+    assert session.study.file("scan", "labels") == given
+    assert session.study.path.read_bytes() == before
