@@ -81,7 +81,7 @@ def points_content(result: MotionResult) -> dict[str, Any]:
     if mass is not None:
         pose = mass.record.scan_from_footplate
         turn, shift = pose.rotation, pose.translation_mm
-    places = {}
+    places: dict[tuple[str, str], list[float]] = {}
     for body in result.measurement.bodies:
         arms = np.full((len(body.points), 3), np.nan) if body.positions_m is None else body.positions_m
         every = zip(body.points, 1e3 * arms @ turn.T + shift, strict=True)
