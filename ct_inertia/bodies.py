@@ -159,6 +159,13 @@ class Labelled:
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
 
+    def numbers(self) -> NDArray[np.uint8]:
+        """Return the bodies of the box by their numbers in label files, [z, y, x]."""
+        numbers = np.zeros(self.box.shape, dtype=np.uint8)
+        for mask, number in ((self.other, OTHER_BONE), (self.plate, PLATE), (self.stapes, STAPES)):
+            numbers[mask] = number
+        return numbers
+
 
 @dataclass(frozen=True)
 class BodySurface:

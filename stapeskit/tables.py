@@ -2,7 +2,7 @@
 
 Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8 and UTF-16, byte order
 marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
-pandas reads tables whose rows are all alike; the others are read cell by cell, to find what is odd.
+pandas reads large tables whose rows are all alike; the others are read cell by cell, to find what is odd.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", 
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}((,\d{3})+\.\d*|(\.\d{3})+,\d*|([ '\xa0\u202f]\d{3})+([.,]\d*)?)")
 """Marks between thousands that are no decimal comma or point: 1,234.5, 1.234,5, 1 234, 1'234."""
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+_LARGE = 2_000_000  # bytes from which pandas takes less time, with that of loading it, than cell by cell
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
 
 
@@ -124,8 +125,17 @@ def read_table(path: Path, choose: Choose) -> Table:
     if not sheet.body:
         step, want = "Export it again", "a table with rows below its header"
         raise StapeskitError.of(sheet.file, want, "the header alone", next_step=step)
-    read = _read_alike(sheet, numbers, texts)
+    read = _read_alike(sheet, numbers, texts) if len(sheet.body) > _LARGE else None
     return _read_cells(sheet, numbers, texts) if read is None else read
+
+
+def write_columns(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
+    """Write columns of equal length by their names as a CSV file; NaN is an empty cell."""
+    with Path(path).open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow(["" if cell != cell else cell for cell in row])
 
 
 def as_text_cell(text: object) -> str:
@@ -264,13 +274,10 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
 
 def _encode(column: Iterable[str]) -> TextColumn:
     """Store every text once, without blanks around it."""
-    import pandas as pd
-
-    codes, names = pd.factorize(pd.Series(column, dtype=object))
-    stripped = [str(name).strip() for name in names]
-    places = {name: place for place, name in enumerate(dict.fromkeys(filter(None, stripped)))}
-    new = np.array([places.get(name, -1) for name in stripped], dtype=np.intp)
-    return TextColumn(new[codes], tuple(places))
+    places: dict[str, int] = {"": -1}
+    codes = [places.setdefault(text.strip(), len(places) - 1) for text in column]
+    del places[""]
+    return TextColumn(np.array(codes, dtype=np.intp), tuple(places))
 
 
 def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:

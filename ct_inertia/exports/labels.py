@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Index, Labelled
+from ct_inertia.bodies import Index, Labelled
 from ct_inertia.scan.label_file import write_segmentation
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.masks import used_box
@@ -63,13 +63,7 @@ class LabelFile:
         z, y, x = self.shape
         layers = max(1, _SLAB_VOXELS // (x * y))
         box = self.labelled.box
-        local = np.zeros(box.shape, dtype=np.uint8)
-        for mask, number in (
-            (self.labelled.other, OTHER_BONE),
-            (self.labelled.plate, PLATE),
-            (self.labelled.stapes, STAPES),
-        ):
-            local[mask] = number
+        local = self.labelled.numbers()
         for start in range(0, z, layers):
             stop = min(start + layers, z)
             labels = np.zeros((stop - start, y, x), dtype=np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -224,7 +225,6 @@ def count_holes(inside: Mask) -> int:
     """
     import cc3d
     from scipy.ndimage import uniform_filter
-    from skimage.measure import euler_number
 
     smooth = uniform_filter(np.pad(inside, 2).astype(np.float32), 3) > 0.5
     labels, count = cc3d.connected_components(smooth, connectivity=26, return_N=True)
@@ -232,7 +232,23 @@ def count_holes(inside: Mask) -> int:
         return 0
     smooth = labels == int(np.argmax(np.bincount(labels[smooth])))
     cavities = cc3d.connected_components(~smooth, connectivity=6, return_N=True)[1] - 1
-    return int(1 + cavities - euler_number(smooth, connectivity=3))
+    return 1 + cavities - _euler_number(smooth)
+
+
+def _euler_number(mask: Mask) -> int:
+    """Return corners - edges + faces - cubes of a solid of closed cubes, (z, y, x).
+
+    Cubes that touch in a corner hang together; the outermost layer is empty. scikit-image has the same
+    number, but its module of measures takes a tenth of a second to load.
+    """
+    total = 0
+    for axes in product((False, True), repeat=3):
+        cells = mask
+        for axis in np.flatnonzero(axes):  # cells between neighbours along these axes
+            side = np.moveaxis(cells, axis, 0)
+            cells = np.moveaxis(side[1:] | side[:-1], 0, axis)
+        total -= (-1) ** sum(axes) * int(np.count_nonzero(cells))
+    return total
 
 
 def _surrounded(piece: Piece) -> float:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Grey
+from ct_inertia.bodies import PLATE, STAPES, Grey
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
+from stapeskit.report.scene3d import decimate
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult
     from ct_inertia.scan.scan import Scan
 
+_FACES = 6000  # of a drawn stapes: each is less than a millimetre on paper
 _SMOOTH_VOXELS = 1.0  # of labels for a picture of their surface
 _READING = ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype", "byte_order", "header_bytes")
 _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
@@ -56,7 +59,7 @@ class Slices:
         from_voxel[:3, 3] = (0.5 - self.first) / self.step - 0.5
         return np.asarray(self.scan_from_index @ from_voxel)
 
-    @property
+    @cached_property
     def window(self) -> tuple[float, float]:
         """Grey values shown black and white."""
         inside = self.grey[self.labels == STAPES]
@@ -79,18 +82,18 @@ class Pictured:
     plate: Surface | None = None
     slices: Slices | None = None
 
+    @cached_property
+    def light_stapes(self) -> Surface:
+        """The stapes with few triangles, for views on a screen."""
+        return Surface(*decimate(self.stapes.vertices_mm, self.stapes.faces, _FACES))
+
 
 def pictured_of(result: MassResult) -> Pictured:
     """Return what the pictures of a result need."""
     if result.body is None:
         return Pictured(result.stapes, result.plate)
-    labelled = result.body.labelled
-    labels = np.zeros(labelled.box.shape, dtype=np.uint8)
-    bodies = ((labelled.other, OTHER_BONE), (labelled.plate, PLATE), (labelled.stapes, STAPES))
-    for mask, number in bodies:
-        labels[mask] = number
-    box = labelled.box
-    slices = Slices(box.grey, labels, box.scan_from_index, box.first, box.block)
+    box = result.body.labelled.box
+    slices = Slices(box.grey, result.body.labelled.numbers(), box.scan_from_index, box.first, box.block)
     return Pictured(result.stapes, result.plate, slices)
 
 
@@ -134,11 +137,15 @@ def _plate_of(labels: NDArray[np.integer[Any]], grid: Scan) -> Surface | None:
     """Return the surface of the plate as labelled, for the eye; None where there is none."""
     from ct_inertia.surface.contour import contour
     from ct_inertia.voxels.fields import smooth
+    from ct_inertia.voxels.masks import used_box, widened
 
     mask = labels == PLATE
-    if not mask.any():
+    used = used_box(mask)
+    if used is None:
         return None
-    return contour(smooth(mask.astype(np.float32), np.full(3, _SMOOTH_VOXELS)), grid.scan_from_index, 0.5)
+    box = widened(used, np.ceil(5.0 * _SMOOTH_VOXELS))
+    field = smooth(mask[box].astype(np.float32), np.full(3, _SMOOTH_VOXELS))
+    return contour(field, grid.part(box).scan_from_index, 0.5)
 
 
 def _slices(

@@ -15,7 +15,6 @@ from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, OTHER_COLOURS, PAGE_COLOURS, lighten
 from stapeskit.report.figures import panels, style
-from stapeskit.report.scene3d import decimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 VIEWS = (("-y", "+x", "+z"), ("+z", "+x", "+y"), ("+x", "-z", "+y"))
 """Sides the stapes is seen from: axis towards the eye, to the right, up; right-handed."""
 
-_FACES = 9000  # of a drawn surface: each is less than a millimetre on paper
 _LIGHT = np.array([-0.35, 0.45, 0.82])  # direction of the light: right, up, towards the eye
 _PIXELS = 340  # along an edge of a slice
 _MARGIN_MM = 0.4
@@ -50,8 +48,7 @@ def views(content: Mapping[str, Any], pictured: Pictured) -> Figure:
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
-    vertices, faces = decimate(pictured.stapes.vertices_mm, pictured.stapes.faces, _FACES)
-    local = frame.inverse().points(vertices)
+    local, faces = frame.inverse().points(pictured.light_stapes.vertices_mm), pictured.light_stapes.faces
     drawing, axes = panels(1, 3, width=10.4, height=3.9, margins=(0.1, 0.1, 0.35, 0.1), gaps=(0.15, 0.1))
     half = 0.62 * float(np.max(np.ptp(local, axis=0)))
     for ax, view in zip(axes[0], VIEWS, strict=True):
@@ -203,11 +200,12 @@ def _plane(
         cmap="gray",
         vmin=black,
         vmax=white,
+        interpolation="none",
         aspect=float(edges[up] / edges[right]),
     )
     for number, colour, _ in _BODIES:
-        mask = (slices.labels == number).astype(np.float32)
-        share = map_coordinates(mask, places, order=1) if mask.any() else np.zeros(1)
+        mask = slices.labels == number
+        share = map_coordinates(mask, places, np.float32, order=1) if mask.any() else np.zeros(1)
         if share.max() > 0.5:
             axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
     origin = linear @ (level * np.eye(3)[normal]) + shift

@@ -89,7 +89,7 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
             "labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
         )
         alt = "Six slices with the outlines of stapes, plate and other bone."
-        shown.section("What was measured", page.figure(cut, caption, alt, vector=False), page.text(correct))
+        shown.section("What was measured", page.figure(cut, caption, alt, vector=True), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
     shown.section("Frames", *frame_blocks(content, pictured))
     measured = evidence_blocks(content)
@@ -252,7 +252,8 @@ def scene(content: Content, pictured: Pictured) -> Scene:
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
-    surfaces = [Mesh("stapes", pictured.stapes.vertices_mm, pictured.stapes.faces, BODY_COLOURS["stapes"])]
+    stapes = pictured.light_stapes
+    surfaces = [Mesh("stapes", stapes.vertices_mm, stapes.faces, BODY_COLOURS["stapes"], decimated=True)]
     lines = []
     if pictured.plate is not None:
         plate = pictured.plate

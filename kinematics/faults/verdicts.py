@@ -123,7 +123,7 @@ def fault_notices(body: BodyChannels, diagnosis: Diagnosis) -> list[Notice]:
 
 def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
     """Write ``dof.channels.csv``."""
-    import pandas as pd
+    from stapeskit.tables import write_columns
 
     table: dict[str, list[object]] = {
         name: [getattr(verdict, name) for verdict in verdicts] for name in ("run", "body", "point")
@@ -132,4 +132,6 @@ def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
         table[f"dir_{axis}"] = [round(float(verdict.direction[k]), 9) + 0.0 for verdict in verdicts]
     for name in ("residual_rms_m", "weight", "verdict", "estimate", "p_value"):
         table[name] = [getattr(verdict, name) for verdict in verdicts]
-    pd.DataFrame(table).to_csv(path, index=False, lineterminator="\n", float_format="%.9g")
+    for name, column in table.items():
+        table[name] = [f"{cell:.9g}" if isinstance(cell, float) and cell == cell else cell for cell in column]
+    write_columns(path, table)

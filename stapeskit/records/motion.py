@@ -18,7 +18,7 @@ from stapeskit.provenance import sha256
 from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
 from stapeskit.sandbox import read_apart
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
-from stapeskit.tables import Table, TextColumn, as_text_cell, from_text_cell, read_table
+from stapeskit.tables import Table, TextColumn, as_text_cell, from_text_cell, read_table, write_columns
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
@@ -93,6 +93,10 @@ def motion_frame(motion: RigidMotion) -> DataFrame:
     """Return the rows of all determined lines: run, body, frequency, q, sd, chi2 and n_dof."""
     import pandas as pd
 
+    return pd.DataFrame(_columns(motion))
+
+
+def _columns(motion: RigidMotion) -> dict[str, Any]:
     names = motion_columns(motion.dof, bool(motion.reference))
     run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
     q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
@@ -105,21 +109,17 @@ def motion_frame(motion: RigidMotion) -> DataFrame:
         columns |= {real: q[:, place].real, imaginary: q[:, place].imag}
     columns |= {name: sd[:, place] for place, name in enumerate(names["sd"])}
     columns |= {"chi2": motion.chi2[run, body, line], "n_dof": motion.n_dof[run, body, line].astype(int)}
-    return pd.DataFrame(columns)
+    return columns
 
 
 def _write_csv(path: Path, motion: RigidMotion) -> None:
     """Write the rows of all determined lines: q with all its digits, sd and chi2 with nine."""
-    table = motion_frame(motion)
+    columns = {name: column.tolist() for name, column in _columns(motion).items()}
     for name in ("run", "body"):
-        table[name] = [as_text_cell(cell) for cell in table[name]]
+        columns[name] = [as_text_cell(cell) for cell in columns[name]]
     for name in (*motion_columns(motion.dof, bool(motion.reference))["sd"], "chi2"):
-        table[name] = _nine_digits(table[name].to_numpy())
-    table.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
-
-
-def _nine_digits(values: Array) -> list[str]:
-    return ["" if np.isnan(value) else f"{value:.9g}" for value in values.tolist()]
+        columns[name] = [f"{value:.9g}" if np.isfinite(value) else value for value in columns[name]]
+    write_columns(path, columns)
 
 
 def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:

@@ -72,6 +72,7 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
 # Points in a figure above which a PNG is smaller than an SVG.
 _MOST_VECTOR_POINTS = 12_000
 _PNG_DOTS_PER_INCH = 160  # 1.7 pixels for each of a screen of 96 per inch
+_PNG_WRITING = {"compress_level": 2}  # a third of the time of the default for a tenth more bytes
 
 
 @contextmanager
@@ -151,7 +152,7 @@ def draw(drawing: Figure, vector: bool | None = None) -> tuple[bytes, str]:
     stream = io.BytesIO()
     with style():
         if not vector:
-            drawing.savefig(stream, format="png", dpi=_PNG_DOTS_PER_INCH)
+            drawing.savefig(stream, format="png", dpi=_PNG_DOTS_PER_INCH, pil_kwargs=_PNG_WRITING)
             return stream.getvalue(), "png"
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _compact(stream.getvalue()), "svg"
