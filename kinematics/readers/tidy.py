@@ -257,12 +257,12 @@ def _notices(table: Table, columns: Columns, recording: Recording) -> list[Notic
 
 def _numbered(keys: Sequence[Array | Index]) -> tuple[Index, Index]:
     """Number equal rows of several columns in the order of appearance; return also their first rows."""
-    import pandas as pd
-
     codes = np.zeros(len(keys[0]), dtype=np.int64)
     for key in keys:
-        own = pd.factorize(key, use_na_sentinel=False)[0]
-        codes = pd.factorize(codes * (int(own.max(initial=0)) + 1) + own)[0]
-    first = np.full(int(codes.max(initial=-1)) + 1, len(codes), dtype=np.intp)
-    first[codes[::-1]] = np.arange(len(codes))[::-1]
-    return np.asarray(codes, dtype=np.intp), first
+        own = np.unique(key, return_inverse=True)[1]
+        codes = np.unique(codes * (int(own.max(initial=0)) + 1) + own, return_inverse=True)[1]
+    _, first, codes = np.unique(codes, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return np.asarray(place[codes], dtype=np.intp), np.asarray(first[order], dtype=np.intp)
