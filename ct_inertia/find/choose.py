@@ -155,14 +155,16 @@ def _propose(picture: _Picture, reading: Reading, found: list[Piece]) -> Iterato
     """Yield the bodies that may be the stapes at one reading: whole pieces, then parts of larger ones."""
     wholes = found if picture.seed_mm is None else _seeded(found, picture.overview.grid, picture.seed_mm)
     wholes = [piece for piece in wholes if not picture.is_soft(reading, piece)]
-    complete = False
     for piece in wholes:
         if piece.possible:
             yield Candidate(reading, piece, _others(found, piece))
-            complete = complete or (piece.whole_stapes and not _looks_grown(piece))
-    if complete:
+    complete = [piece for piece in wholes if piece.whole_stapes]
+    if any(not _looks_grown(piece) for piece in complete):
         return
-    large = [p for p in wholes if _LEAST_LARGE_MM3 < p.volume_mm3 < _MOST_MM3 or picture.seed_mm is not None]
+    # Next to a whole stapes no other bone is cut into something like it, only what has grown on it is cut.
+    large = complete or [
+        p for p in wholes if _LEAST_LARGE_MM3 < p.volume_mm3 < _MOST_MM3 or picture.seed_mm is not None
+    ]
     large.sort(key=lambda p: p.possible and p.surrounding)
     for piece in large[:_MOST_LARGE]:
         for way in splits(picture.scan, picture.overview, piece, reading, picture.seed_mm):
