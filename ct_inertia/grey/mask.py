@@ -11,9 +11,7 @@ from ct_inertia.voxels.fields import smooth
 from ct_inertia.voxels.masks import eroded, grown
 
 _SMOOTH_VOXELS = 0.8  # of a mask for its surface: it rounds the stairs of voxels
-_THRESHOLD_SD = 1.0 / np.sqrt(
-    12.0
-)  # of the surface within a voxel, all of it together: a uniform distribution
+_THRESHOLD_SD = 12.0**-0.5  # voxels, of the whole surface within its voxels: a uniform distribution
 
 
 def measure_mask(labelled: Labelled) -> MeasuredBody:

@@ -115,7 +115,6 @@ def test_own_labels_given_back_weigh_the_same(study: Study, tmp_path: Path) -> N
     parts.pop("density")
     sd = np.sqrt(np.diag(sum(parts.values())))
     assert np.max(np.abs(again.matrix.parameters - first.matrix.parameters) / sd) < 0.03
-    assert again.moments.volume_mm3 == pytest.approx(first.moments.volume_mm3, rel=1e-5)
 
 
 def test_labels_alone_are_the_solid_of_their_voxels(study: Study) -> None:
