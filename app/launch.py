@@ -13,7 +13,7 @@ from stapeskit.faults import StapeskitError
 NEEDED = ("marimo", "ipyniivue", "altair", "tomlkit")
 """Packages of the extra."""
 
-INSTALL = "pip install 'stapeskit[app]'"
+INSTALL = "pip install '.[app]', in the source folder of stapeskit"
 _KEPT_S = 3600  # how long a page that lost its connection can come back
 
 

@@ -23,7 +23,7 @@ def run_on_dask(address: str) -> Runner:
         try:
             from distributed import Client, as_completed
         except ImportError as error:
-            step = "pip install 'stapeskit[cluster]'"
+            step = "Run pip install distributed"
             raise StapeskitError.of(
                 "dask.distributed", "installed for --scheduler", error, "", step
             ) from error
