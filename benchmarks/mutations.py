@@ -41,7 +41,7 @@ MUTATIONS: tuple[tuple[str, str, str, str], ...] = (
     ("fitting/textbook.py", "own = 0.5 * np.einsum", "own = 0.6 * np.einsum", "fit"),
     ("fitting/likelihood.py", "added += 2.0 * (spread", "added += 1.6 * (spread", "fit"),
     ("fitting/laws.py", "1j * w / (1.0 + 1j * w * a)", "1j * w / (1.0 - 1j * w * a)", "fit"),
-    ("pipeline/cohort/law.py", "- 2.0 * exponent * own", "- 1.0 * exponent * own", "cohort"),
+    ("pipeline/cohort/law.py", "max(2.0 * (value - self", "max(1.0 * (value - self", "cohort"),
 )
 
 
