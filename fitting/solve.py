@@ -221,26 +221,47 @@ def fit(
 
     Notes
     -----
-    The equations have a trivial solution, K, D and load zero, which a large misfit makes cheap. The noise
-    comes down from that of a fit without shared errors until chi2 agrees with it (discrepancy principle,
-    Morozov 1966).
+    From zero and linear K, D a valley may lead away from the minimum of a model with unknowns: where the data
+    are not explained, the fit without them is another start, and the smaller chi2 counts.
     """
+    if robust:
+        theta, _ = _begin(data, model, start, noise)
+        found, factor = _robust(data, model, theta)
+        return with_covariance(found, factor) if covariance else found
+    found = _settled(data, model, start, noise)
+    if start is None and model.unknowns and not (found.converged and found.noise == 1.0):
+        simpler = _settled(data, replace(model, unknowns=()))
+        place = simpler.at["extra"].start
+        theta = np.insert(simpler.theta, place, np.zeros(len(model.extras)))
+        other = _settled(data, model, theta, simpler.noise)
+        found = other if (other.converged, -other.chi2) > (found.converged, -found.chi2) else found
+    return with_covariance(found) if covariance else found
+
+
+def _begin(data: Data, model: Model, start: Array | None, noise: float | None) -> tuple[Array, float]:
+    """Return where a fit begins: theta, and the noise level of a fit without shared errors."""
     likelihood = Likelihood(data, model)
-    n_dof = degrees(likelihood)
-    if start is None and model.unknowns:  # from zero and linear K, D a valley may lead away from the minimum
-        simpler = fit(data, replace(model, unknowns=()), covariance=False)
-        place, noise = simpler.at["extra"].start, simpler.noise
-        start = np.insert(simpler.theta, place, np.zeros(len(model.extras)))
     theta = start if start is not None else best_start(likelihood)
     if noise is None:
         quick = Likelihood(data.without_errors(), model)
         bare, value, _, _ = minimise(quick, theta[: quick.count], 1e-4)
         theta = np.concatenate([bare, theta[quick.count :]])
-        noise = max(1.0, value / max(n_dof, 1))
+        noise = max(1.0, value / max(degrees(likelihood), 1))
         noise = noise if noise > 1.5 else 1.0
-    if robust:
-        found, factor = _robust(data, model, theta, n_dof)
-        return with_covariance(found, factor) if covariance else found
+    return theta, noise
+
+
+def _settled(data: Data, model: Model, start: Array | None = None, noise: float | None = None) -> Fit:
+    """Return the minimum that a start leads to, without its covariance.
+
+    Notes
+    -----
+    The equations have a trivial solution, K, D and load zero, which a large misfit makes cheap. The noise
+    comes down from that of a fit without shared errors until chi2 agrees with it (discrepancy principle,
+    Morozov 1966).
+    """
+    theta, noise = _begin(data, model, start, noise)
+    n_dof = degrees(Likelihood(data, model))
     evaluations = 0
     for _ in range(6):
         likelihood = Likelihood(data, model, noise)
@@ -251,13 +272,13 @@ def fit(
         if noise == 1.0 or 0.9 * noise < level > 1.05:
             break
         noise = level if level > 1.05 else 1.0
-    found = Fit(likelihood, theta, chi2, n_dof, evaluations, converged)
-    return with_covariance(found) if covariance else found
+    return Fit(likelihood, theta, chi2, n_dof, evaluations, converged)
 
 
-def _robust(data: Data, model: Model, theta: Array, n_dof: int) -> tuple[Fit, float]:
+def _robust(data: Data, model: Model, theta: Array) -> tuple[Fit, float]:
     """Return the fit with weights (nu + d) / (nu + squared distance), and a factor on variances."""
     weights, used = np.ones(data.count), 0
+    n_dof = degrees(Likelihood(data, model))
     for _ in range(12):
         likelihood = Likelihood(data, model, 1.0, weights)
         theta, chi2, count, converged = minimise(likelihood, theta, 1e-7)
