@@ -282,7 +282,10 @@ def inverse(matrix: Array) -> Array:
     diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scale = np.outer(diagonal, diagonal)
     scaled = matrix / scale
-    inverted = np.linalg.inv(scaled + 1e-15 * np.eye(len(scaled)))
+    try:
+        inverted = np.linalg.inv(scaled + 1e-15 * np.eye(len(scaled)))
+    except np.linalg.LinAlgError:  # exactly singular: two parameters that do the same
+        inverted = np.full_like(scaled, np.inf)
     if not np.all(np.abs(inverted) < 1e9):
         inverted = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
     return np.asarray(inverted / scale)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinematics.joint.estimate import State, joint, system
+from kinematics.joint.estimate import State, inverse, joint, system
 from kinematics.joint.expected import Layout, Priors, expected_errors
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import COUNT, DELAY, GAIN, GAIN_DRIFT, PHASE, SHIFT, TURN, Parameters
@@ -95,3 +95,10 @@ def test_expected_errors_are_those_of_points_and_lasers():
     assert expected.sd[expected.tangent == DELAY] == pytest.approx(2e3 * np.pi * 1e-6)
     alone = expected_errors(Layout(("a", "b"), np.zeros(2, dtype=int)), [0, 1], Priors(), 1000.0)
     assert len(alone) == 0
+
+
+def test_a_singular_information_has_a_pseudo_inverse():
+    """Two parameters that do the same share what is known of their sum."""
+    matrix = 4.0 * np.ones((2, 2))
+    assert np.allclose(inverse(matrix), np.full((2, 2), 1.0 / 16.0))
+    assert np.allclose(inverse(np.diag([4.0, 0.25])), np.diag([0.25, 4.0]))
