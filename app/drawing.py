@@ -23,7 +23,7 @@ MOST_VOXELS = 12_000_000
 """Voxels of the picture: so many a browser without a graphics card still turns."""
 
 PENS = {"stapes": 1, "other bone": 3, "plate": 2, "erase": 0}
-_MARGIN_MM = 1.0
+_MARGIN_MM = 1.0  # of bone around the stapes that is shown: as far as a cut is ever moved by hand
 
 Labels = NDArray[np.uint8]
 Index = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""A running step, in a process of its own: its progress, how to stop it, its messages."""
+"""Run one step in a child process: read its progress and messages, and stop it."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ View = Literal["slices and 3D", "slices", "3D"]
 VIEWS: tuple[View, ...] = ("slices", "slices and 3D", "3D")
 """The first is how the page begins: 3D beside slices takes seconds a move without a graphics card."""
 
-_OPACITY = 0.45
+_OPACITY = 0.45  # of labels over grey values: both can be read
 _BALL_MM = 0.09  # radius of a point in 3D
 _COLOURS = {"stapes": (230, 184, 0, 255), "plate": (58, 160, 255, 255), "marks": (255, 0, 255, 255)}
 _VERDICTS = {"ok": (60, 200, 80, 255), "unused": (150, 150, 150, 255)}

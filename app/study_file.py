@@ -221,7 +221,7 @@ def check_unchanged(path: Path, seen: tuple[int, int] | None) -> None:
 
 
 def stamp(path: Path) -> tuple[int, int] | None:
-    """Return what tells whether a file has changed: its time and size; None without a file."""
+    """Return modification time and size of a file, to see whether it changed; None without a file."""
     try:
         status = path.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""One step of a study in a process of its own: ``python -m app.work STEP STUDY.toml``.
+"""Carry out one step of a study: ``python -m app.work STEP STUDY.toml``, run as a child process.
 
 Progress goes to standard output, a JSON object a line; exit codes and sentences are those of the commands.
 """
@@ -147,7 +147,7 @@ def fit_content(result: KDFit) -> dict[str, Any]:
 
 
 def mass_folder(study: StudyFile) -> Path | None:
-    """Return the folder of the mass that the study stands for: with hand work where there is some."""
+    """Return the folder with the mass of the study: of the corrected cut, else of the found one."""
     drawn = study.cut if study.labels_are_ours else study.found
     return next((one for one in (drawn, study.found) if (one / "mass.json").is_file()), None)
 

@@ -167,7 +167,7 @@ def has_products(matrix: Array, dof: tuple[str, ...]) -> bool:
 
 
 def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
-    """Read a square matrix, SI, in the order of ``dof``, of all six degrees of freedom, or of its own names.
+    """Read a square mass matrix, SI: its rows are ``dof``, all six degrees of freedom, or named in the file.
 
     Comma separated, or with semicolons or tabs, where a comma is a decimal comma. A first row of names of
     degrees of freedom, and such a first column, order the matrix.

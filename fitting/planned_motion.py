@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _HEIGHT_MM, _INPLANE_RATIO = 0.15, 2.2  # of the ligament that is planned for: calibrated.toml, usual values
 _PHASE_HZ = 5000.0  # frequency over which the phase of rocking turns by about a radian
-_ROCKING_RADIUS_M = 1e-3
+_ROCKING_RADIUS_M = 1e-3  # where rotations are stated as displacements: about the rim of a footplate
 
 
 def six_dof_matrices(plan: Plan) -> tuple[Array, Array]:

@@ -140,7 +140,7 @@ def blur_covariance(moments: Moments, sigma_mm: float, sigma_sd_mm: float) -> Ar
 
 
 def voxel_moments(mask: NDArray[np.bool_], scan_from_index: Array) -> Moments:
-    """Return the exact moments of a union of voxels, each a brick with second moments of its own."""
+    """Return the exact moments of a solid made of voxels, with the second moments of each brick."""
     axes = scan_from_index[:3, :3]
     points = partial_volume_moments(mask.astype(np.float32), scan_from_index, 0.0)
     brick = points.volume_mm3 * axes @ axes.T / 12.0

@@ -32,7 +32,7 @@ from ct_inertia.scan.streams import unpack, unpack_once
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
-_MOST_FILES = 100_000
+_MOST_FILES = 100_000  # of a list in a header: ten times the slices of any scan
 _DATA_FILE = "(?:data ?file|ElementDataFile)"
 _PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp")
 _LETTERS = {"unsigned integer": "u", "signed integer": "i", "float": "f"}

@@ -16,7 +16,7 @@ from stapeskit.arrays import Array
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
 _CANDIDATES = {"channel": 3, "point": 2, "laser": 2, "body": 1}
-_MOST_EXCHANGES = 3
+_MOST_EXCHANGES = 3  # that are fitted in full: the most likely by their score, for time only
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ SLOWEST, FASTEST = 1e-6, 20e-3
 """Velocity amplitudes of ears in experiments, m/s: 0.05 to 0.2 mm/s for each Pa at the stapes (Chien et al.
 2009, doi:10.1016/j.heares.2008.11.011), at 50 to 130 dB (SPL)."""
 _LARGEST_RATIO = 100.0  # between bodies: a resonance makes ten, in the median of a band not hundreds
-_LEAST_VALUES = 50
+_LEAST_VALUES = 50  # fewer say too little of a distribution
 _WIDE_BAND = 2.0  # last over first frequency from which damping turns the phase by more than pi degrees
 _DECIBELS = (20.0, 200.0)
 _SAMPLE = 100_000  # values looked at

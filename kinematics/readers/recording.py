@@ -76,7 +76,7 @@ class Channel:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What tells it apart from the other channels of a file."""
+        """Names and direction by which a channel is identified within a file."""
         return self.body, self.point, self.run, self.repeat, self.beam_key
 
 

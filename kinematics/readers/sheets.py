@@ -147,7 +147,7 @@ def _separator(line: str) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Split a line; a blank as separator stands for any number of them."""
+    """Split a line; where the separator is a blank, several in a row count as one."""
     if separator == " ":
         return line.split()
     try:
