@@ -89,13 +89,12 @@ SHARED_MEASURED: dict[str, float | str] = {
 
 
 def public(package: str, name: str) -> Path:
-    """Return a file of an installed package; skip where the package came without its files."""
+    """Return a file of an installed package."""
     found = find_spec(package)
-    if found is None or found.origin is None:
-        pytest.skip(f"{package} is not installed")
+    assert found is not None
+    assert found.origin is not None
     path = Path(found.origin).parent / FOLDERS[package] / name
-    if not path.exists():
-        pytest.skip(f"{package} came without {name}")
+    assert path.exists(), f"{package} came without {name}"
     return path
 
 
