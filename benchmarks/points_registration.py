@@ -31,6 +31,7 @@ MARKS = {
     "sample study: 4 corners and 2 pins of a 4 mm plate": np.array(list(FIDUCIALS_MM.values())),
     "10 marks in the volume": np.random.default_rng(3).uniform(-8.0, 8.0, (10, 3)),
 }
+FAULTY = dict(list(MARKS.items())[2:])
 FAULTS = ("none", "one coordinate 0.3 mm off", "one coordinate 1 mm off", "two exchanged", "mirrored")
 FOOTPLATE_MM = np.array([[0.0, 8.0, 0.0]])
 BEFORE = Before("points_registration_draws_200_clouds_6_ears_10")
@@ -108,21 +109,22 @@ def with_fault(rng: np.random.Generator, marks: Array, fault: str, stated: bool)
 
 
 def fault_rows(draws: int) -> Iterator[list[object]]:
-    """Yield how often a fault is reported, and named."""
-    for name, marks in list(MARKS.items())[2:]:
-        for fault in FAULTS:
-            cells = []
-            for stated in (True, False):
+    """Yield how often each fault is reported/named, in percent, by fiducials; with 0.2 in brackets."""
+    for fault in FAULTS:
+        for stated in (True, False):
+            cells = list[object]([fault, "stated" if stated else "not"])
+            for name, marks in FAULTY.items():
                 said = [
                     with_fault(np.random.default_rng([draw, 7]), marks, fault, stated)
                     for draw in range(draws)
                 ]
                 warned = np.mean([bool(text) for text, _ in said])
                 named = np.mean([bool(text) and all(one in text for one in wrong) for text, wrong in said])
-                cells.append(f"{100 * warned:.1f} %" + ("" if fault == "none" else f", {100 * named:.1f} %"))
-            columns = ("sd stated: told, culprit named", "not stated: told, culprit named")
-            old = [BEFORE.cell(column, name, fault) for column in columns]
-            yield [name, fault, cells[0], old[0], cells[1], old[1]]
+                column = f"{'sd stated' if stated else 'not stated'}: told, culprit named"
+                old = BEFORE.cell(column, name, fault).replace(".0", "").replace(" %", "").replace(", ", "/")
+                shares = (warned,) if fault == "none" else (warned, named)
+                cells.append("/".join(f"{100 * share:g}" for share in shares) + f" ({old})")
+            yield cells
 
 
 if __name__ == "__main__":
@@ -132,6 +134,6 @@ if __name__ == "__main__":
         "predicted / found", "0.2", "pose: squared distance / 6", "0.2",
     )  # fmt: skip
     print_table(head, target_rows(given.draws))
-    head = ("fiducials", "fault", "sd stated: reported, named", "0.2", "not stated: reported, named", "0.2")
-    print_table(head, fault_rows(max(given.draws // 5, 10)))
+    print("Faults reported/culprit named, in percent (0.2).\n")
+    print_table(("fault", "sd of marks", *FAULTY), fault_rows(max(given.draws // 5, 10)))
     print(f"{given.draws} draws; {max(given.draws // 5, 10)} of a fault.")

@@ -165,22 +165,28 @@ def row(name: str, found: Sequence[Measured]) -> list[object]:
     entries = np.concatenate([one.matrix_deviations for one in good] or [np.zeros(0)])
     poses = np.array([one.frame_deviation / one.frame_sd for one in good]).reshape(-1, 6)
     errors = np.sqrt(np.mean(np.square([one.volume_error for one in good]))) if good else np.nan
+    held = (volumes, np.abs(entries[np.isfinite(entries)]) < 1.96, np.abs(poses) < 1.96)
     cells = [
-        *(fates.count(what) for what in FATES),
-        f"{100 * errors:.3f} %",
-        f"{100 * np.median([one.volume_sd for one in good]):.3f} %" if good else NOTHING,
-        percent(volumes, 0),
-        percent(np.abs(entries[np.isfinite(entries)]) < 1.96, 0),
-        " ".join(f"{100 * share:.0f}" for share in np.mean(np.abs(poses) < 1.96, axis=0))
-        if good
-        else NOTHING,
-        f"{np.median([one.seconds for one in found]):.2f} s",
+        "/".join(str(fates.count(what)) for what in FATES),
+        f"{100 * errors:.2g}",
+        f"{100 * np.median([one.volume_sd for one in good]):.2g}" if good else NOTHING,
+        "/".join(percent(part, 0).removesuffix(" %") for part in held),
     ]
-    old = [BEFORE.cell(column, name) for column in COLUMNS]
-    return [name, *(f"{new} ({before})" for new, before in zip(cells, old, strict=True))]
+    return [name, *(f"{new} ({before})" for new, before in zip(cells, row_before(name), strict=True))]
 
 
-COLUMNS = (*FATES, "volume rms", "stated", "V held", "M held", "pose held, %: x y z alpha beta gamma", "time")
+def row_before(name: str) -> list[str]:
+    """Return the cells of 0.2."""
+    poses = [float(word) for word in BEFORE.cell(POSES, name).split() if word != NOTHING]
+    words = [BEFORE.cell(column, name).removesuffix(" %") for column in ("volume rms", "stated", *HELD)]
+    error, stated, volume, matrix = words
+    held = "/".join([volume, matrix, f"{np.mean(poses):.0f}" if poses else NOTHING])
+    numbers = [f"{float(word):.2g}" if word != NOTHING else word for word in (error, stated)]
+    return ["/".join(BEFORE.cell(column, name) for column in FATES), *numbers, held]
+
+
+COLUMNS = ("/".join(FATES), "volume rms, %", "stated, %", "V/M/pose held, %")
+HELD, POSES = ("V held", "M held"), "pose held, %: x y z alpha beta gamma"
 
 
 def entry_rows(right: Sequence[Measured]) -> list[list[object]]:

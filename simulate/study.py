@@ -164,13 +164,14 @@ def simulate_truth(ear: Ear, scan: Scan | None = None) -> Truth:
 
 
 def simulate_recording(truth: Truth, experiment: Experiment | None = None) -> Recording:
-    """Return the measurement of an ear whose fiducials lie on its plate, or in the scan where it has none."""
+    """Return the measurement of an ear, with fiducials in the frame of its plate or in that of the scan."""
+    experiment = experiment or Experiment()
     marks = truth.placed.fiducials_mm()
     frame = truth.plate_from_footplate.inverse()
-    if not truth.ear.plate:
+    if experiment.marks_in_scan or not truth.ear.plate:
         marks = {name: truth.scan_from_plate.points(mark) for name, mark in marks.items()}
         frame = truth.scan_from_footplate.inverse()
-    return measure(truth.ear, experiment or Experiment(), frame, marks)
+    return measure(truth.ear, experiment, frame, marks)
 
 
 def simulate_study(

@@ -54,6 +54,8 @@ class Experiment:
         Stated with ``coherence`` and ``n_avg``.
     position_sd_mm, fiducial_sd_mm : float
         Error with which points and fiducials are known, per coordinate.
+    marks_in_scan : bool
+        Fiducials are stated as read off the scan; else as in the drawing of the plate, where there is one.
     missing, missing_band : float, bool
         Share of single values that are missing; one channel is missing over half of the lines.
     faults : tuple of MeasurementFault
@@ -85,6 +87,7 @@ class Experiment:
     averages: int = 16
     position_sd_mm: float = 0.01
     fiducial_sd_mm: float = 0.01
+    marks_in_scan: bool = False
     missing: float = 0.0
     missing_band: bool = False
     faults: tuple[MeasurementFault, ...] = ()
