@@ -54,7 +54,6 @@ def _mass_text(mass: Mapping[str, Any]) -> str:
 
 def study_page(result: StudyResult) -> page.Page:
     """Return the report of a study."""
-    from ct_inertia.report.pictured import pictured_from
     from ct_inertia.report.sections import add_sections, reduced_matrix
     from fitting.report.page import matrices, report_sections, rim_blocks, verdict_block, without_matrices
     from kinematics.report.page import motion_sections
@@ -67,11 +66,10 @@ def study_page(result: StudyResult) -> page.Page:
     made.add(page.beside(*matrices(fit), reduced_matrix(result.mass), *known))
 
     collected = page.Page("all sections")
-    pictured = pictured_from(result.out, result.mass, study.scan.file)
-    add_sections(collected, result.mass, pictured)
+    add_sections(collected, result.mass, result.pictured)
     motion_sections(collected, result.moved)
     report_sections(fit, collected)
-    made.section("The moving stapes", page.viewer(moving_stapes(result, pictured)))
+    made.section("The moving stapes", page.viewer(moving_stapes(result)))
     sections = [*collected.sections, *collected.appendix]
     first = [section for name in _MAIN for section in sections if section.name == name]
     made.sections.extend(replace(section, folded=False) for section in first)
@@ -87,24 +85,31 @@ def _provenances(result: StudyResult) -> Sequence[Mapping[str, Any]]:
     return [each for each in found if each]
 
 
-def moving_stapes(result: StudyResult, pictured: Any) -> Scene:
+def moving_stapes(result: StudyResult) -> Scene:
     """Return the stapes in the plate's company, with its modes and its measured motion as animations."""
     from ct_inertia.report.sections import scene
     from kinematics.report.motion import motion_scene
     from stapeskit.report.scene3d import Motion
     from stapeskit.spatial import dof_indices
 
-    shown, measured = scene(result.mass, pictured), motion_scene(result.moved)
+    shown, measured = scene(result.mass, result.pictured), motion_scene(result.moved)
     modes: list[Motion] = []
     for number, mode in enumerate(result.fit.modes.pairs, 1):
         amplitudes = np.zeros(6, dtype=complex)
         amplitudes[dof_indices(result.fit.dof)] = mode.shape
         modes.append(Motion(f"mode {number}: {mode.frequency_hz:.0f} Hz", amplitudes, mode.frequency_hz))
-    caption = (
-        "The stapes in its scan with the modes of the fit and the measured motion, enlarged. Drag to turn, "
-        "wheel to zoom, right button or shift to move."
+    frame = result.measured.record.scan_from_footplate
+    points = [replace(point, position_mm=frame.points(point.position_mm)) for point in measured.points]
+    beams = [replace(beam, points_mm=frame.points(beam.points_mm)) for beam in measured.lines]
+    return replace(
+        shown,
+        points=points,
+        motions=[*modes, *measured.motions],
+        lines=[*shown.lines, *beams],
+        title="The moving stapes",
+        caption="The stapes with the modes of the fit, and the measured motion, enlarged; colours of points "
+        "are their verdicts.",
     )
-    return replace(shown, motions=[*modes, *measured.motions], title="The moving stapes", caption=caption)
 
 
 def truth_table(result: StudyResult, path: Path) -> Any:
@@ -134,23 +139,20 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
     StapeskitError
         A file of another origin has the name of a figure, unless ``force``.
     """
-    from ct_inertia.report.pictured import pictured_from
     from ct_inertia.report.pictures import slices_figure, views
     from fitting.report.figures import all_figures
     from fitting.rim import rim_figure, rim_stiffness
-    from kinematics.report.figures import geometry_figure, residual_figure, spectra_figure
+    from kinematics.report.figures import residual_figure, spectra_figure
     from stapeskit.report.figures import save_figures
 
-    pictured = pictured_from(result.out, result.mass, result.study.scan.file)
     rim = rim_stiffness(result.fit, result.study.scan.side or "")
     figures: dict[str, Figure | None] = {
         **all_figures(result.fit),
-        "stapes": views(result.mass, pictured),
-        "cut": slices_figure(result.mass, pictured),
+        "stapes": views(result.mass, result.pictured),
+        "cut": slices_figure(result.mass, result.pictured),
         "rim": None if rim is None else rim_figure(rim),
         "motion": spectra_figure(result.moved.motion),
         "channel_residuals": residual_figure(result.moved),
-        "points": geometry_figure(result.moved),
     }
     drawn = {name: drawing for name, drawing in figures.items() if drawing is not None}
     return save_figures("scan2kd figures", drawn, folder, force)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from ct_inertia.report.pictured import Pictured
+    from ct_inertia.results import MassResult
     from fitting.result import KDFit
     from kinematics.results import MotionResult
     from stapeskit.command import Progress
@@ -61,6 +63,8 @@ class StudyResult(Result):
         Motion of the bodies.
     fit : KDFit
         Stiffness and damping.
+    measured_now : MassResult or None
+        The mass in memory, unless its files are those of an earlier run.
     reused : tuple of str
         Stages that were not repeated.
     """
@@ -70,6 +74,7 @@ class StudyResult(Result):
     measured: MeasuredMass
     moved: MotionResult
     fit: KDFit
+    measured_now: MassResult | None = None
     reused: tuple[str, ...] = ()
 
     @property
@@ -91,6 +96,15 @@ class StudyResult(Result):
     def mass(self) -> Mapping[str, Any]:
         """Content of mass.json."""
         return self.measured.record.raw
+
+    @cached_property
+    def pictured(self) -> Pictured:
+        """Surfaces and slices that the report draws."""
+        from ct_inertia.report.pictured import pictured_from
+
+        if self.measured_now is not None:
+            return self.measured_now.pictured
+        return pictured_from(self.out, self.mass, self.study.scan.file)
 
     @cached_property
     def kd(self) -> dict[str, Any]:
@@ -187,7 +201,7 @@ def run_study(
     read = list(study.inputs().values())
     outputs = {stage: Outputs(f"scan2kd {stage}", out, names, read, force) for stage, names in FILES.items()}
     check_study(study, outputs.values())
-    reused = []
+    mass, reused = None, []
 
     dropped = set() if study.about.all_files else set(EXTRA)
     if study.ldv.plate_points is not None:
@@ -221,7 +235,7 @@ def run_study(
         fit.write_into(stage, report=False)
 
     progress("drawing the report")
-    result = StudyResult(study, out, measured, moved, fit, tuple(reused))
+    result = StudyResult(study, out, measured, moved, fit, mass, tuple(reused))
     with outputs["report"].staged() as stage:
         study_page(result).write(stage / FILES["report"][0])
     return result

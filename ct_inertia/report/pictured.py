@@ -36,28 +36,16 @@ class Slices:
     labels : ndarray of uint8, [z, y, x]
     scan_from_index : ndarray, (4, 4)
         Index x, y, z of the box to scan coordinates, mm.
-    first, step : ndarray of int, (3,)
-        Index x, y, z in the scan of its first voxel, and voxels of the scan per voxel of the box.
     """
 
     grey: Grey
     labels: NDArray[np.uint8]
     scan_from_index: Array
-    first: NDArray[np.int64]
-    step: NDArray[np.int64]
 
     def index_points(self, points_mm: Array) -> Array:
         """Map scan coordinates (..., 3) to index x, y, z of the box."""
         back = np.linalg.inv(self.scan_from_index)
         return np.asarray(points_mm @ back[:3, :3].T + back[:3, 3])
-
-    @property
-    def scan_from_voxel(self) -> Array:
-        """Affine (4, 4) from an index x, y, z of the scan to scan coordinates, mm."""
-        from_voxel = np.eye(4)
-        from_voxel[:3, :3] = np.diag(1.0 / self.step)
-        from_voxel[:3, 3] = (0.5 - self.first) / self.step - 0.5
-        return np.asarray(self.scan_from_index @ from_voxel)
 
     @cached_property
     def window(self) -> tuple[float, float]:
@@ -93,7 +81,7 @@ def pictured_of(result: MassResult) -> Pictured:
     if result.body is None:
         return Pictured(result.stapes, result.plate)
     box = result.body.labelled.box
-    slices = Slices(box.grey, result.body.labelled.numbers(), box.scan_from_index, box.first, box.block)
+    slices = Slices(box.grey, result.body.labelled.numbers(), box.scan_from_index)
     return Pictured(result.stapes, result.plate, slices)
 
 
@@ -169,4 +157,4 @@ def _slices(
     ends = zip(first[::-1], (first + labelled.size)[::-1], strict=True)
     seen = scan.part(tuple(slice(int(begin), int(end)) for begin, end in ends))  # type: ignore[arg-type]
     grey, shown = seen.read().astype(np.float32), labels[z, y, x].astype(np.uint8)
-    return Slices(grey, shown, seen.scan_from_index, first, np.ones(3, dtype=np.int64))
+    return Slices(grey, shown, seen.scan_from_index)

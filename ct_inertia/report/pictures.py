@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
+from ct_inertia.bodies import OTHER_BONE, PLATE
 from ct_inertia.frames.anatomy import NO_HINT, directions
 from ct_inertia.report.pictured import Pictured, Slices
 from ct_inertia.surface.surface import Faces, Surface
@@ -127,30 +127,20 @@ def _arrow(axes: Axes, name: str, tip: Array, length: float) -> None:
 
 @style()
 def slices_figure(content: Mapping[str, Any], pictured: Pictured) -> Figure | None:
-    """Draw six slices: planes of the footplate frame, and slices of the scan; None without grey values."""
+    """Draw three planes of the footplate frame with the outlines; None without grey values."""
     from matplotlib.lines import Line2D
 
     slices, frame = pictured.slices, frame_of(content, "footplate")
     if slices is None or frame is None:
         return None
-    drawing, axes = panels(2, 3, width=10.4, height=3.7, margins=(0.5, 0.1, 0.3, 0.75), gaps=(0.5, 0.6))
+    drawing, axes = panels(1, 3, width=10.4, height=3.7, margins=(0.5, 0.1, 0.3, 0.75), gaps=(0.5, 0.6))
     local = frame.inverse().points(pictured.stapes.vertices_mm)
     ends = np.stack([local.min(axis=0) - _MARGIN_MM, local.max(axis=0) + _MARGIN_MM])
     for ax, plane in zip(axes[0], ((0, 1, 2, 0.0), (2, 1, 0, 0.0), (0, 2, 1, _ABOVE_MM)), strict=True):
-        _plane(ax, slices, pictured.stapes, frame.matrix, plane, ends)
+        _plane(ax, slices, pictured.stapes, frame, plane, ends)
         right, up, normal, level = plane
         ax.set(title=f"footplate frame, {'xyz'[normal]} = {level:g} mm")
         ax.set(xlabel=f"{'xyz'[right]} (mm)", ylabel=f"{'xyz'[up]} (mm)")
-    inside = slices.labels == STAPES
-    ends = slices.first + np.stack([np.zeros(3), np.array(inside.shape[::-1]) - 1.0]) * slices.step
-    for ax, axis in zip(axes[1], (2, 1, 0), strict=True):
-        area = np.count_nonzero(inside, axis=tuple(k for k in range(3) if k != 2 - axis))
-        number = int(slices.first[axis] + np.argmax(area) * slices.step[axis] + slices.step[axis] // 2)
-        right, up = (k for k in range(3) if k != axis)
-        _plane(ax, slices, pictured.stapes, slices.scan_from_voxel, (right, up, axis, number), ends)
-        ax.invert_yaxis()  # as viewers show slices
-        ax.set(title=f"scan, slice {'xyz'[axis]} = {number}")
-        ax.set(xlabel=f"voxel {'xyz'[right]}", ylabel=f"voxel {'xyz'[up]}")
     handles = [Line2D([], [], color=BODY_COLOURS["stapes"], label="stapes, as measured")]
     for number, colour, words in _BODIES:
         if np.any(slices.labels == number):
@@ -163,7 +153,7 @@ def _plane(
     axes: Axes,
     slices: Slices,
     stapes: Surface,
-    scan_from_axes: Array,
+    frame: RigidTransform,
     plane: tuple[int, int, int, float],
     ends: Array,
 ) -> None:
@@ -174,8 +164,8 @@ def _plane(
     axes : Axes
     slices : Slices
     stapes : Surface
-    scan_from_axes : ndarray, (4, 4)
-        From the axes that the plane is given in to scan coordinates, mm.
+    frame : RigidTransform
+        From the axes that the plane is given in to the scan.
     plane : (int, int, int, float)
         Axes to the right, up and along the normal, and the height along that.
     ends : ndarray, (2, 3)
@@ -184,15 +174,13 @@ def _plane(
     from scipy.ndimage import map_coordinates
 
     right, up, normal, level = plane
-    linear, shift = scan_from_axes[:3, :3], scan_from_axes[:3, 3]
     u = np.linspace(ends[0, right], ends[1, right], _PIXELS)
     v = np.linspace(ends[0, up], ends[1, up], _PIXELS)
     points = np.full((_PIXELS, _PIXELS, 3), float(level))
     points[..., right], points[..., up] = u[None, :], v[:, None]
-    places = np.moveaxis(slices.index_points(points @ linear.T + shift)[..., ::-1], -1, 0)
+    places = np.moveaxis(slices.index_points(frame.points(points))[..., ::-1], -1, 0)
     black, white = slices.window
     grey = map_coordinates(slices.grey, places, order=1, mode="constant", cval=black)
-    edges = np.linalg.norm(linear, axis=0)
     axes.imshow(
         grey,
         extent=(u[0], u[-1], v[0], v[-1]),
@@ -201,16 +189,14 @@ def _plane(
         vmin=black,
         vmax=white,
         interpolation="none",
-        aspect=float(edges[up] / edges[right]),
     )
     for number, colour, _ in _BODIES:
         mask = slices.labels == number
         share = map_coordinates(mask, places, np.float32, order=1) if mask.any() else np.zeros(1)
         if share.max() > 0.5:
             axes.contour(u, v, share, levels=[0.5], colors=colour, linewidths=1.1)
-    origin = linear @ (level * np.eye(3)[normal]) + shift
-    for line in _cut(stapes, origin, np.cross(linear[:, right], linear[:, up])):
-        at = (line - shift) @ np.linalg.inv(linear).T
+    for line in _cut(stapes, frame.points(level * np.eye(3)[normal]), frame.rotation[:, normal]):
+        at = frame.inverse().points(line)
         axes.plot(at[:, right], at[:, up], color=BODY_COLOURS["stapes"], lw=1.1)
     axes.set(xlim=(u[0], u[-1]), ylim=(v[0], v[-1]))
     axes.grid(visible=False)

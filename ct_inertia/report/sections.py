@@ -16,7 +16,7 @@ from ct_inertia.mass.sizes import NAMES
 from ct_inertia.mass.ways import WAYS
 from ct_inertia.report.evidence import evidence_rows
 from ct_inertia.report.pictured import Pictured, pictured_from
-from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure, views
+from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure
 from stapeskit.records.mass_matrix import source_words
 from stapeskit.report import page
 from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS
@@ -81,17 +81,17 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
     cut = slices_figure(content, pictured)
     if cut is not None:
         caption = (
-            "Grey values with the outline of what was measured as stapes, and of what was taken for other "
-            "bone and the plate. Above: planes of the footplate frame. Below: slices of the scan."
+            "Grey values in planes of the footplate frame, with the outline of what was measured as stapes, "
+            "and of what was taken for other bone and the plate."
         )
         correct = (
             "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes "
             "labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
         )
-        alt = "Six slices with the outlines of stapes, plate and other bone."
+        alt = "Three slices with the outlines of stapes, plate and other bone."
         shown.section("What was measured", page.figure(cut, caption, alt, vector=True), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
-    shown.section("Frames", *frame_blocks(content, pictured))
+    shown.section("Frames", *frame_blocks(content))
     measured = evidence_blocks(content)
     for heading, blocks in (
         ("Ways to the mass", ways_blocks(content)),
@@ -205,20 +205,11 @@ def _digits(values: Any) -> list[str]:
     return [f"{value:.2g}" if value >= _LEAST_SHOWN else "0" for value in values]
 
 
-def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
-    """Return the stapes seen along the footplate axes, where anterior is in words, and both frames."""
+def frame_blocks(content: Content) -> list[Markup]:
+    """Return where anterior is in words, and both frames."""
     frames = content["frames"]
-    caption = (
-        "The stapes along the axes of the footplate: x anterior, y lateral (piston direction), z = x × y."
-    )
-    alt = "The stapes seen from the medial side and from two others, with the directions named."
     words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
-    return [
-        page.figure(views(content, pictured), caption, alt, vector=False),
-        page.text(words),
-        page.code(frames["other_choice"]),
-        _frames_table(content),
-    ]
+    return [page.text(words), page.code(frames["other_choice"]), _frames_table(content)]
 
 
 def _frames_table(content: Content) -> Markup:

@@ -1,4 +1,4 @@
-"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals, budget."""
+"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from fitting import entries
 from fitting.axes import principal_axes
-from fitting.report.kd_json import shown_sources
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, lighten
 from stapeskit.report.figures import amplitude_axis, decimate_lines, dof_unit, frequency_axis, panels, style
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from fitting.result import KDFit
 
 _CLEAR = 3.0  # standard deviations from which a response is clear of its noise
-_MOST_SOURCES = 8  # of the budget that are drawn; the rest is in kd.json
 
 
 @dataclass(frozen=True)
@@ -176,35 +174,6 @@ def axes_figure(fit: KDFit) -> Figure | None:
     return drawing
 
 
-@style()
-def budget_figure(fit: KDFit) -> Figure:
-    """Draw which sources the variance of each diagonal entry comes from."""
-    n = len(fit.dof)
-    places = entries.diagonals(n)
-    whole = np.maximum(np.diag(fit.covariance)[places], 1e-300)
-    shares = {name: np.maximum(np.diag(part)[places], 0.0) / whole for name, part in fit.budget.items()}
-    largest = sorted(shares, key=lambda name: -float(shares[name].max()))[:_MOST_SOURCES]
-    words = shown_sources(shares)
-    drawing, panel = panels(1, 1, height=3.6, margins=(3.2, 0.2, 0.3, 0.46))
-    axes = panel[0, 0]
-    width = 0.8 / len(places)
-    for number, place in enumerate(places):
-        at = np.arange(len(largest)) + width * (number - 0.5 * len(places))
-        colour = lighten(MEASURED if number < n else FITTED, 0.15 + 0.5 * (number % n) / max(n, 1))
-        axes.barh(
-            at,
-            [100.0 * shares[name][number] for name in largest],
-            width,
-            color=colour,
-            label=fit.parameters[place],
-        )
-    axes.set_yticks(np.arange(len(largest)), [words[name] for name in largest])
-    axes.invert_yaxis()
-    axes.set_xlabel("% of the variance that goes away where the source is known exactly")
-    axes.legend(ncols=2)
-    return drawing
-
-
 def all_figures(fit: KDFit) -> dict[str, Figure]:
     """Return every figure of the page by its file name."""
     makers: dict[str, Any] = {
@@ -213,7 +182,6 @@ def all_figures(fit: KDFit) -> dict[str, Figure]:
         },
         "principal_axes": lambda: axes_figure(fit),
         "residuals": lambda: residual_figure(fit),
-        "budget": lambda: budget_figure(fit),
     }
     drawn = {name: make() for name, make in makers.items()}
     return {name: one for name, one in drawn.items() if one is not None}

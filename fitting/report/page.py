@@ -113,7 +113,7 @@ def sections(fit: KDFit, figures: Mapping[str, Figure]) -> dict[str, list[Markup
         "Modes": _modes(fit),
         "Principal axes and plane of the ligament": [*_axes(fit, figures), *_plane(fit)],
         "Is the model right?": _causes(fit, figures),
-        "Where the uncertainty comes from": _budget(fit, figures),
+        "Where the uncertainty comes from": _budget(fit),
         "What the data determine": _identifiability(fit),
     }
     return {name: blocks for name, blocks in made.items() if blocks}
@@ -271,7 +271,7 @@ def _size(value: float, sd: float, unit: str) -> str:
     return f"{plus_minus(value, sd)} {unit}".strip() if sd else f"{value:g}"
 
 
-def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+def _budget(fit: KDFit) -> list[Markup]:
     places = entries.diagonals(len(fit.dof))
     words = shown_sources(fit.budget)
     variances = {words[source]: np.diag(part)[places] for source, part in fit.budget.items()}
@@ -291,7 +291,7 @@ def _budget(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
              zip(places, [(letter, name) for letter in "KD" for name in fit.dof], strict=True)]  # fmt: skip
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
     table = page.table(("source", *names), rows, caption, file="budget")
-    blocks = [*_drawn(figures, "budget", "Largest sources.", "budget"), table]
+    blocks = [table]
     if rest:
         whole = page.table(("source", *names), [row(one, variances[one]) for one in by_size], file="sources")
         blocks.append(page.folded("All sources", whole))
@@ -335,7 +335,7 @@ def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) 
         "What a change would bring",
         page.table(head, rows, "Expected sd relative to sqrt(Xii Xjj).", file="plan"),
     )
-    made.section("What limits the entries", *_budget(fit, {}))
+    made.section("What limits the entries", *_budget(fit))
     made.appendix_section("Inputs", page.inputs(dict(provenance)))
     return made
 

@@ -1,4 +1,4 @@
-"""The three figures of a motion: spectra, residuals of every channel, points and beams."""
+"""The figures of a motion: spectra, and residuals of every channel."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ _MOST_LINES = 400  # of all curves of a panel together, so that the figure stays
 _COLUMNS = 240  # of the map of residuals
 _MOST_ROWS = 90  # channels of a map; the worst of more
 _TICKED_ROWS = 45
-_MOST_LABELS = 40  # names of points in a view; of more, only those with a verdict
 
 
 @style()
@@ -181,56 +180,3 @@ def _residual_map(fit: LineFit, freq_hz: Array) -> tuple[Array, Array, Array]:
         edges = np.array([0.99 * first[0], 1.01 * last])
     with np.errstate(invalid="ignore", divide="ignore"):
         return size, edges, np.sqrt(squares / counts)
-
-
-@style()
-def geometry_figure(result: MotionResult) -> Figure:
-    """Draw points and beams in three views along the footplate axes; points with a verdict are named."""
-    drawing, axes = panels(1, 3, height=4.0, margins=(0.62, 0.12, 0.3, 0.5))
-    bodies = result.measurement.bodies
-    names = [body.body for body in bodies]
-    for view, (across, up) in zip(axes[0], ((0, 1), (2, 1), (0, 2)), strict=True):
-        for surface in _outlines(result):
-            view.plot(surface[:, across], surface[:, up], ".", ms=0.7, color="#d8dee5", zorder=0)
-        for body in bodies:
-            _draw_body(view, result, body.body, (across, up), colour_of(body.body, names))
-        view.plot(0.0, 0.0, "+", color="#1d2733", ms=7)
-        view.set_xlabel(f"{'xyz'[across]} (mm)")
-        view.set_ylabel(f"{'xyz'[up]} (mm)")
-        view.set_aspect("equal", adjustable="datalim")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    drawing.legend(handles, labels, loc="upper center", ncols=6)
-    return drawing
-
-
-def _outlines(result: MotionResult) -> list[Array]:
-    """Return some corners of the surface of the stapes in footplate axes, mm."""
-    stapes = result.surfaces.get("stapes")
-    if stapes is None or result.mass is None:
-        return []
-    some = stapes.vertices_mm[:: max(1, len(stapes.vertices_mm) // 500)]
-    return [result.mass.record.scan_from_footplate.inverse().points(some)]
-
-
-def _draw_body(view: Axes, result: MotionResult, name: str, plane: tuple[int, int], colour: str) -> None:
-    """Draw the points of a body, its beams, and the names of points with a verdict."""
-    body = next(one for one in result.measurement.bodies if one.body == name)
-    points = list(dict.fromkeys(body.points))
-    at = 1e3 * np.array([body.arms_m[body.points.index(point)] for point in points])
-    where = 1e3 * body.arms_m
-    length = 0.18 * max(float(np.ptp(where, axis=0).max()), 0.5)
-    ends = where + length * body.directions
-    lines = np.stack([where, ends, np.full_like(ends, np.nan)], axis=1).reshape(-1, 3)
-    view.plot(lines[:, plane[0]], lines[:, plane[1]], color=colour, lw=0.5, alpha=0.5)
-    view.plot(at[:, plane[0]], at[:, plane[1]], "o", color=colour, ms=3.6, label=plain(name))
-    worst = {one.point: one.verdict for one in result.channels if one.body == name and one.verdict != "ok"}
-    short = distinct_short_names(points)
-    for point, place in zip(points, at, strict=True):
-        if point in worst:
-            view.plot(place[plane[0]], place[plane[1]], "o", color=VERDICT_COLOURS[worst[point]], ms=6.5)
-        if point in worst or len(points) <= _MOST_LABELS:
-            text = plain(short[point])
-            bold = "bold" if point in worst else "normal"
-            view.annotate(
-                text, place[list(plane)], (3, 3), textcoords="offset points", fontsize=7, fontweight=bold
-            )

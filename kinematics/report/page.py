@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinematics.faults.detectable import POWER, detectable
-from kinematics.report.figures import MOST_RUNS, geometry_figure, residual_figure, spectra_figure
+from kinematics.report.figures import MOST_RUNS, residual_figure, spectra_figure
 from kinematics.report.motion import motion_scene
 from kinematics.report.tables import motion_rows, summary_rows
 from stapeskit.report import page
@@ -50,7 +50,11 @@ def motion_page(result: MotionResult) -> Page:
     made = page.Page(result.title, lead)
     made.add(verdict_block(result), page.table(("", ""), summary_rows(result), words=True))
     made.add(page.viewer(motion_scene(result)))
+    some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
+    caption = f"Amplitude and phase; {some}bands are 95 % of the channel noise."
+    curves = page.figure(spectra_figure(motion), caption, "amplitude and phase over frequency", file="motion")
     motion_sections(made, result)
+    made.section("Amplitude and phase", curves)
     made.section("Warnings", page.notices(result.notices))
     made.appendix_section("Inputs", page.inputs(motion.provenance))
     return made
@@ -90,14 +94,9 @@ def motion_sections(made: Page, result: MotionResult) -> None:
 
 
 def _motion(result: MotionResult) -> list[Markup]:
-    motion = result.motion
-    some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
-    caption = f"Amplitude and phase; {some}bands are 95 % of the channel noise."
     head = ("body", "motion", "rms", "noise (sd)", "shared errors (sd)", "unit", "largest source")
-    return [
-        page.figure(spectra_figure(motion), caption, "amplitude and phase over frequency", file="motion"),
-        page.table(head, motion_rows(result), "Root mean square over all lines.", names=2, file="motion"),
-    ]
+    rows = motion_rows(result)
+    return [page.table(head, rows, "Root mean square over all lines.", names=2, file="motion")]
 
 
 def _channels(result: MotionResult) -> list[Markup]:
@@ -131,10 +130,6 @@ def _residuals(result: MotionResult) -> list[Markup]:
     caption = f"Residuals{shown} over their noise: 1 is noise alone. Bars have the colour of the verdict."
     blocks.append(
         page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals")
-    )
-    caption = "Points and beams in footplate axes; the cross is the footplate centre."
-    blocks.append(
-        page.figure(geometry_figure(result), caption, "points and beams in three views", file="points")
     )
     return [*blocks, page.folded("What would have been found", *_detectable(result))]
 
