@@ -66,8 +66,6 @@ def work(words: list[str]) -> Outcome:
             report=report,
             labels_name=outputs.labels_name,
             exports=given.export,
-            smooth=given.smooth,
-            faces=given.faces,
         )
     return Outcome(
         f"ct2mass: {options.source}",

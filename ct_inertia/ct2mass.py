@@ -192,8 +192,7 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
         Notice("surface_taken_as_exact", exact),
         Notice("handedness_unconfirmed", turned),
     ]
-    surface = Surface(mesh.vertices_mm, mesh.faces)
-    return surface, surface, EXACT, surface.moments()
+    return mesh, mesh, EXACT, mesh.moments()
 
 
 def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredBody:

@@ -345,10 +345,6 @@ class MassOutputs(Options):
     out: Annotated[Folder | None, Opt("default <scan name>_mass", _OUTPUT, "ear_mass")] = None
     no_report: Annotated[Flag, Opt("do not write report.html", _OUTPUT)] = False
     export: Annotated[Words, Opt(f"further files: {', '.join(EXPORTS)}", _OUTPUT, ["stl", "mat"])] = ()
-    smooth: Annotated[CountOrZero | None, Opt("steps of smoothing of the surface exported", _OUTPUT, 20)] = (
-        None
-    )
-    faces: Annotated[Count | None, Opt("triangles of the surface exported", _OUTPUT, 20000)] = None
     force: Annotated[Flag, Opt("replace files that this command did not write", _OUTPUT)] = False
     as_json: Annotated[Flag, Opt("print mass.json", _OUTPUT, name="json")] = False
     quiet: Annotated[Flag, Opt("print nothing but errors", _OUTPUT)] = False
@@ -356,13 +352,5 @@ class MassOutputs(Options):
         Rule(
             lambda v: set(v.export) - set(EXPORTS),
             lambda v: Fault("--export", f"out of {', '.join(EXPORTS)}", ", ".join(v.export)),
-        ),
-        Rule(
-            lambda v: v.faces is not None and v.faces < 100,
-            lambda v: Fault("--faces", "at least 100", v.faces, "", "20000 keep every feature"),
-        ),
-        Rule(
-            lambda v: v.smooth is not None and v.smooth > 500,
-            lambda v: Fault("--smooth", "from 0 to 500 steps", v.smooth, "", "10 to 30 steps calm a surface"),
         ),
     )

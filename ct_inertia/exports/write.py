@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ct_inertia.surface.surface import Surface
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import Outputs
 from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, central_tensor
@@ -23,7 +22,6 @@ LABELS, MEASURED_LABELS = "labels.seg.nrrd", "labels.measured.seg.nrrd"
 CROP, REPORT = "scan_crop.nrrd", "report.html"
 _CROP_MARGIN_MM = 0.5  # around the stapes: annulus, face of the plate and tip of the incus are in the picture
 _CROP_PLANES = 8  # read and written at a time
-_TAUBIN = {"lambda_": 0.5, "mu": -0.53}  # pass band 0.11 (Taubin 1995, doi:10.1145/218380.218473)
 
 
 class MassOutputs(Outputs):
@@ -72,8 +70,6 @@ def write_files(
     report: bool = True,
     labels_name: str = LABELS,
     exports: Sequence[str] = (),
-    smooth: int | None = None,
-    faces: int | None = None,
 ) -> tuple[str, ...]:
     """Write every file of a result into an empty folder and return their names.
 
@@ -86,13 +82,6 @@ def write_files(
     labels_name : str
     exports : sequence of str
         Formats of `EXPORTS`.
-    smooth, faces : int, optional
-        Steps of smoothing and number of triangles of the surfaces exported; no number comes from them.
-
-    Raises
-    ------
-    StapeskitError
-        A surface that does not remain closed.
     """
     content = result.content()
     if result.body is not None:
@@ -109,10 +98,9 @@ def write_files(
         LabelFile.of(result.body.labelled, result.scan).write(stage / labels_name)
         names.append(labels_name)
     wanted = dict.fromkeys([*exports, *(["crop"] if needs_crop(result) else [])])
-    shown = lighter(result.stapes, smooth, faces)
     for name in wanted:
         file, write = EXPORTS[name]
-        write(result, shown, stage / file)
+        write(result, stage / file)
         names.append(file)
     if report:
         from ct_inertia.report.sections import mass_page
@@ -120,31 +108,6 @@ def write_files(
         mass_page(content, result.pictured).write(stage / REPORT)
         names.append(REPORT)
     return tuple(names)
-
-
-def lighter(surface: Surface, smooth: int | None, faces: int | None) -> Surface:
-    """Return a surface smoothed (Taubin) and thinned (quadric edge collapse, topology kept) by pymeshlab.
-
-    Raises
-    ------
-    StapeskitError
-        pymeshlab does not work here.
-    """
-    if not smooth and (faces is None or faces >= len(surface.faces)):
-        return surface
-    from ct_inertia.surface.meshlab import mesh_set
-
-    middle = surface.vertices_mm.mean(axis=0)
-    meshes = mesh_set(surface.vertices_mm - middle, surface.faces, "--smooth and --faces")
-    if smooth:
-        meshes.apply_coord_taubin_smoothing(stepsmoothnum=smooth, **_TAUBIN)
-    if faces is not None and faces < len(surface.faces):
-        meshes.meshing_decimation_quadric_edge_collapse(
-            targetfacenum=faces, preservetopology=True, preservenormal=True, autoclean=False
-        )
-    meshes.meshing_remove_unreferenced_vertices()
-    mesh = meshes.current_mesh()
-    return Surface(mesh.vertex_matrix() + middle, mesh.face_matrix().astype(np.int64))
 
 
 def needs_crop(result: MassResult) -> bool:
@@ -155,7 +118,7 @@ def needs_crop(result: MassResult) -> bool:
     return options.spacing_mm is not None or options.mirror is not None or not scan.carries_place
 
 
-def _write_crop(result: MassResult, _shown: Surface, path: Path) -> None:
+def _write_crop(result: MassResult, path: Path) -> None:
     """Write the voxels around the stapes as NRRD."""
     from ct_inertia.scan.label_file import write_crop
 
@@ -173,11 +136,11 @@ def _write_crop(result: MassResult, _shown: Surface, path: Path) -> None:
     write_crop(path, slabs, [int(n) for n in (high - low)[::-1]], scan.dtype, transform)
 
 
-def _write_mesh(_result: MassResult, shown: Surface, path: Path) -> None:
-    shown.write(path)
+def _write_mesh(result: MassResult, path: Path) -> None:
+    result.stapes.write(path)
 
 
-def _write_mat(result: MassResult, _shown: Surface, path: Path) -> None:
+def _write_mat(result: MassResult, path: Path) -> None:
     """Write mass.mat (version 5) for MATLAB and Octave: SI units, matrices with standard deviations."""
     from scipy.io import savemat
 
@@ -209,7 +172,7 @@ def _write_mat(result: MassResult, _shown: Surface, path: Path) -> None:
     savemat(path, {**content, "frames": frames}, long_field_names=True)
 
 
-EXPORTS: dict[str, tuple[str, Callable[[Any, Surface, Path], None]]] = {
+EXPORTS: dict[str, tuple[str, Callable[[Any, Path], None]]] = {
     "stl": ("stapes.stl", _write_mesh),
     "obj": ("stapes.obj", _write_mesh),
     "glb": ("stapes.glb", _write_mesh),

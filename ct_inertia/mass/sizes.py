@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.frames.footplate import FootplateFrame
-from ct_inertia.surface.repair import MendedMesh, pieces, signed_volume
+from ct_inertia.surface.repair import pieces
+from ct_inertia.surface.surface import Surface, enclosed_moments
 from stapeskit.faults import StapeskitError
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
@@ -168,7 +169,7 @@ def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> StapeskitEr
     return StapeskitError.of("the scan", expected, got, next_step=". ".join([step, *border]))
 
 
-def check_mesh(mesh: MendedMesh, name: str) -> None:
+def check_mesh(mesh: Surface, name: str) -> None:
     """Refuse a mesh of several bodies, and one that is written in another unit than mm.
 
     Raises
@@ -195,7 +196,7 @@ def check_mesh(mesh: MendedMesh, name: str) -> None:
     raise StapeskitError.of("the mesh", "in mm: a stapes is 3 to 4 mm long", got, name, step)
 
 
-def body_volumes(mesh: MendedMesh) -> list[float]:
+def body_volumes(mesh: Surface) -> list[float]:
     """Return the enclosed volume, mm3, of every connected piece of a mesh; negative for a cavity."""
-    volumes = [signed_volume(mesh.vertices_mm, mesh.faces[piece]) for piece in pieces(mesh.faces)]
+    volumes = [enclosed_moments(mesh.vertices_mm, mesh.faces[piece])[0] for piece in pieces(mesh.faces)]
     return [volume for volume in volumes if volume != 0.0]

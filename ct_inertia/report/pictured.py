@@ -108,8 +108,7 @@ def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = 
     for name in ("stapes", "plate"):
         path = folder / f"{name}.ply"
         if name == "stapes" or path.is_file():
-            mesh = read_mesh(path)
-            surfaces[name] = Surface(mesh.vertices_mm, mesh.faces)
+            surfaces[name] = read_mesh(path)
     slices, plate = None, surfaces.get("plate")
     labels_file = content.get("labels_file")
     if labels_file and (folder / labels_file).is_file():

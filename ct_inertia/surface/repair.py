@@ -5,13 +5,13 @@ What is mended is reported; a hole is closed only when that is asked for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.surface.surface import Faces, Surface, as_mesh, enclosed_moments
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.sandbox import memory_limit, read_apart
@@ -19,39 +19,19 @@ from stapeskit.warnings import Notice
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
-Faces = NDArray[np.int64]
-
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
-_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL file
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
+_LARGEST_HOLE = 1 << 20  # edges: every hole
 
 
-@dataclass(frozen=True)
-class MendedMesh:
-    """A closed mesh with outward faces.
-
-    Attributes
-    ----------
-    vertices_mm : ndarray, (n, 3)
-    faces : ndarray of int, (m, 3)
-        Corners, counter-clockwise seen from outside.
-    notices : tuple of Notice
-        What was mended.
-    """
-
-    vertices_mm: Array
-    faces: Faces
-    notices: tuple[Notice, ...] = ()
-
-
-def read_mesh(path: Path | str, close: bool = False) -> MendedMesh:
+def read_mesh(path: Path | str, close: bool = False) -> Surface:
     """Read a closed mesh from STL, PLY, OBJ or GLB; its numbers are taken as mm in scan coordinates.
 
     Parameters
     ----------
     path : Path or str
     close : bool
-        Close its holes; a mesh of open pieces is replaced by where its winding number passes one half.
+        Fill its holes.
 
     Raises
     ------
@@ -65,8 +45,16 @@ def read_mesh(path: Path | str, close: bool = False) -> MendedMesh:
         step = "Use one of these formats"
         raise StapeskitError.of("the surface", "a STL, PLY, OBJ or GLB file", path.name, next_step=step)
 
-    def read() -> MendedMesh:
-        vertices, faces = _load(path)
+    def read() -> Surface:
+        import trimesh
+
+        try:
+            mesh: Any = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+            vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+        except (MemoryError, StapeskitError):
+            raise
+        except Exception as fault:
+            raise _not_read("one that trimesh cannot read", path.name) from fault
         return mend(vertices, faces, path.name, close)
 
     memory = max(memory_limit(path), _MEMORY)
@@ -74,44 +62,12 @@ def read_mesh(path: Path | str, close: bool = False) -> MendedMesh:
     return read_apart(read, path, "the surface", limit_s, memory, ("trimesh", "scipy.spatial"))
 
 
-def _load(path: Path) -> tuple[Array, Faces]:
-    """Return corners and triangles as the file has them; scenes are joined with their transformations."""
-    import trimesh
-
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False, maintain_order=True)
-        if not len(mesh.faces):
-            _check_stl_count(path)
-        return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-    except (MemoryError, StapeskitError):
-        raise
-    except Exception as fault:
-        got = "one that trimesh cannot read"
-        raise StapeskitError.of(
-            "the surface", "a mesh with triangles", got, path.name, "Export it again"
-        ) from fault
+def _not_read(got: str, name: str) -> StapeskitError:
+    step = "Copy or export it again, as triangles"
+    return StapeskitError.of("the surface", "a mesh with triangles", got, name, step)
 
 
-def _check_stl_count(path: Path) -> None:
-    """Refuse a binary STL file whose header counts other triangles than the file holds.
-
-    Raises
-    ------
-    StapeskitError
-        Both numbers.
-    """
-    size = path.stat().st_size
-    if path.suffix.lower() != ".stl" or size < _STL_HEADER + _STL_TRIANGLE:
-        return
-    with path.open("rb") as stream:
-        counted = int.from_bytes(stream.read(_STL_HEADER)[80:], "little")
-    held = (size - _STL_HEADER) / _STL_TRIANGLE
-    if held != counted:
-        wanted, got = f"one with the {counted} triangles that its header counts", f"{held:.6g} of them"
-        raise StapeskitError.of("the STL file", wanted, got, path.name, "Copy or export it again")
-
-
-def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> MendedMesh:
+def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surface:
     """Join corners, drop doubled faces, turn faces that are wound the other way, and close holes when asked.
 
     Parameters
@@ -123,71 +79,56 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Mende
         Of the file.
     close : bool
 
+    Returns
+    -------
+    Surface
+        With faces outward; its notices say what was mended.
+
     Raises
     ------
     StapeskitError
         No triangles, corners that are no numbers, or an open mesh.
     """
-    _check_arrays(vertices, faces, name)
-    vertices, faces, notices = _joined(vertices, faces, name)
+    if not len(faces):
+        raise _not_read(f"{len(vertices)} points and no faces", name)
+    if not np.all(np.isfinite(vertices)) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise _not_read("NaN, infinity or a corner that does not exist", name)
+    texts = []
+    vertices, faces, joined = _joined(vertices, faces)
+    if joined:
+        texts.append(f"{joined} corners of {name} lay next to others and were joined.")
     faces, doubled = _without_doubles(faces)
     if doubled:
-        notices.append(
-            Notice("file_read", f"{doubled} faces of {name} were there twice; one of each is kept.")
-        )
+        texts.append(f"{doubled} faces of {name} were there twice; one of each is kept.")
+    notices = []
     holes = boundary_edges(faces)
-    if len(holes) and not close:
-        raise StapeskitError(_open_fault(vertices, holes, faces, name))
     if len(holes):
-        vertices, faces, how = _closed(vertices, faces, name)
-        text = f"{name} was open at {len(holes)} edges, and {how} (--close). Look at the surface."
+        if close:
+            vertices, faces = _filled(vertices, faces)
+        if not close or len(boundary_edges(faces)):
+            raise StapeskitError(_open_fault(vertices, faces, name, close))
+        text = f"{name} was open at {len(holes)} edges; its holes were filled (--close). Look at the surface."
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
-        text = f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned outward."
-        notices.append(Notice("file_read", text))
-    solid = [piece for piece in pieces(faces) if signed_volume(vertices, faces[piece]) > 0.0]
-    if len(solid) > 1:
-        text = (
-            f"{name} holds {len(solid)} separate bodies: they are added, and count twice where they overlap."
-        )
-        notices.append(Notice("mesh_in_pieces", text))
-    return MendedMesh(vertices, faces, tuple(notices))
+        texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")
+    if texts:
+        notices.append(Notice("file_read", " ".join(texts)))
+    return Surface(vertices, faces, notices=tuple(notices))
 
 
-def _check_arrays(vertices: Array, faces: Faces, name: str) -> None:
-    good = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.ndim == 2 and faces.shape[1:] == (3,)
-    if not good or not len(vertices) or not len(faces):
-        got = f"{len(vertices)} points and {len(faces)} faces"
-        step = "Export the surface again, as triangles"
-        raise StapeskitError.of("the surface", "a mesh with triangles", got, name, step)
-    if not np.all(np.isfinite(vertices)) or faces.min() < 0 or faces.max() >= len(vertices):
-        got = "NaN, infinity or a corner that does not exist"
-        raise StapeskitError.of("the corners of the surface", "finite numbers", got, name, "Export it again")
-
-
-def _joined(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, list[Notice]]:
-    """Join corners that coincide, and those that differ by rounding, and drop faces without three corners."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+def _joined(vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
+    """Join corners that coincide and those that differ by rounding, which are counted; drop empty faces."""
     from scipy.spatial import cKDTree
 
     vertices, place = np.unique(vertices, axis=0, return_inverse=True)
-    faces = place.reshape(-1)[faces]
-    notices = []
     reach = _SAME_CORNER * float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    pairs = cKDTree(vertices).query_pairs(reach, output_type="ndarray")
-    if len(pairs):
-        count = len(vertices)
-        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        joined, group = connected_components(links, directed=False)
-        share = np.bincount(group)
-        vertices = np.column_stack([np.bincount(group, column) / share for column in vertices.T])
-        faces = group[faces].astype(np.int64)
-        text = f"{count - joined} corners of {name} lay within {reach:.3g} mm of others and were joined."
-        notices.append(Notice("file_read", text))
+    group = _groups(cKDTree(vertices).query_pairs(reach, output_type="ndarray"), len(vertices))
+    share = np.bincount(group)
+    faces = group[place.reshape(-1)[faces]].astype(np.int64)
+    joined = np.column_stack([np.bincount(group, column) / share for column in vertices.T])
     three = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return vertices, np.asarray(faces[three], dtype=np.int64), notices
+    return joined, faces[three], len(vertices) - len(joined)
 
 
 def _without_doubles(faces: Faces) -> tuple[Faces, int]:
@@ -215,8 +156,34 @@ def boundary_edges(faces: Faces) -> Faces:
     return np.asarray(edges[first[count % 2 == 1]])
 
 
-def _open_fault(vertices: Array, holes: Faces, faces: Faces, name: str) -> Fault:
+def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Fill the holes of a mesh as far as pymeshlab can.
+
+    Raises
+    ------
+    StapeskitError
+        pymeshlab cannot be imported: on some machines it has no wheel or misses a graphics library.
+    """
+    try:
+        import pymeshlab
+    except (ImportError, OSError) as fault:
+        step = "Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)"
+        raise StapeskitError.of("--close", "used where pymeshlab works", fault, next_step=step) from fault
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32)))
+    try:
+        meshes.meshing_repair_non_manifold_edges()
+        meshes.meshing_re_orient_faces_coherently()
+        meshes.meshing_close_holes(maxholesize=_LARGEST_HOLE, selfintersection=False)
+    except pymeshlab.PyMeshLabException:  # it cannot be oriented
+        return vertices, faces
+    mesh = meshes.current_mesh()
+    return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
+
+
+def _open_fault(vertices: Array, faces: Faces, name: str, close: bool) -> Fault:
     """Return the fault of an open mesh: how many holes, and where the largest lie."""
+    holes = boundary_edges(faces)
     loops = _split(_groups(holes, len(vertices))[holes[:, 0]])
     places = []
     for loop in loops[:3]:
@@ -224,9 +191,10 @@ def _open_fault(vertices: Array, holes: Faces, faces: Faces, name: str) -> Fault
         centre, width = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
         places.append(f"{width:.3g} mm wide at {', '.join(f'{value:.3f}' for value in centre)} mm")
     more = f" and {len(loops) - 3} more" if len(loops) > 3 else ""
-    holes_in_words = f"{len(loops)} hole{'s' if len(loops) > 1 else ''} ({'; '.join(places)}{more})"
-    step = "Close them in the program that made the surface (a solid fill), or let --close do it"
-    return Fault("the surface", "closed", f"{holes_in_words} in {len(faces)} faces", name, step)
+    got = f"{len(loops)} hole{'s' if len(loops) > 1 else ''} ({'; '.join(places)}{more})"
+    step = "Close them in the program that made the surface (a solid fill)"
+    step += "" if close else ", or let --close do it"
+    return Fault("the surface", "closed", f"{got} in {len(faces)} faces", name, step)
 
 
 def _groups(edges: Faces, count: int) -> NDArray[np.intp]:
@@ -251,27 +219,11 @@ def pieces(faces: Faces) -> list[NDArray[np.intp]]:
     return _split(_groups(edges, int(faces.max()) + 1)[faces[:, 0]])
 
 
-def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str]:
-    """Close an open mesh, and say how: holes of one piece are filled, several open pieces wound around."""
-    from ct_inertia.surface.meshlab import filled
-    from ct_inertia.surface.winding import winding_surface
-
-    if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) == 1:
-        mesh = filled(vertices, faces)
-        if mesh is not None and not len(boundary_edges(mesh[1])):
-            return *mesh, "its holes were filled"
-    vertices, faces, step_mm = winding_surface(vertices, faces, name)
-    grid = f"a grid of {step_mm:.2g} mm"
-    how = f"its open pieces were replaced by the surface of winding number one half on {grid}"
-    return vertices, faces, how
-
-
 def _oriented(vertices: Array, faces: Faces, name: str) -> tuple[Faces, int]:
     """Wind all faces of a closed mesh alike, each piece as most of its faces were, and the whole outward."""
     turned = np.zeros(len(faces), dtype=bool)
     if open_walks(faces):
-        coherent = _coherent(vertices, faces)
-        turned = np.any(coherent != faces, axis=1)
+        turned = _against_neighbours(vertices, faces)
         for piece in pieces(faces):
             if 2 * np.count_nonzero(turned[piece]) > len(piece):
                 turned[piece] = ~turned[piece]
@@ -280,26 +232,24 @@ def _oriented(vertices: Array, faces: Faces, name: str) -> tuple[Faces, int]:
             got = f"{open_walks(faces)} edges at which faces cannot be wound alike"
             step = "Export it again as one closed surface (a solid fill)"
             raise StapeskitError.of("the surface", "closed and orientable", got, name, step)
-    volume = signed_volume(vertices, faces)
+    volume = enclosed_moments(vertices, faces)[0]
+    if volume == 0.0:
+        raise StapeskitError.of("the surface", "one that encloses a volume", "0 mm3", name, "Export it again")
     if volume < 0.0:
         faces, turned = faces[:, ::-1], ~turned
-    if not abs(volume) > 0.0:
-        raise StapeskitError.of("the surface", "one that encloses a volume", "0 mm3", name, "Export it again")
     return np.ascontiguousarray(faces), int(np.count_nonzero(turned))
 
 
-def _coherent(vertices: Array, faces: Faces) -> Faces:
-    """Return the faces with neighbours wound alike, by a walk over each piece."""
-    from ct_inertia.surface.surface import as_mesh
-
+def _against_neighbours(vertices: Array, faces: Faces) -> NDArray[np.bool_]:
+    """Return which faces a walk over each piece turns so that neighbours are wound alike."""
     mesh = as_mesh(vertices, faces).compute_normals(
         cell_normals=True, point_normals=False, split_vertices=False, consistent_normals=True
     )
     found = np.asarray(mesh.regular_faces, dtype=np.int64)
     # A turned face may begin at another corner: only the sense counts.
     first = np.argmax(found == faces[:, :1], axis=1)
-    same = np.take_along_axis(found, (first[:, None] + 1) % 3, axis=1)[:, 0] == faces[:, 1]
-    return np.where(same[:, None], faces, faces[:, ::-1])
+    following = np.take_along_axis(found, (first[:, None] + 1) % 3, axis=1)[:, 0]
+    return np.asarray(following != faces[:, 1])
 
 
 def open_walks(faces: Faces) -> int:
@@ -308,10 +258,3 @@ def open_walks(faces: Faces) -> int:
     sense = np.where(edges[:, 0] < edges[:, 1], 1, -1)
     _, place = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
     return int(np.count_nonzero(np.bincount(place.reshape(-1), sense)))
-
-
-def signed_volume(vertices: Array, faces: Faces) -> float:
-    """Return the volume inside faces, mm3, negative when wound inward (divergence theorem)."""
-    centred = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    a, b, c = (centred[faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

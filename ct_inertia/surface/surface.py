@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Moments
 from stapeskit.arrays import Array
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     from pyvista import PolyData
@@ -31,11 +32,14 @@ class Surface:
         Corners, counter-clockwise seen from outside.
     on_border : ndarray of bool, (n,), or None
         Vertices where it is not the body that ends but the scan; None: nowhere.
+    notices : tuple of Notice
+        What was mended in the file that it came from.
     """
 
     vertices_mm: Array
     faces: Faces
     on_border: NDArray[np.bool_] | None = None
+    notices: tuple[Notice, ...] = ()
 
     def __repr__(self) -> str:
         return f"Surface({len(self.faces)} faces, {self.moments().volume_mm3:.4g} mm3)"

@@ -13,7 +13,7 @@ from ct_inertia.mass.properties import PointMass, from_density, from_mass, point
 from ct_inertia.mass.scale import SCANNER_SD, voxel_scale
 from ct_inertia.mass.sizes import PUBLISHED, body_volumes, check_mesh, impossible, unusual_notice
 from ct_inertia.mass.ways import ASSUMED_DENSITY, MassByWay, disagreements, masses_by_way, not_stated
-from ct_inertia.surface.repair import MendedMesh
+from ct_inertia.surface.surface import Surface
 from simulate import Stapes, ellipsoid, point_mass, stapes_solid, uniform_mass
 from simulate.solids import joined
 from stapeskit.faults import StapeskitError
@@ -273,8 +273,8 @@ def test_published_means_are_usual_and_three_sd_are_not() -> None:
     assert impossible({**means, "height_mm": 9.0})
 
 
-def mesh_of(scale: float = 1.0) -> MendedMesh:
-    return MendedMesh(SOLID.vertices_mm * scale, SOLID.faces)
+def mesh_of(scale: float = 1.0) -> Surface:
+    return Surface(SOLID.vertices_mm * scale, SOLID.faces)
 
 
 def test_a_mesh_of_one_body_in_mm_is_taken() -> None:
@@ -293,7 +293,7 @@ def test_a_mesh_of_two_bodies_is_refused() -> None:
     ball = ellipsoid([4.0, 0.0, 0.0], [0.3, 0.3, 0.3])
     both = joined(SOLID, ball)
     with pytest.raises(StapeskitError) as error:
-        check_mesh(MendedMesh(both.vertices_mm, both.faces), "a.stl")
+        check_mesh(Surface(both.vertices_mm, both.faces), "a.stl")
     assert error.value.faults[0].expected == "one closed body, the stapes"
 
 
