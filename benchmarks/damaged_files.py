@@ -1,0 +1,158 @@
+"""A damaged file of any kind ends in values or in one refusal: no traceback, no crash, no hang.
+
+Every scan format of the simulator, every kind of vibrometer file, and the records and tables that the
+commands read, each damaged at random: bytes changed, zeroed, removed or put in, the end cut off, a part
+written twice; half of the places lie in the first 600 bytes, where headers are. "Longest" is the processor
+time of one file, the child process that reads it included.
+
+    python -m benchmarks.damaged_files --files 4000
+"""
+
+from __future__ import annotations
+
+import resource
+import signal
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import stapeskit
+from benchmarks._table import arguments, print_table
+from ct_inertia.frames.fiducials import read_plate_fiducials
+from ct_inertia.frames.landmarks import read_landmarks
+from ct_inertia.scan.open_scan import open_scan
+from ct_inertia.surface.repair import read_mesh
+from fitting.mass import read_mass_csv
+from kinematics.readers.points import read_points
+from pipeline.study import read_study
+from simulate import Ear, Experiment, Scan, Stapes, simulate_study
+from simulate.files.recordings import WRITERS as RECORDINGS
+from simulate.files.recordings import write_recording
+from simulate.files.volumes import WRITERS as VOLUMES
+from simulate.files.volumes import write_scan
+from simulate.study import simulate_recording
+from stapeskit.faults import StapeskitError
+from stapeskit.records.mass import read_mass_json
+from stapeskit.records.motion import read_motion
+
+Read = Callable[[Path], Any]
+HANG_S = 60
+"""Wall time after which a file counts as one that hangs."""
+SPACING_MM = (0.15, 0.15, 0.15)
+EAR = Ear(stapes=Stapes(family="analytic"), plate=False, bone=False)
+LANDMARKS = "name,x_mm,y_mm,z_mm\nanterior,1,2,3\nposterior,-1,2,3\n"
+PLATE_MARKS = "name,x_mm,y_mm,z_mm\nA,1,2,3\nB,-1,2,3\nC,1,-2,3\nD,1,2,-3\n"
+
+
+def cases(folder: Path) -> Iterator[tuple[str, Path, Read]]:
+    """Yield kinds of files: name, a file or folder that is whole, and its reader."""
+    truth = simulate_study(
+        EAR, Scan(voxel_um=60.0), Experiment(lines=20, seed=1, in_footplate=True), folder / "study"
+    )
+    study = folder / "study"
+    scan = Scan(voxel_um=1e3 * SPACING_MM[0])
+    placed = scan.placed(EAR)
+    for name in VOLUMES:
+        (folder / f"scan {name}").mkdir()
+        path = write_scan(folder / f"scan {name}", placed, replace(scan, format=name))
+        yield f"scan, {name}", path, read_mesh if name == "ply" else open_voxels
+    recording = simulate_recording(truth, Experiment(lines=20, seed=1))
+    for name in RECORDINGS:
+        (folder / name).mkdir()
+        yield (
+            f"vibrometer, {name}",
+            write_recording(folder / name, recording, name),
+            stapeskit.read_vibrometer,
+        )
+    stapeskit.ct2mass(study / "scan.tif", density="1900+-60").write(study / "mass")
+    motion = stapeskit.points2dof(study / "ldv.csv", mass=study / "mass" / "mass.json", frame="footplate")
+    motion.write(study / "dof")
+    (study / "landmarks.csv").write_text(LANDMARKS, encoding="utf-8")
+    (study / "plate.csv").write_text(PLATE_MARKS, encoding="utf-8")
+    np.savetxt(study / "M.csv", truth.mass_matrix_si[1::2, 1::2], delimiter=",")
+    yield "mass.json", study / "mass" / "mass.json", read_mass_json
+    yield "dof.csv", next((study / "dof").glob("*dof.csv")), read_motion
+    yield "dof.h5", next((study / "dof").glob("*dof.h5")), read_motion
+    yield "M.csv", study / "M.csv", lambda path: read_mass_csv(path, ("y", "alpha", "gamma"))
+    yield "points.csv", study / "points.csv", read_points
+    yield "landmarks", study / "landmarks.csv", read_landmarks
+    yield "plate fiducials", study / "plate.csv", read_plate_fiducials
+    yield "study.toml", study / "study.toml", read_study
+
+
+def open_voxels(path: Path) -> Any:
+    """Open a scan and read all of it."""
+    return open_scan(path, spacing_mm=SPACING_MM).read()
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return a file's content with one to three places damaged."""
+    part = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        end = max(min(len(part), 600) if rng.random() < 0.5 else len(part), 1)
+        place, length = int(rng.integers(end)), int(rng.integers(1, 17))
+        behind = part[place + length :]
+        noise = rng.integers(0, 256, length).astype("u1").tobytes()
+        kind = rng.integers(6)
+        part[place:] = [
+            noise + behind, bytes(length) + behind, behind, noise + part[place:], b"",
+            part[place : place + length] * 2 + behind,
+        ][kind]  # fmt: skip
+    return bytes(part)
+
+
+def outcome(read: Read, path: Path) -> str:
+    """Return what came of one file: "read", "refused", or the name of any other exception."""
+    signal.alarm(HANG_S)
+    try:
+        read(path)
+    except StapeskitError:
+        return "refused"
+    except Exception as error:
+        return type(error).__name__
+    finally:
+        signal.alarm(0)
+    return "read"
+
+
+def spent_s() -> float:
+    """Return the processor time of this process and of its children that ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def row(name: str, path: Path, read: Read, count: int, first: int) -> list[object]:
+    """Damage a kind of file many times."""
+    read(path)
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    whole = {file: file.read_bytes() for file in files}
+    found, longest = Counter[str](), 0.0
+    for seed in range(first, first + count):
+        rng = np.random.default_rng([seed, sum(map(ord, name))])
+        file = files[rng.integers(len(files))]
+        file.write_bytes(damaged(whole[file], rng))
+        before = spent_s()
+        found[outcome(read, path)] += 1
+        longest = max(longest, spent_s() - before)
+        file.write_bytes(whole[file])
+    other = {what: n for what, n in found.items() if what not in ("read", "refused")}
+    words = ", ".join(f"{n} {what}" for what, n in other.items()) or "0"
+    return [name, count, found["read"], found["refused"], words, f"{longest:.2f}"]
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError
+
+
+if __name__ == "__main__":
+    given = arguments(__doc__, files=100, first=0, word="")
+    signal.signal(signal.SIGALRM, _too_long)
+    with tempfile.TemporaryDirectory() as place:
+        chosen = (case for case in cases(Path(place)) if given.word in case[0])
+        table = (row(*case, given.files, given.first) for case in chosen)
+        print_table(("kind", "files", "read", "refused", "anything else", "longest, s"), table)
