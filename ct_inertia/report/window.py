@@ -25,7 +25,8 @@ def plotter_of(result: MassResult) -> Any:
     frame = result.footplate.scan_from_footplate
     for name, direction in zip("xyz", frame.rotation.T, strict=True):
         tip = frame.translation_mm + _AXIS_MM * direction
-        plotter.add_mesh(pv.Arrow(frame.translation_mm, direction, scale=_AXIS_MM), color=AXIS_COLOURS[name])
+        arrow = pv.Arrow(start=frame.translation_mm, direction=direction, scale=_AXIS_MM)
+        plotter.add_mesh(arrow, color=AXIS_COLOURS[name])
         plotter.add_point_labels(np.array([tip]), [name], text_color=AXIS_COLOURS[name], shape=None)
     plotter.view_vector(-frame.rotation[:, 1], frame.rotation[:, 2])
     return plotter
