@@ -10,7 +10,7 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform
 from stapeskit.report.colours import AXIS_COLOURS, PAGE_COLOURS, VERDICT_COLOURS, lighten
-
-if TYPE_CHECKING:
-    from pyvista import ImageData, PolyData
 
 Faces = NDArray[np.int64]
 # Steps of 16 bit numbers over the span of a surface: 0.1 µm for a stapes.
@@ -248,7 +245,7 @@ def _drawn(line: Line) -> dict[str, Any]:
 
 
 def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array, Faces]:
-    """Return a surface of about ``most`` triangles with the same shape as far as these can show it.
+    """Return a surface of about ``most`` triangles, for the eye: it may have small holes.
 
     Parameters
     ----------
@@ -257,77 +254,23 @@ def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array
 
     Notes
     -----
-    A closed surface is sampled anew, in a quarter of the time of a decimation; the result is closed, and kept
-    when it has the topology of the given one: no hole that can be seen appears, and none closes. Where that
-    fails, and for open surfaces, corners are removed one by one (Schroeder, Zarge and Lorensen 1992,
-    doi:10.1145/133994.134010).
+    The corners in each cell of a grid become the one that is nearest to the planes of their triangles
+    (Lindstrom 2000, doi:10.1145/344779.344912).
     """
     import pyvista as pv
+    from vtkmodules.vtkFiltersCore import vtkQuadricClustering
 
     surface = pv.PolyData.from_regular_faces(np.asarray(vertices_mm, dtype=float), np.asarray(faces))
     if surface.n_cells > most:
-        tried = (_sampled(surface, number) for number in (most, 2 * most)) if surface.is_manifold else ()
-        kept = next((sampled for sampled in tried if sampled is not None), None)
-        surface = kept or surface.decimate_pro(
-            1.0 - most / surface.n_cells, preserve_topology=True, splitting=False
-        )
+        cell = np.sqrt(2.2 * surface.area / most)  # a cell has about 2.2 triangles for each face that is cut
+        cells = np.maximum(np.ptp(surface.points, axis=0) / cell, 1.0).astype(int)
+        clusters = vtkQuadricClustering()
+        clusters.SetInputData(surface)
+        clusters.AutoAdjustNumberOfDivisionsOff()
+        clusters.SetNumberOfDivisions(*cells.tolist())
+        clusters.Update()
+        surface = pv.wrap(clusters.GetOutput())
     return np.asarray(surface.points, dtype=float), np.asarray(surface.regular_faces, dtype=np.int64)
-
-
-def _sampled(surface: PolyData, most: int) -> PolyData | None:
-    """Return an iso surface of the share of inside in the cells of a grid, its corners on the surface.
-
-    Returns
-    -------
-    PolyData or None
-        None where it is not closed, or of another topology by more than handles smaller than a cell, or where
-        a wall is thinner than the cells: both faces of the wall then end on one, and many corners look
-        against the surface that they lie on.
-    """
-    import pyvista as pv
-
-    # An iso surface has about 2.9 triangles per face area of a cell.
-    cell = float(np.sqrt(2.9 * surface.area / most))
-    parts = 2
-    mask: ImageData = surface.voxelize_binary_mask(spacing=(cell / parts,) * 3)
-    fine = np.asarray(mask.point_data["mask"]).reshape(mask.dimensions, order="F")
-    padded = np.pad(fine, [(parts, parts + (-size) % parts) for size in np.shape(fine)])
-    blocks = padded.reshape([length for size in padded.shape for length in (size // parts, parts)])
-    share = blocks.mean(axis=(1, 3, 5), dtype=np.float32)
-    first = np.array(mask.origin) + (0.5 * (parts - 1) - parts) * cell / parts
-    grid = pv.ImageData(dimensions=share.shape, spacing=(cell,) * 3, origin=first)
-    sampled = grid.contour(isosurfaces=[0.5], scalars=share.ravel(order="F"), method="flying_edges")
-    if not sampled.is_manifold:
-        return None
-    if _euler_number(sampled) != _euler_number(surface):
-        some = surface.points[::10]
-        _, near = sampled.find_closest_cell(some, return_closest_point=True)
-        if np.max(np.linalg.norm(near - some, axis=1)) > cell:
-            return None
-    sampled = sampled.smooth_taubin(n_iter=12)  # evens the triangles
-    below, closest = surface.find_closest_cell(sampled.points, return_closest_point=True)  # type: ignore[misc]
-    sampled.points = closest
-    away = np.sum(_normals(sampled, "Point") * _normals(surface, "Cell")[below], axis=1) < 0.0
-    # Sharp edges have some such corners, collapsed walls half of theirs.
-    return sampled if np.mean(away) < 0.01 else None
-
-
-def _normals(surface: PolyData, of: str) -> Array:
-    """Return the outward normals of the corners (``Point``) or triangles (``Cell``) of a surface, (n, 3)."""
-    with_normals = surface.compute_normals(
-        cell_normals=of == "Cell",
-        point_normals=of == "Point",
-        split_vertices=False,
-        consistent_normals=False,
-        auto_orient_normals=False,
-    )
-    data = with_normals.cell_data if of == "Cell" else with_normals.point_data
-    return np.asarray(data["Normals"], dtype=float)
-
-
-def _euler_number(closed: PolyData) -> int:
-    """Return vertices - edges + faces of a closed surface of triangles."""
-    return int(closed.n_points - closed.n_cells // 2)
 
 
 def _packed(values: NDArray[Any]) -> str:

