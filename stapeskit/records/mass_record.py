@@ -21,6 +21,9 @@ from stapeskit.warnings import Notice
 SAME = 1e-6
 """Relative difference by which redundant numbers of a file may round: files with seven digits pass."""
 
+REDUCED = ("y", "alpha", "gamma")
+"""Degrees of freedom of the stapes in the paper: those of the reduced matrix."""
+
 FLOOR = 1e-5
 """Rounding of standard deviations, correlations and eigenvalues: they are written with less digits."""
 
@@ -62,11 +65,8 @@ class MassRecord:
     @property
     def plate_from_footplate(self) -> RigidTransform | None:
         """Pose of the footplate frame in the plate frame; None when the scan holds no plate."""
-        return (
-            None
-            if self.scan_from_plate is None
-            else self.scan_from_plate.inverse() @ self.scan_from_footplate
-        )
+        plate = self.scan_from_plate
+        return None if plate is None else plate.inverse() @ self.scan_from_footplate
 
     @property
     def plate_mass_matrix(self) -> MassMatrix | None:
@@ -86,61 +86,46 @@ class MassRecord:
         ).with_frame_error(pose)
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What a mass.json says at one of its keys, and how it is compared.
+def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
+    """Return, by dotted key, what in a mass.json follows from parameters, covariance and frames.
 
-    Attributes
-    ----------
-    value : number, array, text or list of texts
-    scale : number or array, or None
-        Size (of each entry) that rounding is measured by; None: the value itself must be there.
-    needed : bool
-        Whether a file must have it.
+    Returns
+    -------
+    dict of str to (value, scale)
+        ``scale``: the size (of each entry) that rounding is measured by; None where the value itself is text.
     """
-
-    value: Any
-    scale: Any = None
-    needed: bool = True
-
-
-def statements(record: MassRecord, reduced: Sequence[str]) -> dict[str, Stated]:
-    """Return, by dotted key, what in a mass.json follows from parameters, covariance and frames."""
-    matrix, parameters = record.mass_matrix, record.mass_matrix.parameters
+    parameters = record.mass_matrix.parameters
     mass, tensor = central_tensor(parameters)
     scan = record.scan_from_footplate
     centre_mm = scan.points(parameters[1:4] / mass * 1e3)
     turned = scan.rotation @ tensor @ scan.rotation.T
     found = {
-        "mass_kg": Stated(mass, mass),
-        "center_of_mass_in_scan_mm": Stated(centre_mm, max(100.0, float(np.max(np.abs(centre_mm))))),
-        "inertia_about_center_of_mass_in_scan_axes_kg_m2": Stated(turned, np.trace(turned), needed=False),
-        "inertial_parameters.names": Stated(list(PARAMETER_NAMES)),
-        "inertial_parameters.about": Stated("footplate_centre"),
-        "inertial_parameters.axes": Stated("footplate"),
-        **_block("mass_matrix", matrix, DOF_NAMES),
-        **_block("mass_matrix_reduced", matrix, reduced),
+        "mass_kg": (mass, mass),
+        "center_of_mass_in_scan_mm": (centre_mm, max(100.0, float(np.max(np.abs(centre_mm))))),
+        "inertia_about_center_of_mass_in_scan_axes_kg_m2": (turned, np.trace(turned)),
+        "inertial_parameters.names": (list(PARAMETER_NAMES), None),
+        "inertial_parameters.about": ("footplate_centre", None),
+        "inertial_parameters.axes": ("footplate", None),
+        **_block("mass_matrix", record.mass_matrix, DOF_NAMES),
+        **_block("mass_matrix_reduced", record.mass_matrix, REDUCED),
     }
     plate, in_plate_axes = record.plate_from_footplate, record.plate_mass_matrix
     if plate is not None and in_plate_axes is not None:
         lengths = [float(np.linalg.norm(pose.translation_mm)) for pose in (plate, scan)]
-        size = np.array([1.0, 1.0, 1.0, max(1.0, *lengths)])
-        found["frames.plate_from_footplate"] = Stated(plate.matrix, size)
+        found["frames.plate_from_footplate"] = (plate.matrix, np.array([1.0, 1.0, 1.0, max(1.0, *lengths)]))
         found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES)
     return found
 
 
-def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, Stated]:
-    """Return the content of one mass matrix; only that of the footplate must name point and axes."""
+def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, tuple[Any, Any]]:
+    """Return the content of one mass matrix."""
     places = np.ix_(*[dof_indices(tuple(dof))] * 2)
     root = np.sqrt(np.diag(mass.matrix))
     scale = np.outer(root, root)[places]
-    sd = mass.standard_deviation[places]
-    named = path == "mass_matrix"
     return {
-        f"{path}.about": Stated(mass.about, needed=named),
-        f"{path}.axes": Stated(mass.axes, needed=named),
-        f"{path}.dof": Stated(list(dof)),
-        f"{path}.matrix_si": Stated(mass.matrix[places], scale),
-        f"{path}.standard_deviation_si": Stated(sd, scale * (FLOOR / SAME), needed=False),
+        f"{path}.about": (mass.about, None),
+        f"{path}.axes": (mass.axes, None),
+        f"{path}.dof": (list(dof), None),
+        f"{path}.matrix_si": (mass.matrix[places], scale),
+        f"{path}.standard_deviation_si": (mass.standard_deviation[places], scale * (FLOOR / SAME)),
     }

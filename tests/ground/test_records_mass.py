@@ -13,8 +13,7 @@ import pytest
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.provenance import document_hash, frames_hash
-from stapeskit.records.mass import mass_json, mass_record, read_mass_json
-from stapeskit.records.mass_checks import MassReader
+from stapeskit.records.mass import Reader, mass_json, mass_record, read_mass_json
 from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import MeasuredMass, measured_mass
@@ -280,8 +279,8 @@ def test_no_junk_anywhere_ends_in_a_traceback_or_is_believed(raw: dict, junk: ob
 def test_a_covariance_is_judged_by_its_correlations_whatever_its_size(size, one_two, two_one, good) -> None:
     scale = np.array([3e-6, 1e-9, 1e-12])
     correlations = np.array([[1.0, one_two, 0.0], [two_one, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    reader = MassReader({}, "mass.json")
-    matrix = reader.covariance("a", scale, (size**2 * correlations * np.outer(scale, scale)).tolist())
+    reader = Reader({"a": (size**2 * correlations * np.outer(scale, scale)).tolist()}, "mass.json")
+    matrix = reader.covariance("a", scale=scale)
     assert (matrix is not None, reader.faults == []) == (good, good)
 
 
