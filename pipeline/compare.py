@@ -154,7 +154,7 @@ def compare_page(comparison: Comparison) -> Page:
         "p of no difference, from the errors of each result alone: what both share (one stated density) "
         "cancels. No correction is made for the number of rows."
     )
-    made.add(page.table(head, comparison.rows(), file="compare"), page.text(words))
+    made.add(page.table(head, comparison.rows()), page.text(words))
     caption = "Piston motion of the stapes over that of the bone, as measured."
     made.add(page.figure(compare_figure(comparison), caption, "responses of both results"))
     return made

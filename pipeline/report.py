@@ -128,7 +128,7 @@ def truth_table(result: StudyResult, path: Path) -> Any:
                 unit = diagonal_unit(letter, name, fit.law.time_power)
                 found = unit.with_sd(float(values[place, place]), float(sds[place, place]))
                 rows.append((f"{letter}({name})", unit.text(float(truth[key][at][at]), ".4g"), found))
-    return page.table(("simulated ear", "true", "found"), rows, words=True, file="truth")
+    return page.table(("simulated ear", "true", "found"), rows, words=True)
 
 
 def write_figures(result: StudyResult, folder: Path, force: bool = False) -> list[Path]:

@@ -30,11 +30,8 @@ MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 """Number cells without a value."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}((,\d{3})+\.\d*|(\.\d{3})+,\d*|([ '\xa0\u202f]\d{3})+([.,]\d*)?)")
-"""Marks between thousands that are no decimal comma or point: 1,234.5, 1.234,5, 1 234, 1'234."""
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _LARGE = 2_000_000  # bytes from which pandas takes less time, with that of loading it, than cell by cell
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
 
 
 @dataclass(frozen=True)
@@ -136,22 +133,6 @@ def write_columns(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
             writer.writerow(["" if cell != cell else cell for cell in row])
-
-
-def as_text_cell(text: object) -> str:
-    """Return a text that no spreadsheet takes for a formula: an apostrophe before what begins one.
-
-    Numbers stay as they are; everything else that begins with ``=``, ``+``, ``-``, ``@``, a tab or a return
-    (OWASP, "CSV Injection"), or with an apostrophe, gets one.
-    """
-    shown = str(text)
-    return f"'{shown}" if shown.startswith(_FORMULA) and not _NUMBER.fullmatch(shown) else shown
-
-
-def from_text_cell(cell: str) -> str:
-    """Return the text that `as_text_cell` made a cell of."""
-    text = cell[1:]
-    return text if cell.startswith("'") and as_text_cell(text) == cell else cell
 
 
 def _open(path: Path) -> _Sheet:
@@ -310,10 +291,6 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
             kept.append(cells)
             lines.append(line)
     columns = {name: [cells[sheet.header.index(name)] for cells in kept] for name in (*numbers, *texts)}
-    if kept and _are_units([columns[name][0] for name in numbers]):
-        got, step = "units", "Units belong in the names of the columns: remove the line"
-        where = Place(sheet.file, "line", (lines[0],))
-        raise StapeskitError.of("the line below the header", "the first row of numbers", got, where, step)
     comma = sum("," in cell for name in numbers for cell in columns[name])
     point = sum("." in cell for name in numbers for cell in columns[name])
     decimal = "," if sheet.separator != "," and comma > point else "."
@@ -325,14 +302,6 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
     words = {name: _encode(columns[name]) for name in texts}
     return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
-
-
-def _are_units(cells: Sequence[str]) -> bool:
-    """Return whether the number columns hold several words and no number."""
-    words = [cell for cell in cells if cell not in MISSING]
-    letters = "".join(word.rstrip("23²³") for word in words)
-    plain = any(_NUMBER.fullmatch(word) for word in words)
-    return len(words) > 1 and not plain and not any(letter.isdigit() for letter in letters)
 
 
 def _parse(
@@ -352,30 +321,24 @@ def _parse(
 
 
 def _hint(cell: str, decimal: str) -> str:
-    if _THOUSANDS.fullmatch(cell):
-        return "Write numbers without marks between thousands"
-    if decimal == "," and "." in cell:
+    if "," in cell and decimal == ".":
+        return "Write a point for decimals and nothing between thousands, or semicolons between the columns"
+    if "." in cell and decimal == ",":
         return "Write decimal commas or decimal points throughout, and nothing between thousands"
-    if "," in cell:
-        return "Write a point for the decimals, or semicolons between the columns"
     if not any(letter.isdigit() for letter in cell):
-        return "Write a plain number, or leave the cell empty where the value is missing"
-    return "Write a plain number such as 1000 or 1e-6"
+        return "Leave the cell empty where the value is missing; units belong in the names of the columns"
+    return "Write a plain number such as 1000 or 1e-6, without marks between thousands"
 
 
 def _length_fault(sheet: _Sheet, line: int, height: int, cells: Sequence[str]) -> Fault:
     """Return the fault of a row of another length, with its likely cause."""
     got, width = len(cells), len(sheet.header)
-    others = [mark for mark in _SEPARATORS if mark != sheet.separator and mark in cells[0]]
     step = "Give every row one cell per column, empty where a value is missing"
-    if got == 1 and others:
-        right, wrong = _SEPARATORS[sheet.separator], _SEPARATORS[others[0]]
-        step = f"Separate all cells by {right}, as in the header, not by {wrong}"
+    if got == 1 and any(mark in cells[0] for mark in _SEPARATORS if mark != sheet.separator):
+        step = f"Separate all cells by {_SEPARATORS[sheet.separator]}, as in the header"
     elif height > 1:
         step = "Close the quotation mark that the row opens"
     elif sheet.separator == "," and got > width:
         step = "Decimal commas need semicolons between the columns"
-    elif got < width and sheet.header[got]:
-        step += f"; this one ends before {sheet.header[got]}"
     where = Place(sheet.file, "line", (line,))
     return Fault("a row", f"{width} cells long, as the header is", got, where, step)

@@ -89,7 +89,7 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
             "labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
         )
         alt = "Three slices with the outlines of stapes, plate and other bone."
-        shown.section("What was measured", page.figure(cut, caption, alt, vector=True), page.text(correct))
+        shown.section("What was measured", page.figure(cut, caption, alt), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
     shown.section("Frames", *frame_blocks(content))
     measured = evidence_blocks(content)
@@ -153,7 +153,7 @@ def _matrix(content: Content, key: str, caption: str) -> Markup:
     block = content[key]
     sd = None if _missing(content) else block["standard_deviation_si"]
     units = matrix_units("M", block["dof"])
-    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="Mass M", file=key)
+    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="Mass M")
 
 
 def matrix_blocks(content: Content) -> list[Markup]:
@@ -192,11 +192,7 @@ def budget_blocks(content: Content) -> list[Markup]:
         listed.append((f"{len(rest)} others together", *_digits(together)))
     listed.append(("all of these", *_digits(np.sqrt(sum(np.square(row) for row in rows.values())))))
     head = ("source", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)", "centre (µm)")
-    blocks = [
-        page.table(
-            head, listed, "One standard deviation that each source adds; centre: of mass.", file="budget"
-        )
-    ]
+    blocks = [page.table(head, listed, "One standard deviation that each source adds; centre: of mass.")]
     missing = content["uncertainty"].get("not_included") or []
     return blocks + ([page.text("Not in the budget: " + "; ".join(missing) + ".")] if missing else [])
 
@@ -312,4 +308,4 @@ def ways_blocks(content: Content) -> list[Markup]:
         shift = SMALL_LENGTH.of(float(np.linalg.norm(way["center_of_mass_change_m"])))
         rows.append((WAYS[way["by"]].words, mass, way["density_kg_m3"], way["mass_change_percent"], shift))
     head = ("mass by", "mass", "bone (kg/m³)", "change (%)", "centre moves (µm)")
-    return [page.table(head, rows, file="ways_to_the_mass")]
+    return [page.table(head, rows)]

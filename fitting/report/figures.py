@@ -129,7 +129,9 @@ def residual_figure(fit: KDFit) -> Figure:
     drawing, axes = panels(1, 2, height=2.8)
     freq = np.repeat(data.freq_hz, white.shape[1]) / 1e3
     for part, colour, label in ((white.real, MEASURED, "real"), (white.imag, FITTED, "imaginary")):
-        axes[0, 0].plot(freq, part.ravel(), ".", ms=2.5, color=colour, alpha=0.6, label=label)
+        axes[0, 0].plot(
+            freq, part.ravel(), ".", ms=2.5, color=colour, alpha=0.6, label=label, rasterized=True
+        )
     for level in (-1.96, 1.96):
         axes[0, 0].axhline(level, color=MEASURED, lw=0.7, ls=":")
     frequency_axis(axes[0, 0], np.sort(data.freq_hz))
@@ -137,7 +139,7 @@ def residual_figure(fit: KDFit) -> Figure:
     axes[0, 0].legend(ncols=2)
     values = np.sort(np.concatenate([white.real.ravel(), white.imag.ravel()]))
     expected = ndtri((np.arange(len(values)) + 0.5) / len(values))
-    axes[0, 1].plot(expected, values, ".", ms=2.5, color=MEASURED)
+    axes[0, 1].plot(expected, values, ".", ms=2.5, color=MEASURED, rasterized=True)
     axes[0, 1].plot(expected[[0, -1]], expected[[0, -1]], color=FITTED, lw=1.0)
     axes[0, 1].set_xlabel("normal distribution")
     return drawing

@@ -100,7 +100,6 @@ def matrices(fit: KDFit) -> list[Markup]:
                 f"{letter} {_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources.",
                 title="Stiffness K" if letter == "K" else f"Damping D ({law.formula})",
                 interval_95_si=np.stack([side[place] for side in limits], axis=-1),
-                file=letter,
             )
         )
     return blocks
@@ -154,7 +153,7 @@ def _modes(fit: KDFit) -> list[Markup]:
     head = ("", "damped (Hz)", "undamped (Hz)", "damping ratio", *(f"|{name}|" for name in fit.dof))
     roots = ", ".join(f"{root:.4g}" for root in fit.modes.overdamped_roots_1_s)
     caption = f"Shapes: {NORMALISATION}." + (f" Overdamped roots: {roots} 1/s." if roots else "")
-    return [page.table(head, rows, caption, file="modes")]
+    return [page.table(head, rows, caption)]
 
 
 _MILLIMETRE, _DEGREE = ShownUnit("mm", 1e3), ShownUnit("°", 180.0 / np.pi)
@@ -178,7 +177,7 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         for (name, unit), value, sd in zip(_AXES, values, sds, strict=True)
     ]
     caption = "The point and the turn about y that uncouple piston and rocking (paper, Fig. 6); not eig(K)."
-    blocks = [page.table(("", "principal axes of K"), rows, caption, file="principal_axes")]
+    blocks = [page.table(("", "principal axes of K"), rows, caption)]
     blocks += _drawn(figures, "principal_axes", "Origin and axes on the footplate.", "principal axes")
     ring = ring_of(fit)
     if ring is not None:
@@ -243,14 +242,14 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         ]
         head = ("explanation", "size", "odds against none", "explains the data", "weight")
         caption = "Intervals of K and D are averaged over these explanations with their weights."
-        blocks.append(page.table(head, rows, caption, file="explanations"))
+        blocks.append(page.table(head, rows, caption))
     least = [
         (one.title, Quantity(found_from(score.sd, one.sd, one.chance)), one.unit)
         for score in search.scores
         if not (one := score.unknown).family and one.only is None
     ]
     if least:
-        table = page.table(("error that these data can reveal", "from", ""), least, file="found_from")
+        table = page.table(("error that these data can reveal", "from", ""), least)
         blocks.append(page.folded("From which size errors are found", table))
     caption = "No pattern (left) and a straight line (right) mean that the model holds."
     blocks += _drawn(figures, "residuals", caption, "residuals")
@@ -290,10 +289,10 @@ def _budget(fit: KDFit) -> list[Markup]:
     names = [f"{fit.parameters[place]}, {letter}({name})" for place, (letter, name) in
              zip(places, [(letter, name) for letter in "KD" for name in fit.dof], strict=True)]  # fmt: skip
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
-    table = page.table(("source", *names), rows, caption, file="budget")
+    table = page.table(("source", *names), rows, caption)
     blocks = [table]
     if rest:
-        whole = page.table(("source", *names), [row(one, variances[one]) for one in by_size], file="sources")
+        whole = page.table(("source", *names), [row(one, variances[one]) for one in by_size])
         blocks.append(page.folded("All sources", whole))
     return blocks
 
@@ -314,7 +313,7 @@ def _identifiability(fit: KDFit) -> list[Markup]:
     caption = (
         "Relative to sqrt(Xii Xjj). Bound: smallest sd of any unbiased estimator of this model (Cramer-Rao)."
     )
-    return [page.table(("entry", "standard deviation", "bound"), rows, caption, file="identifiability")]
+    return [page.table(("entry", "standard deviation", "bound"), rows, caption)]
 
 
 def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
@@ -333,7 +332,7 @@ def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) 
     head = ("", *fit.parameters, "over 10 %")
     made.section(
         "What a change would bring",
-        page.table(head, rows, "Expected sd relative to sqrt(Xii Xjj).", file="plan"),
+        page.table(head, rows, "Expected sd relative to sqrt(Xii Xjj)."),
     )
     made.section("What limits the entries", *_budget(fit))
     made.appendix_section("Inputs", page.inputs(dict(provenance)))

@@ -13,12 +13,12 @@ from stapeskit.report.figures import (
     RUN_STYLES,
     amplitude_axis,
     decimate_lines,
-    distinct_short_names,
     dof_unit,
     frequency_axis,
     log_spaced,
     panels,
     plain,
+    shorten_name,
     style,
 )
 
@@ -139,10 +139,9 @@ def residual_figure(result: MotionResult, run: int = 0) -> Figure:
         bars.barh(np.arange(len(order)) + 0.5, np.nan_to_num(rms[order]), height=0.8, color=colours)
         bars.axvline(1.0, color="#56636f", lw=0.7)
         bars.set_xlim(0.0, max(1.6, min(6.0, 1.1 * float(np.nanmax(rms, initial=1.0)))))
-        names = distinct_short_names(body.points)
         step = max(1, int(np.ceil(len(order) / _TICKED_ROWS)))
         ticks = np.arange(0, len(order), step)
-        labels = [names[body.points[order[tick]]] for tick in ticks]
+        labels = [shorten_name(body.points[order[tick]], 10) for tick in ticks]
         labels = ["" if k and labels[k - 1] == label else plain(label) for k, label in enumerate(labels)]
         grid.set_yticks(ticks + 0.5, labels, fontsize=7)
         bars.set_yticks([])

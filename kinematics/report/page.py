@@ -96,7 +96,7 @@ def motion_sections(made: Page, result: MotionResult) -> None:
 def _motion(result: MotionResult) -> list[Markup]:
     head = ("body", "motion", "rms", "noise (sd)", "shared errors (sd)", "unit", "largest source")
     rows = motion_rows(result)
-    return [page.table(head, rows, "Root mean square over all lines.", names=2, file="motion")]
+    return [page.table(head, rows, "Root mean square over all lines.", names=2)]
 
 
 def _channels(result: MotionResult) -> list[Markup]:
@@ -116,7 +116,7 @@ def _channels(result: MotionResult) -> list[Markup]:
             for one in odd[:_MOST_ROWS]
         ]
         more = f" {len(odd) - _MOST_ROWS} more are in the table of channels." if len(odd) > _MOST_ROWS else ""
-        blocks.append(page.table(head, rows, f"Channels with a verdict.{more}", words=True, file="verdicts"))
+        blocks.append(page.table(head, rows, f"Channels with a verdict.{more}", words=True))
     else:
         blocks.append(
             page.text(f"All {len(result.channels)} channels agree with rigid motion of their body.")
@@ -150,7 +150,7 @@ def _registration(result: MotionResult) -> list[Markup]:
         caption = (
             f"Residuals in µm, axes of the frame {fit.transform.to}; rms {1e3 * fit.rms_mm:.0f} µm{chi2}."
         )
-        blocks = [page.table((fit.kind, "x", "y", "z", "sd"), rows, caption, file="registration")]
+        blocks = [page.table((fit.kind, "x", "y", "z", "sd"), rows, caption)]
     if result.checks:
         rows = [
             (check.body, check.surface, str(len(check.points)), f"{1e3 * check.rms_mm:.0f}",
@@ -159,7 +159,7 @@ def _registration(result: MotionResult) -> list[Markup]:
         ]  # fmt: skip
         head = ("body", "surface", "points", "rms off it (µm)", "expected (µm)", "p")
         caption = "Did the sample move? Measured points against the surfaces of the scan."
-        blocks.append(page.table(head, rows, caption, names=2, file="surfaces"))
+        blocks.append(page.table(head, rows, caption, names=2))
     return [*blocks, page.subheading("Errors that all lines share"), *_shared(result)]
 
 
@@ -174,7 +174,7 @@ def _shared(result: MotionResult) -> list[Markup]:
                 (name, Quantity(value, sd, ShownUnit(unit, 1.0)), f"{stated:.3g} {unit}")
                 for name, value, sd, stated, unit in part.estimate.rows()[:_MOST_ROWS]
             ]
-            blocks.append(page.table(("", "estimate", "stated sd"), rows, caption, file="lasers"))
+            blocks.append(page.table(("", "estimate", "stated sd"), rows, caption))
     shared = result.motion.shared
     if shared is None:
         return [*blocks, page.text("No errors are stated that all lines share.")]
@@ -207,4 +207,4 @@ def _detectable(result: MotionResult) -> list[Markup]:
         "A mirror of positions and beams together, one gain of all lasers, and a turn of everything never "
         "show."
     )
-    return [page.table(head, rows, caption, names=2, file="detectable"), page.text(text)]
+    return [page.table(head, rows, caption, names=2), page.text(text)]

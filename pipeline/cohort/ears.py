@@ -257,11 +257,9 @@ def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> A
     """
     import pandas as pd
 
-    from stapeskit.tables import as_text_cell
-
     columns: dict[str, Any] = {
-        "study": [as_text_cell(ear.name) for ear in ears],
-        "folder": [as_text_cell(ear.folder) for ear in ears],
+        "study": [ear.name for ear in ears],
+        "folder": [ear.folder for ear in ears],
         "side": [ear.side for ear in ears],
         "verdict": [ear.verdict for ear in ears],
         "estimator": [ear.kd["estimator"] for ear in ears],
@@ -275,7 +273,7 @@ def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> A
     table = pd.DataFrame(columns).assign(error="")
     if not failed:
         return table
-    names = [as_text_cell(name) for name in failed]
-    errors = [as_text_cell(" ".join(text.split())) for text in failed.values()]
+    names = list(failed)
+    errors = [" ".join(text.split()) for text in failed.values()]
     empty = pd.DataFrame({"study": names, "folder": names, "error": errors})
     return pd.concat([table.astype({"warnings": "Int64"}), empty], ignore_index=True)

@@ -79,7 +79,7 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
             "law; band: 95 % of further ears."
         )
         report.add(
-            page.table(_LAW_HEAD, [_law_row(law) for law in cohort.primary], file="planned_laws"),
+            page.table(_LAW_HEAD, [_law_row(law) for law in cohort.primary]),
             page.figure(laws_figure(cohort, cohort.primary), caption, "responses over predictors"),
         )
     report.section("Ears", *_ear_blocks(cohort, failed))
@@ -165,7 +165,7 @@ def _exploratory_blocks(cohort: Cohort) -> list[Markup]:
     )
     covariates = cohort.table.covariates.names if cohort.table is not None else ()
     words += f" Adjusted for {', '.join(covariates)}." if covariates else ""
-    return [page.text(words), page.table(_LAW_HEAD, [_law_row(law) for law in others], file="other_laws")]
+    return [page.text(words), page.table(_LAW_HEAD, [_law_row(law) for law in others])]
 
 
 def _ear_blocks(cohort: Cohort, failed: Mapping[str, str]) -> list[Markup]:
@@ -177,9 +177,7 @@ def _ear_blocks(cohort: Cohort, failed: Mapping[str, str]) -> list[Markup]:
         for name, ear in zip(names, ears, strict=True)
     ]
     shown = [*rows, *((name, "", "failed", why, "") for name, why in failed.items())]
-    blocks = [
-        page.table(("ear", "side", "verdict", "in the laws", "warnings"), shown, words=True, file="ears")
-    ]
+    blocks = [page.table(("ear", "side", "verdict", "in the laws", "warnings"), shown, words=True)]
     if not ears:
         return blocks
     found = quantities(ears)
@@ -188,7 +186,7 @@ def _ear_blocks(cohort: Cohort, failed: Mapping[str, str]) -> list[Markup]:
     for title, starts in (("Mass and modes", ("mass", "mode")), ("K", ("K_",)), ("D", ("D_",))):
         part = [row for row in found if row.name.startswith(starts)]
         cells = [(name, *(_shown(row, place) for row in part)) for place, name in enumerate(names)]
-        table = page.table(("ear", *(row.title for row in part)), cells, file=title.split()[0])
+        table = page.table(("ear", *(row.title for row in part)), cells)
         blocks.append(page.folded(f"{title} of every ear", table))
     return blocks
 
@@ -241,7 +239,7 @@ def _difference_blocks(ears: Sequence[Ear]) -> list[Markup]:
         words += " Right ears enter as their mirror images on the left."
     if not comparable:
         words += " D is not compared: the power of time in its unit differs between the ears."
-    return [page.text(words), page.table(head, rows, file="differences")]
+    return [page.text(words), page.table(head, rows)]
 
 
 def _component_blocks(cohort: Cohort) -> list[Markup]:
@@ -259,4 +257,4 @@ def _component_blocks(cohort: Cohort) -> list[Markup]:
         (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in components.loadings[k]))
         for k, size in enumerate(components.sd[: max(high, 1)])
     ]
-    return [page.text(words), page.table(("", "sd (ln)", *table.entries), rows, file="components")]
+    return [page.text(words), page.table(("", "sd (ln)", *table.entries), rows)]

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import io
 import json
-import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.arrays import Array, ComplexArray
+from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.provenance import sha256
 from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
 from stapeskit.sandbox import read_apart
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
-from stapeskit.tables import Table, TextColumn, as_text_cell, from_text_cell, read_table, write_columns
+from stapeskit.tables import Table, TextColumn, read_table, write_columns
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
@@ -115,8 +114,6 @@ def _columns(motion: RigidMotion) -> dict[str, Any]:
 def _write_csv(path: Path, motion: RigidMotion) -> None:
     """Write the rows of all determined lines: q with all its digits, sd and chi2 with nine."""
     columns = {name: column.tolist() for name, column in _columns(motion).items()}
-    for name in ("run", "body"):
-        columns[name] = [as_text_cell(cell) for cell in columns[name]]
     for name in (*motion_columns(motion.dof, bool(motion.reference))["sd"], "chi2"):
         columns[name] = [f"{value:.9g}" if np.isfinite(value) else value for value in columns[name]]
     write_columns(path, columns)
@@ -182,19 +179,7 @@ def read_motion(path: Path) -> RigidMotion:
     if not beside.is_file():
         return _read_csv(path, notice)
     complete, csv_hash = _read_h5(beside)
-    if csv_hash == f"sha256:{sha256(path)}":
-        return complete
-    alone = _read_csv(path, notice)
-    earlier_version = not csv_hash.startswith("sha256:")  # whose hash is not at hand: compare the rows
-    return complete if earlier_version and _same_rows(alone, complete) else alone
-
-
-def _same_rows(one: RigidMotion, other: RigidMotion) -> bool:
-    """Return whether two motions have the same rows in the same order."""
-    names = (one.runs, one.bodies, one.dof) == (other.runs, other.bodies, other.dof)
-    return names and all(
-        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in ("freq_hz", "q")
-    )
+    return complete if csv_hash == f"sha256:{sha256(path)}" else _read_csv(path, notice)
 
 
 def _read_h5(path: Path) -> tuple[RigidMotion, str]:
@@ -238,23 +223,25 @@ def _motion_from_h5(file: Any) -> RigidMotion:
     )
 
 
-def _dof_of(header: Collection[str]) -> tuple[tuple[str, ...], bool]:
-    """Return the degrees of freedom of a header, and whether they are per unit of a reference."""
-    dof = tuple(name for name in DOF_NAMES if any(column.startswith(f"{name}_re_") for column in header))
-    return dof, any(column.endswith(_PER_REFERENCE) for column in header)
+def _dof_of(header: Collection[str]) -> tuple[str, ...]:
+    """Return the degrees of freedom of a header."""
+    return tuple(name for name in DOF_NAMES if any(column.startswith(f"{name}_re_") for column in header))
 
 
 def _read_csv(path: Path, notice: Notice) -> RigidMotion:
     def choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
-        dof, per_reference = _dof_of(header)
-        columns = motion_columns(dof, per_reference)
+        dof, where = _dof_of(header), Place(name, "line", (1,))
+        if any(column.endswith(_PER_REFERENCE) for column in header):
+            got, step = "the CSV file alone", "Give the .h5 file that points2dof wrote with it"
+            raise StapeskitError.of("motion per reference", "read with its covariance", got, where, step)
+        columns = motion_columns(dof)
         needed = ["body", "freq_hz", *(column for part in columns.values() for column in part)]
         missing = [column for column in needed if column not in header]
         if not dof:
             missing = ["x_re_m or another degree of freedom"]
         if missing:
             got, step = f"no column {', '.join(missing)}", "Give dof.csv or dof.h5 of points2dof"
-            raise StapeskitError.of("a motion file", "complete", got, Place(name, "line", (1,)), step)
+            raise StapeskitError.of("a motion file", "complete", got, where, step)
         numbers = {*needed, *_FURTHER} - {"body"}
         return numbers & set(header), {"run", "body"} & set(header)
 
@@ -262,17 +249,14 @@ def _read_csv(path: Path, notice: Notice) -> RigidMotion:
 
 
 def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
-    dof, per_reference = _dof_of(table.numbers)
-    columns = motion_columns(dof, per_reference)
+    dof = _dof_of(table.numbers)
+    columns = motion_columns(dof)
     body, freq = table.texts["body"], table.numbers["freq_hz"]
-    bodies = tuple(map(from_text_cell, body.names))
     one_run = TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
     run = table.texts.get("run", one_run)
-    runs = tuple(map(from_text_cell, run.names))
-    sd = np.column_stack([table.numbers[name] for name in columns["sd"]])
-    faults = [*table.faults, *_row_faults(table, sd)]
+    faults = [*table.faults, *_cell_faults(table)]
     lines, line = np.unique(freq, return_inverse=True)
-    shape = (len(runs), len(bodies), len(lines))
+    shape = (len(run.names), len(body.names), len(lines))
     at = (run.codes, body.codes, line)
     if not faults:
         _, first = np.unique(np.ravel_multi_index(at, shape), return_index=True)
@@ -286,64 +270,36 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
         whole[at] = values
         return whole
 
-    q = filled(
-        np.column_stack([table.numbers[name] for name in columns["re"]])
-        + 1j * np.column_stack([table.numbers[name] for name in columns["im"]])
+    real, imaginary, sd = (
+        np.column_stack([table.numbers[name] for name in columns[part]]) for part in ("re", "im", "sd")
     )
     covariance: ComplexArray = (filled(2.0 * sd**2)[..., None] * np.eye(len(dof))).astype(complex)
-    reference = ""
-    if per_reference:
-        reference = _reference_of(q, bodies, dof, table.file)
-        joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
-        for owner in range(shape[1]):
-            part = slice(owner * len(dof), (owner + 1) * len(dof))
-            joint[:, :, part, part] = covariance[:, owner]
-        covariance = joint
     chi2, n_dof = (filled(table.numbers.get(name, np.full(len(table), np.nan))) for name in _FURTHER)
-    counts = np.nan_to_num(n_dof).astype(int)
-    return RigidMotion(
-        runs, bodies, dof, lines, q, covariance, chi2, counts, reference=reference, notices=(notice,)
-    )
+    counts, q = np.nan_to_num(n_dof).astype(int), filled(real + 1j * imaginary)
+    return RigidMotion(run.names, body.names, dof, lines, q, covariance, chi2, counts, notices=(notice,))
 
 
-def _row_faults(table: Table, sd: Array) -> list[Fault]:
-    """List the cells that hold impossible values."""
-    faults: list[Fault] = []
-
-    def add(name: str, expected: str, wrong: NDArray[np.bool_], got: Sequence[Any] | Array) -> None:
-        for row in np.flatnonzero(wrong).tolist():
-            value = got[row]
-            shown = f"{value:g}" if isinstance(value, float) else value
-            faults.append(Fault(name, expected, shown, table.where(row)))
-
-    freq = table.numbers["freq_hz"]
-    unreported = ~(table.invalid_rows("freq_hz") & np.isnan(freq))
-    outside = (freq < LOWEST_HZ) | (freq > HIGHEST_HZ)
-    finite = (freq > 0.0) & (freq < np.inf)
-    add("freq_hz", f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz", outside & finite, freq)
-    add("freq_hz", "positive and finite", ~finite & unreported, freq)
-    for name in _FURTHER:
-        values = table.numbers.get(name, np.zeros(len(table)))
-        wrong = (values < 0.0) | (values > LARGEST_COUNT)
-        if name == "n_dof":
-            wrong |= np.isfinite(values) & (values != np.round(values))
-        add(name, "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}", wrong, values)
-    wrong = np.any((sd < 0.0) | (sd > LARGEST), axis=1)
-    add("a standard deviation", "positive and finite", wrong, sd.tolist())
+def _cell_faults(table: Table) -> Iterator[Fault]:
+    """Yield the cells that hold impossible values."""
     for name, values in table.numbers.items():
-        if re.search("_(re|im)_", name):
-            add(name, f"finite and below {LARGEST:g}, or empty", np.abs(values) > LARGEST, values)
+        known = ~np.isnan(values)
+        if name == "freq_hz":
+            expected = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz"
+            wrong = ~((values >= LOWEST_HZ) & (values <= HIGHEST_HZ))
+            wrong &= known | ~table.invalid_rows(name)
+        elif name in _FURTHER:
+            expected = (
+                f"a count up to {LARGEST_COUNT:g}" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
+            )
+            wrong = known & ~((values >= 0.0) & (values <= LARGEST_COUNT))
+            if name == "n_dof":
+                wrong |= known & (values != np.round(values))
+        elif "_sd_" in name:
+            expected, wrong = "positive and finite", known & ~((values >= 0.0) & (values <= LARGEST))
+        else:
+            expected, wrong = f"finite and below {LARGEST:g}, or empty", np.abs(values) > LARGEST
+        for row in np.flatnonzero(wrong).tolist():
+            yield Fault(name, expected, f"{values[row]:g}", table.where(row))
     for name, cells in table.texts.items():
-        add(name, "a name", cells.codes < 0, ["an empty cell"] * len(table))
-    return faults
-
-
-def _reference_of(q: ComplexArray, bodies: tuple[str, ...], dof: tuple[str, ...], name: str) -> str:
-    """Find the degree of freedom that is 1 at all lines."""
-    for body, place in np.ndindex(len(bodies), len(dof)):
-        values = q[:, body, :, place]
-        values = values[~np.isnan(values.real)]
-        if values.size and np.all(np.abs(values - 1.0) < 1e-9):
-            return f"{bodies[body]}:{dof[place]}"
-    expected = "1 in the column of its reference"
-    raise StapeskitError.of("a motion file per reference", expected, "no such column", name)
+        for row in np.flatnonzero(cells.codes < 0).tolist():
+            yield Fault(name, "a name", "an empty cell", table.where(row))

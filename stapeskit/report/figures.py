@@ -69,10 +69,7 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
     }
 )
 
-# Points in a figure above which a PNG is smaller than an SVG.
-_MOST_VECTOR_POINTS = 12_000
-_PNG_DOTS_PER_INCH = 160  # 1.7 pixels for each of a screen of 96 per inch
-_PNG_WRITING = {"compress_level": 2}  # a third of the time of the default for a tenth more bytes
+_IMAGE_DOTS_PER_INCH = 160  # 1.7 pixels for each of a screen of 96 per inch
 
 
 @contextmanager
@@ -139,23 +136,12 @@ def panels(
     return drawing, axes
 
 
-def draw(drawing: Figure, vector: bool | None = None) -> tuple[bytes, str]:
-    """Return a figure as SVG to stand within a page, or as PNG, and which of the two.
-
-    Parameters
-    ----------
-    vector : bool, optional
-        SVG or PNG; by default SVG unless the figure has more than some thousand points.
-    """
-    if vector is None:
-        vector = _points(drawing) <= _MOST_VECTOR_POINTS
+def draw(drawing: Figure) -> str:
+    """Return a figure as SVG to stand within a page; what is ``rasterized`` in it is an image."""
     stream = io.BytesIO()
     with style():
-        if not vector:
-            drawing.savefig(stream, format="png", dpi=_PNG_DOTS_PER_INCH, pil_kwargs=_PNG_WRITING)
-            return stream.getvalue(), "png"
-        drawing.savefig(stream, format="svg", metadata={"Date": None})
-    return _compact(stream.getvalue()), "svg"
+        drawing.savefig(stream, format="svg", dpi=_IMAGE_DOTS_PER_INCH, metadata={"Date": None})
+    return _compact(stream.getvalue()).decode()
 
 
 def save_figures(
@@ -170,16 +156,6 @@ def save_figures(
         for name in names:
             figures[Path(name).stem].savefig(stage / name)
     return [outputs.folder / name for name in names]
-
-
-def _points(drawing: Figure) -> int:
-    """Return how many points the curves, scatters and images of a figure have."""
-    count = 0
-    for axes in drawing.axes:
-        count += sum(np.size(line.get_xdata(orig=False)) for line in axes.lines)
-        count += sum(np.size(group.get_offsets()) // 2 for group in axes.collections)
-        count += _MOST_VECTOR_POINTS * len(axes.images)
-    return count
 
 
 _LONG_NUMBER = re.compile(rb"(\d+\.\d\d)\d+")
@@ -313,24 +289,3 @@ def shorten_name(name: str, most: int = 16) -> str:
         return name
     end = (most - 1) // 2
     return f"{name[: most - 1 - end]}…{name[len(name) - end :]}"
-
-
-def distinct_short_names(names: Sequence[str], most: int = 10) -> dict[str, str]:
-    """Return short forms of names that remain distinct: long names lose the words that all of them share.
-
-    Examples
-    --------
-    >>> distinct_short_names(["point 1 on the plate", "point 12 on the plate"])
-    {'point 1 on the plate': '1', 'point 12 on the plate': '12'}
-    """
-    several = list(dict.fromkeys(names))
-    if len(several) < 2 or max(len(name) for name in several) <= most:
-        return {name: shorten_name(name, most) for name in several}
-    words = [name.replace("_", " ").split(" ") for name in several]
-    fewest = min(len(parts) for parts in words)
-    first = next((k for k in range(fewest) if len({parts[k] for parts in words}) > 1), 0)
-    last = next((k for k in range(fewest - first) if len({parts[-1 - k] for parts in words}) > 1), 0)
-    distinct = [" ".join(parts[first : len(parts) - last]) for parts in words]
-    if len(set(distinct)) < len(distinct) or not all(distinct):
-        distinct = several
-    return {name: shorten_name(short, most) for name, short in zip(several, distinct, strict=True)}

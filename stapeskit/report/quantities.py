@@ -194,12 +194,6 @@ class Quantity:
         """
         return "" if self.limits is None else interval_text(*self.limits)
 
-    def numbers(self) -> tuple[float, float | None, float | None, float | None, str]:
-        """Return value, sd, lower, upper and unit as shown: the columns of a saved table."""
-        lower, upper = self.limits or (None, None)
-        sd = self.unit.of(self.sd) if self.sd is not None and self.known_sd else None
-        return self.unit.of(self.value), sd, lower, upper, self.unit.symbol
-
 
 def time_unit(exponent: float | None) -> str:
     """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0, None any."""

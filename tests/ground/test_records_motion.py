@@ -115,15 +115,6 @@ def test_files_belong_together_by_content_not_by_name(tmp_path, motion):
     assert np.isnan(read.q[1, 1, 4]).all()
 
 
-def test_files_of_version_0_2_belong_together_by_their_rows(tmp_path, motion):
-    csv, h5 = write_motion(tmp_path, "dof", motion)
-    with h5py.File(h5, "a") as file:
-        file.attrs["csv_hash"] = "xxh3_128:00"
-    assert read_motion(csv).shared is not None
-    csv.write_text("\n".join(csv.read_text().splitlines()[:-1]) + "\n")
-    assert read_motion(csv).shared is None
-
-
 def test_responses_per_reference_read_back(tmp_path, motion):
     responses = per_reference(motion)
     csv, h5 = write_motion(tmp_path, "dof", responses)
@@ -131,11 +122,7 @@ def test_responses_per_reference_read_back(tmp_path, motion):
     assert set(motion_columns(DOF, True)["re"]) < set(header)
     assert np.array_equal(read_motion(csv).covariance, responses.covariance)
     h5.unlink()
-    alone = read_motion(csv)
-    there = np.isfinite(responses.q)
-    assert alone.reference == "base:y"
-    sd = [found.standard_deviation[there] for found in (alone, responses)]
-    assert np.allclose(*sd, rtol=1e-8, atol=0.0)
+    assert the_faults(csv)[0][0] == "motion per reference"
 
 
 def test_a_table_of_another_tool_is_read(tmp_path):
@@ -159,7 +146,7 @@ GOOD = "run,body,freq_hz,y_re_m,y_im_m,y_sd_m,chi2,n_dof"
     ("1,s,2,x,1,1,1,1", "y_re_m", '"x"'),
     ("1,s,2,inf,1,1,1,1", "y_re_m", "inf"),
     ("1,s,2,1e200,1,1,1,1", "y_re_m", "1e+200"),
-    ("1,s,2,1,1,-1,1,1", "a standard deviation", "[-1.0]"),
+    ("1,s,2,1,1,-1,1,1", "y_sd_m", "-1"),
     ("1,s,2,1,1,1,-1,1", "chi2", "-1"),
     ("1,s,2,1,1,1,1,1.5", "n_dof", "1.5"),
     ("1,s,2,1,1,1,1,1e300", "n_dof", "1e+300"),
@@ -182,7 +169,6 @@ def test_all_faulty_cells_come_at_once(tmp_path):
 @pytest.mark.parametrize(("head", "row", "got"), [
     (GOOD.replace("y_sd_m,", ""), "1,s,2,1,1,1,1", "no column y_sd_m"),
     ("run,body,freq_hz", "1,s,2", "no column x_re_m or another degree of freedom"),
-    (GOOD.replace("_m", "_m_per_ref"), "1,s,2,5,1,1,1,1", "no such column"),
 ])  # fmt: skip
 def test_incomplete_headers_are_refused(tmp_path, head, row, got):
     path = tmp_path / "dof.csv"
@@ -217,16 +203,6 @@ def test_cut_hdf5_files_are_refused(tmp_path, motion):
     for share in (0.1, 0.5, 0.9):
         path.write_bytes(whole[: int(share * len(whole))])
         assert the_faults(path)[0][2] == "dof.h5"
-
-
-def test_names_that_begin_a_formula_are_text_and_read_back(tmp_path, motion):
-    names = ("=1+cmd|' /C calc'!A0", '@SUM(A1),"x"')
-    path, h5 = write_motion(tmp_path, "dof", replace(motion, bodies=names, runs=("-x", "+1")))
-    cells = [line.split(",")[0] for line in path.read_text(encoding="utf-8").splitlines()[1:]]
-    assert set(cells) == {"'-x", "+1"}
-    h5.unlink()
-    read = read_motion(path)
-    assert (read.bodies, read.runs) == (names, ("-x", "+1"))
 
 
 @pytest.mark.parametrize(("change", "thing"), [
