@@ -191,7 +191,7 @@ class Options:
                 if entry.kind.fits(value):
                     found[key] = entry.kind.read(value)
                 else:
-                    faults.append(entry.fault(_unfit(entry.kind, value, values[key]), called[key], where))
+                    faults.append(entry.fault(values[key], called[key], where))
             elif entry.default is MISSING:
                 faults.append(Fault(called[key], "given", "nothing", where))
         raise_all(faults)
@@ -243,14 +243,6 @@ def _kind_and_type(hint: Any) -> tuple[Kind, Any]:
         raise TypeError(f"the type {hint} has no words")
     kind, bare = _kind_and_type(parts[0])
     return kind, bare | None if type(None) in get_args(hint) else bare
-
-
-def _unfit(kind: Kind, value: Any, shown: Any) -> Any:
-    """Return what of several values does not fit by itself, as the user wrote it; else all of them."""
-    if not isinstance(value, list | tuple):
-        return shown
-    wrong = [one for part, one in zip(value, shown, strict=True) if not kind.fits([part])]
-    return wrong if len(wrong) < len(value) and wrong else shown
 
 
 def under(folder: Path, value: Any) -> Any:

@@ -16,7 +16,7 @@ from stapeskit.arrays import Array
 from stapeskit.provenance import document_hash, record
 from stapeskit.records.mass import mass_json, mass_record
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.records.measured_mass import LabelVolume, MeasuredMass
+from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.spatial import parameter_basis
 
 if TYPE_CHECKING:
@@ -63,16 +63,7 @@ def measured_mass_of(result: MassResult) -> MeasuredMass:
     }
     surfaces = {"stapes": result.stapes, "plate": result.plate}
     meshes = {name: (one.vertices_mm, one.faces) for name, one in surfaces.items() if one is not None}
-    return MeasuredMass(mass_record(content), None, meshes, lambda: _labels(result), source)
-
-
-def _labels(result: MassResult) -> LabelVolume | None:
-    if result.body is None or result.scan is None:
-        return None
-    from ct_inertia.exports.labels import LabelFile
-
-    labels = LabelFile.of(result.body.labelled, result.scan)
-    return LabelVolume(np.concatenate(list(labels.slabs())), labels.scan_from_index[:3])
+    return MeasuredMass(mass_record(content), None, meshes, source)
 
 
 def budget(matrix: MassMatrix) -> dict[str, dict[str, Any]]:

@@ -240,7 +240,8 @@ def scene(content: Content, pictured: Pictured) -> Scene:
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
     stapes = pictured.light_stapes
-    surfaces = [Mesh("stapes", stapes.vertices_mm, stapes.faces, BODY_COLOURS["stapes"], decimated=True)]
+    colour, light = BODY_COLOURS["stapes"], len(stapes.faces)
+    surfaces = [Mesh("stapes", stapes.vertices_mm, stapes.faces, colour, most_faces=light)]
     lines = []
     if pictured.plate is not None:
         plate = pictured.plate

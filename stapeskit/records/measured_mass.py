@@ -1,4 +1,4 @@
-"""A mass record with the surfaces and labels of its scan, from files or from memory.
+"""A mass record with the surfaces of its scan, from files or from memory.
 
 The room that measures motion reads mass, frames and surfaces from here, whether they come from the folder of
 a mass.json or straight from the result of ct2mass.
@@ -7,7 +7,7 @@ a mass.json or straight from the result of ct2mass.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -24,21 +24,6 @@ Mesh = tuple[Array, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
-class LabelVolume:
-    """A label volume: 0 background, 1 stapes, 2 plate, 3 other bone.
-
-    Attributes
-    ----------
-    array : ndarray, [z, y, x], int
-    scan_from_index : ndarray, (3, 4)
-        Maps index (x, y, z) to scan coordinates, mm.
-    """
-
-    array: NDArray[np.integer]
-    scan_from_index: Array
-
-
-@dataclass(frozen=True)
 class MeasuredMass:
     """Mass, frames and surfaces of a stapes.
 
@@ -46,11 +31,9 @@ class MeasuredMass:
     ----------
     record : MassRecord
     file : Path or None
-        The mass.json; surfaces and labels are in its folder. None: everything is in memory.
+        The mass.json; surfaces are in its folder. None: everything is in memory.
     meshes : mapping of str to Mesh
         ``stapes`` and ``plate``, when they are in memory.
-    labels : callable
-        Returns the label volume when it is in memory, else None.
     source : mapping
         What the provenance of a result says about a mass in memory: an entry of its ``inputs``.
     """
@@ -58,7 +41,6 @@ class MeasuredMass:
     record: MassRecord
     file: Path | None = None
     meshes: Mapping[str, Mesh] = field(default_factory=dict, repr=False)
-    labels: Callable[[], LabelVolume | None] = field(default=lambda: None, repr=False)
     source: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     @property

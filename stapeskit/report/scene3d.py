@@ -43,8 +43,6 @@ class Mesh:
         The body that it moves with; its name by default.
     most_faces : int
         Triangles to which it is decimated: enough for a screen, few enough for a page.
-    decimated : bool
-        It has few triangles already.
     in_view : bool
         Whether the view at the start holds all of it.
     """
@@ -57,7 +55,6 @@ class Mesh:
     body: str | None = None
     most_faces: int = 6000
     in_view: bool = True
-    decimated: bool = False
 
 
 @dataclass(frozen=True)
@@ -210,9 +207,7 @@ class Scene:
         return np.asarray(every.min(axis=0)), np.asarray(every.max(axis=0))
 
     def _mesh(self, mesh: Mesh) -> dict[str, Any]:
-        vertices, faces = mesh.vertices_mm, mesh.faces
-        if not mesh.decimated:
-            vertices, faces = decimate(vertices, faces, mesh.most_faces)
+        vertices, faces = decimate(mesh.vertices_mm, mesh.faces, mesh.most_faces)
         vertices = self._placed(vertices)
         low = vertices.min(axis=0)
         step = max(float(np.max(np.ptp(vertices, axis=0))), 1e-9) / _STEPS

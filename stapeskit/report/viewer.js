@@ -1,6 +1,6 @@
 "use strict";
-// The three-dimensional view of every figure with data-scene: surfaces by WebGL (or, without it, painted triangle by
-// triangle), axes, labels and names of points on a second canvas above. Data: scene3d.py.
+// The three-dimensional view of every figure with data-scene: surfaces by WebGL, axes, labels and names of points on a
+// second canvas above. Data: scene3d.py.
 document.querySelectorAll("[data-scene]").forEach((box) => {
   const find = (selector) => box.querySelector(selector), all = (selector) => Array.from(box.querySelectorAll(selector));
   const scene = JSON.parse(find("script").textContent), solid = find(".solid"), over = find(".over"), hover = find(".hover");
@@ -61,7 +61,8 @@ document.querySelectorAll("[data-scene]").forEach((box) => {
 
   // --- surfaces and points by WebGL
   const gl = solid.getContext("webgl", { antialias: true, alpha: false, preserveDrawingBuffer: true });
-  const paint = gl ? byCard() : byHand();
+  if (!gl) { find(".none").textContent = "The three-dimensional view needs WebGL."; return; }
+  const paint = byCard();
   function byCard() {
     const vertex = `attribute vec3 at, normal; uniform mat3 rows; uniform vec3 middle, go, turn; uniform vec4 lens; uniform vec2 dot; varying vec3 n;
       void main() { vec3 e = rows * (at + go + cross(turn, at) - middle); n = rows * normal;
@@ -112,35 +113,6 @@ document.querySelectorAll("[data-scene]").forEach((box) => {
       });
       gl.uniform1f(U.kind, 0); gl.uniform2f(U.dot, 1, 0);
       visible.filter((mesh) => mesh.opacity < 1).forEach((mesh) => { surface(mesh, gl.FRONT); surface(mesh, gl.BACK); });
-    };
-  }
-
-  // --- the same without WebGL: triangles painted from the farthest to the nearest
-  function byHand() {
-    const brush = solid.getContext("2d"), light = [-0.4, 0.55, 0.73];
-    return (ratio) => {
-      brush.setTransform(ratio, 0, 0, ratio, 0, 0); brush.fillStyle = "#f7f9fb"; brush.fillRect(0, 0, camera.wide, camera.high);
-      const list = [];
-      meshes.filter((mesh) => shown(mesh.name)).forEach((mesh) => {
-        const m = moved(mesh.body), at = [];
-        for (let k = 0; k < mesh.at.length; k += 3) at.push(project(place(Array.from(mesh.at.subarray(k, k + 3)), m)));
-        for (let f = 0; f < mesh.faces.length; f += 3) {
-          const [a, b, c] = [0, 1, 2].map((k) => at[mesh.faces[f + k]]);
-          const n = cross([b[0] - a[0], a[1] - b[1], (b[2] - a[2]) * camera.scale], [c[0] - a[0], a[1] - c[1], (c[2] - a[2]) * camera.scale]);
-          if (n[2] <= 0) continue;
-          const bright = (n[0] * light[0] + n[1] * light[1] + n[2] * light[2]) / (Math.hypot(...n) || 1);
-          const tone = rgb(mesh.colour).map((value) => 247 + mesh.opacity * (Math.min(255, 255 * value * (0.5 + 0.6 * Math.max(0, bright))) - 247));
-          list.push([a[2] + b[2] + c[2], a, b, c, `rgb(${tone.map(Math.round).join()})`]);
-        }
-      });
-      list.sort((one, two) => one[0] - two[0]).forEach(([, a, b, c, tone]) => {
-        brush.beginPath(); brush.moveTo(a[0], a[1]); brush.lineTo(b[0], b[1]); brush.lineTo(c[0], c[1]); brush.closePath();
-        brush.fillStyle = brush.strokeStyle = tone; brush.lineWidth = 0.6; brush.fill(); brush.stroke();
-      });
-      if (shown("points")) scene.points.forEach((point) => {
-        const [x, y] = project(place(point.at, moved(point.body)));
-        brush.beginPath(); brush.arc(x, y, 5, 0, 7); brush.fillStyle = point.colour; brush.strokeStyle = "#fff"; brush.lineWidth = 1.5; brush.fill(); brush.stroke();
-      });
     };
   }
 

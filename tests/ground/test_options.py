@@ -131,12 +131,6 @@ def test_unfit_values_are_refused_by_name(words: str, scan_file: Path) -> None:
     assert [fault.thing for fault in raised.value.faults] == [UNFIT[words]]
 
 
-def test_of_several_values_the_unfit_one_is_shown(scan_file: Path) -> None:
-    with pytest.raises(StapeskitError) as raised:
-        parsed("scan.tif --exclude 45-55 --exclude 9-3 --dof y,w")
-    assert [fault.got for fault in raised.value.faults] == ["y,w", "9-3"]
-
-
 def test_all_faults_come_together(scan_file: Path) -> None:
     with pytest.raises(StapeskitError) as raised:
         parsed("scan.tif --density 19x --box 1,2,3,0,5,6 --mirror q --band 3 --nothing")

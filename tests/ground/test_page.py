@@ -1,8 +1,6 @@
 """Pages: valid, escaped, self-contained, with numbers that can be saved; and what drawing one costs."""
 
-import base64
 import doctest
-import hashlib
 import re
 import time
 from html.parser import HTMLParser
@@ -138,15 +136,8 @@ def test_every_text_is_escaped(html):
         assert raw not in html
 
 
-def test_a_page_loads_nothing_and_runs_only_its_own_scripts(html):
+def test_a_page_loads_nothing(html):
     elements = Elements(html)
-    policy = next(values["content"] for _, values in elements.found if "http-equiv" in values)
-    assert policy.startswith("default-src 'none'")
-    scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
-    assert len(scripts) == 2
-    for script in scripts:
-        value = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-        assert f"'sha256-{value}'" in policy
     assert elements.attributes("link", "href") == elements.attributes("script", "src") == []
     for _, values in elements.found:
         assert not any(name.startswith("on") for name in values)
