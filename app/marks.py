@@ -62,8 +62,8 @@ class Marks:
         self.references: dict[str, Point] = {}
         if path is not None:
             known = read_fiducials(path)
-            every = zip(known.names, known.reference_mm, known.frames, strict=True)
-            self.references = {name: _point(place) for name, place, frame in every if frame == "plate"}
+            every = zip(known.names, known.reference_mm, strict=True)
+            self.references = {name: _point(at) for name, at in every} if known.frame == "plate" else {}
 
     @property
     def names(self) -> list[str]:

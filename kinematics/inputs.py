@@ -10,14 +10,11 @@ from kinematics.leave_out import without_channels
 from kinematics.measurement import Measurement
 from kinematics.options import MotionOptions
 from kinematics.place.fiducials import Fiducials, read_fiducials
-from kinematics.place.on_surface import SurfacePoints, lay_on_surface, read_surface_points
-from kinematics.place.placement import Placement, check_frames, place
-from kinematics.place.surfaces import surfaces_of
+from kinematics.place.placement import check_frame, fit_fiducials
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
-from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.records.measured_mass import MeasuredMass
-from stapeskit.registration import fit_rigid
 
 _MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
 
@@ -29,20 +26,6 @@ class Inputs:
     options: MotionOptions
     measurement: Measurement
     fiducials: Fiducials | None = None
-    plate_points: SurfacePoints | None = None
-
-    def placement(self, mass: MeasuredMass | None) -> Placement:
-        """Return the pose of the measurement in the footplate frame."""
-        known = None if mass is None else mass.record
-        placement = place(self.fiducials, self.options.frame or "footplate", known)
-        if self.plate_points is None:
-            return placement
-        plate = None if mass is None else surfaces_of(mass).get("plate")
-        if mass is None or plate is None:
-            expected = "given with a mass.json that has a plate.ply beside it"
-            step = "Scan stapes and plate together with ct2mass, or use fiducials in frame scan"
-            raise StapeskitError.of("--plate-points", expected, "no plate.ply", "", step)
-        return lay_on_surface(placement, self.plate_points, plate, mass.record)
 
     def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
         """Return every file that was read, by its role."""
@@ -57,13 +40,10 @@ class Inputs:
 def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
     """Read every file of a measurement; their faults come together."""
     faults: list[Fault] = []
-    known = None if mass is None else mass.record
-    fiducials, points = _read_ties(options, faults)
+    fiducials = _read_fiducials(options, faults)
     with collect_faults(faults):
-        if fiducials is None and options.fiducials_file is None:
-            check_frames((options.frame or "footplate",), known)
-        elif fiducials is not None:
-            check_frames(tuple(dict.fromkeys(fiducials.frames)), known, fiducials.file, True)
+        if fiducials is not None or options.fiducials_file is None:
+            check_frame(fiducials, options.frame or "footplate", None if mass is None else mass.record)
     with collect_faults(faults):
         measurement = _read_channels(options)
         for body in measurement.bodies:
@@ -72,18 +52,13 @@ def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
     if options.mirror is not None:
         measurement = measurement.mirrored(options.mirror)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
-        points = None if points is None else points.mirrored(options.mirror)
-    return Inputs(options, measurement, fiducials, points)
+    return Inputs(options, measurement, fiducials)
 
 
-def _read_ties(options: MotionOptions, faults: list[Fault]) -> tuple[Fiducials | None, SurfacePoints | None]:
-    """Read the files that tie the measurement to the scan."""
-    fiducials = points = None
+def _read_fiducials(options: MotionOptions, faults: list[Fault]) -> Fiducials | None:
     with collect_faults(faults):
-        fiducials = None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
-    with collect_faults(faults):
-        points = None if options.plate_points is None else read_surface_points(options.plate_points)
-    return fiducials, points
+        return None if options.fiducials_file is None else read_fiducials(options.fiducials_file)
+    return None
 
 
 def _read_channels(options: MotionOptions) -> Measurement:
@@ -106,11 +81,10 @@ def check_inputs(options: MotionOptions) -> None:
     from kinematics.readers.text import TEXT_ENDINGS
 
     faults: list[Fault] = []
-    fiducials, _ = _read_ties(options, faults)
+    fiducials = _read_fiducials(options, faults)
     with collect_faults(faults):
-        if fiducials is not None and len(set(fiducials.frames)) == 1:
-            pairs = fiducials.vibrometer_mm, fiducials.reference_mm, fiducials.sd_mm
-            fit_rigid(*pairs, to=fiducials.frames[0], source="vibrometer", names=fiducials.names)
+        if fiducials is not None:
+            fit_fiducials(fiducials)
     small = [path for path in options.file if path.is_file() and path.suffix.lower() in TEXT_ENDINGS]
     size = sum(path.stat().st_size for path in small)
     if len(small) == len(options.file) and size < _MOST_CHECKED_BYTES and options.channels is None:

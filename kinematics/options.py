@@ -93,11 +93,6 @@ class MotionOptions(Options):
             "Write the frame into the column frame of the fiducials file",
         ),
         _rule(
-            lambda v: v.plate_points and not isinstance(v.fiducials, Path),
-            "--plate-points", "given with --fiducials, at least three rough ones", "no fiducials",
-            "Add --fiducials FILE: the points are laid on the plate from there",
-        ),
-        _rule(
             lambda v: v.correct and v.calibrate,
             "--correct", "left out with --calibrate, which takes faults for errors of the geometry", "both",
             "Correct the file by what --correct reports, and calibrate then",
@@ -161,15 +156,6 @@ class MotionOptions(Options):
     mirror: Annotated[
         Literal["x", "y", "z"] | None,
         Opt("reverse this axis (coordinates of the scanner are left-handed)", _TIES, "x"),
-    ] = None
-    plate_points: Annotated[
-        ReadFile | None,
-        Opt(
-            "points measured on the plate, laid on its surface in the scan: [name,] x_mm, y_mm, z_mm [, "
-            "sd_mm]",
-            _TIES,
-            "plate_points.csv",
-        ),
     ] = None
 
     calibrate: Annotated[
@@ -264,14 +250,14 @@ class MotionOptions(Options):
         named = {
             "points": self.points_file,
             "fiducials": self.fiducials_file,
-            **{name: getattr(self, name) for name in ("plate_points", "mapping", "channels", "steps")},
+            **{name: getattr(self, name) for name in ("mapping", "channels", "steps")},
         }
         files = {"ldv" if not number else f"ldv {number + 1}": path for number, path in enumerate(self.file)}
         return files | {role: path for role, path in named.items() if path is not None}
 
     def parameters(self) -> dict[str, Any]:
         """Return what differs from the defaults, for the provenance; files are among its inputs."""
-        files = {"file", "points", "fiducials", "plate_points", "mapping", "channels", "steps"}
+        files = {"file", "points", "fiducials", "mapping", "channels", "steps"}
         return {key: value for key, value in self.given().items() if key not in files}
 
 

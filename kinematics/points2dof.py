@@ -30,7 +30,7 @@ from kinematics.place.channel_errors import body_starts
 from kinematics.place.handedness import check_axes
 from kinematics.place.lasers import LaserAgreement, laser_agreement
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
-from kinematics.place.placement import Placement
+from kinematics.place.placement import Placement, place
 from kinematics.place.shared_errors import Parameter, effects, shared_errors
 from kinematics.place.surfaces import surfaces_of
 from kinematics.repeats import pool_repeats
@@ -85,12 +85,13 @@ def measure_motion(
     progress("fitting the motion")
     measurement, repeats = pool_repeats(read.measurement)
     check_extent(measurement)
-    placement = read.placement(mass)
+    placement = place(read.fiducials, options.frame or "footplate", None if mass is None else mass.record)
+    notices = [] if placement.registration is None else [*placement.registration.notices]
     surfaces = {} if mass is None else surfaces_of(mass)
     checks: tuple[SurfaceCheck, ...] = ()
-    notices: list[Notice] = []
     if mass is not None:
-        checks, notices = check_surfaces(measurement, placement, mass.record, surfaces)
+        checks, found_off = check_surfaces(measurement, placement, mass.record, surfaces)
+        notices += found_off
     placed = measurement.mapped(placement.transform)
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in placed.bodies), options.dof)
@@ -102,7 +103,7 @@ def measure_motion(
     progress("looking for faults")
     diagnoses = _search(fitted, options)
     found = fitted.placed.bodies
-    notices += check_axes(diagnoses, placement.transform)
+    check_axes(diagnoses, placement.transform)
     notices += points_of_other_bodies(fitted.placed, fitted.fits, diagnoses)
     calibration = None
     if options.calibrate:
@@ -130,7 +131,7 @@ def measure_motion(
         motion = motion.with_common_noise(measurement.common_sd)
     before = () if mass is None else mass.record.notices
     before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
-    every = unique([*before, *placement.notices, *measurement.notices, *notices])
+    every = unique([*before, *measurement.notices, *notices])
     motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
     bodies = fitted.placed.bodies
     return MotionResult(
@@ -284,7 +285,7 @@ def _provenance(
     parameters = {**options.parameters(), "frame": options.source_frame}
     if taken:
         parameters["found_beside"] = sorted(taken)
-    frames = [options.frame or "footplate"] if read.fiducials is None else sorted({*read.fiducials.frames})
+    frames = [options.frame or "footplate"] if read.fiducials is None else [read.fiducials.frame]
     block = record(inputs, parameters, command) | {"registered_in": frames}
     return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
 

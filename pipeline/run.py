@@ -204,8 +204,6 @@ def run_study(
     mass, reused = None, []
 
     dropped = set() if study.about.all_files else set(EXTRA)
-    if study.ldv.plate_points is not None:
-        dropped -= {"plate.ply"}
     mass_file = out / FILES["scan"][0]
     complete = "plate.ply" in dropped or (out / "plate.ply").exists()
     same = not force and complete and outputs["scan"].unchanged()

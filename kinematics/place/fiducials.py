@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.measurement import MIRRORS
-from kinematics.readers.points import position_faults, require, sd_faults
+from kinematics.readers.points import position_faults, require, sd_faults, text_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
-from stapeskit.tables import Table, read_table
+from stapeskit.tables import read_table
 
 FRAMES = ("plate", "scan", "footplate")
 
@@ -30,8 +30,8 @@ class Fiducials:
     names : tuple of str, (n,)
     vibrometer_mm : ndarray, (n, 3)
     reference_mm : ndarray, (n, 3)
-        In the frame of the same row of ``frames``.
-    frames : tuple of str, (n,)
+        In ``frame``.
+    frame : str
         Out of `FRAMES`.
     sd_mm : ndarray, (n,), or None
         Standard deviation per coordinate of the difference of a pair; None when not stated.
@@ -42,7 +42,7 @@ class Fiducials:
     names: tuple[str, ...]
     vibrometer_mm: Array
     reference_mm: Array
-    frames: tuple[str, ...]
+    frame: str
     sd_mm: Array | None = None
     file: str = ""
 
@@ -57,9 +57,9 @@ def read_fiducials(path: Path) -> Fiducials:
     Raises
     ------
     StapeskitError
-        A column is missing, a cell is no finite number, a name is repeated, a frame is unknown, an sd is not
-        positive or stated for some fiducials only; all faults are listed. Or all fiducials lie next to each
-        other, as in another unit.
+        A column is missing, a cell is no finite number, a name is repeated, a frame is unknown or not the
+        same for all, an sd is not positive or stated for some fiducials only; all faults are listed. Or all
+        fiducials lie next to each other, as in another unit.
     """
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
@@ -67,58 +67,38 @@ def read_fiducials(path: Path) -> Fiducials:
         return {*_SEEN, *_KNOWN, *({"sd_mm"} & set(header))}, {"name", *({"frame"} & set(header))}
 
     table = read_table(Path(path), choose)
-    faults = [*table.faults, *position_faults(table, (*_SEEN, *_KNOWN))]
-    names, frames = _names(table, faults), _frames(table, faults)
-    sd = _spread(table, faults)
-    raise_all(_with_name(fault, table, names) for fault in faults)
+    rows = range(len(table))
+    names = tuple(text_of(table, "name", row) for row in rows)
+    frames = [text_of(table, "frame", row).lower() or "plate" for row in rows]
+    sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
+    stated = not np.all(np.isnan(sd))
+    faults = [*table.faults, *position_faults(table, (*_SEEN, *_KNOWN)), *sd_faults(table, sd)]
+    for row, (name, frame) in enumerate(zip(names, frames, strict=True)):
+        if not name or name in names[:row]:
+            got, want = f"{name} again" if name else "an empty cell", "given, and different for each fiducial"
+            faults.append(Fault("name", want, got, table.where(row), "Name it"))
+        if frame not in FRAMES:
+            where = table.where(row, "frame")
+            faults.append(Fault("frame", "plate, scan or footplate", frame, where, "Correct it"))
+        elif frame != frames[0] and frames[0] in FRAMES:
+            step = "Give all references in one frame: ct2mass and 3D Slicer know the scan's"
+            faults.append(Fault("frame", f"the same for all, {frames[0]}", frame, table.where(row), step))
+        if stated and np.isnan(sd[row]):
+            step, want = "Fill it in, or leave the column out", "stated for all fiducials or for none"
+            faults.append(Fault("sd_mm", want, "an empty cell", table.where(row), step))
+    named = dict(zip(table.lines.tolist(), names, strict=True))
+    raise_all(_with_name(fault, named) for fault in faults)
     seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
     apart = max(float(np.max(np.ptp(points, axis=0))) for points in (seen, known))
     if len(names) > 1 and 0.0 < apart < _LEAST_APART_MM:
         expected, step = "apart by millimetres", "Multiply coordinates in metres by 1000"
         raise StapeskitError.of("the fiducials", expected, f"{apart:.3g} mm", table.file, step)
-    return Fiducials(names, seen, known, frames, sd, table.file)
+    return Fiducials(names, seen, known, frames[0], sd if stated else None, table.file)
 
 
-def _names(table: Table, faults: list[Fault]) -> tuple[str, ...]:
-    column = table.texts["name"]
-    names = tuple(column.names[code] if code >= 0 else "" for code in column.codes)
-    for row, name in enumerate(names):
-        if not name or name in names[:row]:
-            got, want = f"{name} again" if name else "an empty cell", "given, and different for each fiducial"
-            faults.append(Fault("name", want, got, table.where(row), "Name it"))
-    return names
-
-
-def _frames(table: Table, faults: list[Fault]) -> tuple[str, ...]:
-    if "frame" not in table.texts:
-        return ("plate",) * len(table)
-    column = table.texts["frame"]
-    frames = tuple(column.names[code].lower() if code >= 0 else "plate" for code in column.codes)
-    for row, frame in enumerate(frames):
-        if frame not in FRAMES:
-            where = table.where(row, "frame")
-            faults.append(Fault("frame", "plate, scan or footplate", frame, where, "Correct it"))
-    return frames
-
-
-def _spread(table: Table, faults: list[Fault]) -> Array | None:
-    sd = table.numbers.get("sd_mm")
-    if sd is None or np.all(np.isnan(sd)):
-        return None
-    faults += sd_faults(table, sd)
-    step, want = "Fill it in, or leave the column out", "stated for all fiducials or for none"
-    faults += [
-        Fault("sd_mm", want, "an empty cell", table.where(row), step)
-        for row in np.flatnonzero(np.isnan(sd)).tolist()
-    ]
-    return sd
-
-
-def _with_name(fault: Fault, table: Table, names: Sequence[str]) -> Fault:
+def _with_name(fault: Fault, names: dict[int, str]) -> Fault:
     """Return a fault with the name of the one fiducial whose line is at fault."""
-    if not isinstance(fault.where, Place) or len(fault.where.numbers) != 1:
+    if not isinstance(fault.where, Place) or not (name := names.get(*fault.where.numbers[:1], "")):
         return fault
-    line = fault.where.numbers[0]
-    at_fault = [name for name, own in zip(names, table.lines, strict=True) if own == line and name]
-    detail = ", ".join(part for part in (fault.where.detail, *(f"fiducial {n}" for n in at_fault)) if part)
+    detail = f"{fault.where.detail}, fiducial {name}".removeprefix(", ")
     return replace(fault, where=replace(fault.where, detail=detail))

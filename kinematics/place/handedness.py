@@ -15,7 +15,12 @@ from kinematics.measurement import MIRRORS
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform
-from stapeskit.warnings import Notice
+
+UNITS = {
+    f"{unit} taken as mm": factor * np.eye(3)
+    for unit, factor in {"metres": 1e3, "micrometres": 1e-3, "inches": 25.4}.items()
+}
+"""Changes of scale (3, 3) that mistakes make, by their words."""
 
 _CURED_SHARE = calibrated("handedness.cured_share")
 _LEAST_MISFIT = calibrated("handedness.least_misfit")
@@ -32,21 +37,14 @@ def axes_changes(half_turns: bool = True) -> dict[str, Array]:
         order = [0, 1, 2]
         order[first], order[second] = second, first
         changes[f"the axes {'xyz'[first]} and {'xyz'[second]} exchanged"] = np.eye(3)[order]
-    if half_turns:
-        for axis, signs in MIRRORS.items():
-            others = " and ".join(name for name in "xyz" if name != axis)
-            also = " (RAS against LPS)" if axis == "z" else ""
-            changes[f"the axes {others} reversed{also}"] = -np.diag(signs)
+    for axis, signs in MIRRORS.items() if half_turns else ():
+        others = " and ".join(name for name in "xyz" if name != axis)
+        also = " (RAS against LPS)" if axis == "z" else ""
+        changes[f"the axes {others} reversed{also}"] = -np.diag(signs)
     return changes
 
 
-def units_changes() -> dict[str, Array]:
-    """Return changes of scale (3, 3) by their words."""
-    factors = {"metres taken as mm": 1e3, "micrometres taken as mm": 1e-3, "inches taken as mm": 25.4}
-    return {words: factor * np.eye(3) for words, factor in factors.items()}
-
-
-def check_axes(diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidTransform) -> list[Notice]:
+def check_axes(diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidTransform) -> None:
     """Refuse positions that agree with the beams only when an axis is reversed or two are exchanged.
 
     Parameters
@@ -56,44 +54,32 @@ def check_axes(diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidT
     footplate_from_source : RigidTransform
         Whose source axes are those of the files.
 
-    Returns
-    -------
-    list of Notice
-        ``mirrored_axes`` where one fault explains the readings as well.
-
     Raises
     ------
     StapeskitError
-        Other axes of all positions bring the misfit down to a tenth, and nothing else does.
+        Other axes of all positions bring the misfit down to a tenth, and no single fault explains it.
 
     Notes
     -----
     Where positions and beams are both mirrored, v = v0 + omega x r keeps its form with -omega, and no
     residual shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
     """
-    loud = {number: found for number, found in diagnoses.items() if found.findings or found.causes}
-    freedom = sum(found.first.state.freedom for found in loud.values())
-    before = sum(found.first.estimate.chi2 / found.first.noise.level for found in loud.values())
-    if freedom < _LEAST_FREEDOM or before < _LEAST_MISFIT * freedom:
-        return []
+    loud = [found for found in diagnoses.values() if found.findings or found.causes]
+    freedom = sum(found.first.state.freedom for found in loud)
+    before = sum(found.first.estimate.chi2 / found.first.noise.level for found in loud)
+    if freedom < _LEAST_FREEDOM or before < _LEAST_MISFIT * freedom or all(map(_explained, loud)):
+        return
     turn = footplate_from_source.rotation
     after = {
-        words: sum(_energy(found, turn @ change @ turn.T) for found in loud.values())
+        words: sum(_energy(found, turn @ change @ turn.T) for found in loud)
         for words, change in axes_changes(half_turns=False).items()
     }
     best = min(after, key=lambda words: after[words])
     least = float(np.sqrt(2.0 * freedom))
     if max(after[best] - freedom, least) > _CURED_SHARE * (before - freedom):
-        return []
+        return
     if after[best] > _LEAST_MISFIT * freedom:
-        return []
-    single = all(
-        len(found.findings) == 1 and not found.causes and found.findings[0].kind != "flexible"
-        for found in loud.values()
-    )
-    if single and all(found.last.clean() for found in loud.values()):
-        text = f"positions with {best} would explain the readings as well as the fault that was found."
-        return [Notice("mirrored_axes", text)]
+        return
     sizes = [float(np.sqrt(value / freedom)) for value in (before, after[best])]
     got = (
         f"positions that agree only with {best} (residuals {sizes[0]:.2g} times the noise, {sizes[1]:.2g} so)"
@@ -101,6 +87,12 @@ def check_axes(diagnoses: Mapping[int, Diagnosis], footplate_from_source: RigidT
     step = "Correct these columns of the positions, or those of the directions"
     expected = "in the same axes as the beam directions"
     raise StapeskitError.of("the positions of the points", expected, got, "", step)
+
+
+def _explained(found: Diagnosis) -> bool:
+    """Return whether one fault leaves nothing but noise."""
+    single = len(found.findings) == 1 and not found.causes and found.findings[0].kind != "flexible"
+    return single and found.last.clean()
 
 
 def _energy(found: Diagnosis, change: Array) -> float:

@@ -19,15 +19,7 @@ BODIES = ("stapes", "plate")
 
 @dataclass(frozen=True)
 class Surface:
-    """A closed triangle surface in scan coordinates.
-
-    Attributes
-    ----------
-    name : str
-    vertices_mm : ndarray, (n, 3)
-    faces : ndarray, (m, 3), int
-        Outward.
-    """
+    """A closed triangle surface in scan coordinates: vertices (n, 3), mm, and outward faces (m, 3)."""
 
     name: str
     vertices_mm: Array
