@@ -1,59 +1,113 @@
-"""Find what is wrong with a set of fiducials: other axes, exchanged names, a mirror image, one mistyped.
+"""Find what is wrong with a set of fiducials: a mirror image, exchanged names, another scale, one mistyped.
 
-Explanations without a free parameter (other axes, another order, a mirror image) come first: when one of
-them leaves nothing but noise it is certain, and the fiducials are refused. The rest is named in a warning.
+Every cause is a changed set of points with few free parameters, taken as likely by what it leaves. One
+without a free parameter that leaves nothing but noise is certain, and the fiducials are refused, as are those
+that no pose brings within a millimetre. The rest is named in a warning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations, permutations, product
+from itertools import combinations
 
 import numpy as np
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.paired_points import Pairs, kabsch, misfits, size_error, sizes_differ
+from stapeskit.paired_points import kabsch, misfits
 from stapeskit.warnings import Notice
 
 INCONSISTENT = 1e-3
 """Probability of residuals below which fiducials are reported as inconsistent: 1 of 1000 right sets is."""
+FARTHEST_MM = 1.0
+"""Root mean square residual of inconsistent fiducials from which on they are refused: a third of a stapes."""
 
+_THIN = 0.02  # of their extent: flatter points count as coplanar, since their mirror image fits as well
 _NOTICEABLE_MM = 0.05  # the accuracy of marks: smaller errors are not reported where no sd is stated
-_ALIKE = 6.0  # twice the log likelihood (20 to 1) by which explanations differ that cannot be distinguished
-_FAR_BETTER = 100.0  # ratio of the sums of squares of a certain explanation, where no sd is stated
+_SCALE = 1e-3  # smaller differences of scale are not named
+_PRICE = 5.0  # of a free parameter, in units of chi2: as much is gained by chance in 2.5 % of right sets
+_ALIKE = 6.0  # twice the log likelihood (20 to 1) by which causes differ that cannot be distinguished
+_MOST_LEFT = 0.1  # of the misfit that a cause with parameters may leave where it leaves more than noise
+_FAR_BETTER = 100.0  # ratio of the sums of squares of a cause without parameters, where no sd is stated
 _ROUNDING = 1e-24  # keeps the ratios of exact data finite
-_MOST_POINTS = 16  # of more points, other axes and other orders are not searched
 
 
 @dataclass(frozen=True)
-class Wrong:
-    """One fiducial left out.
+class Pairs:
+    """Paired points and the fit of them all.
 
     Attributes
     ----------
-    place : int
-    chi2, n_dof : float, int
-        Of the fit of the others.
-    offset_mm : ndarray, (3,)
-        Where its target lies, minus where the others put it, in target axes.
-    rotation : ndarray, (3, 3)
-        Of the fit of the others.
+    source_mm, target_mm : ndarray, (n, 3)
+    weights : ndarray, (n,)
+        1 / sd^2, or ones.
+    chi2 : float
+        Weighted sum of squared residuals.
+    flat_mm : float
+        Largest distance of a target point from the best plane through all of them.
+    stated : bool
+        Whether the weights are absolute.
+    names : tuple of str
+    source, to : str
+        Names of the frames.
     """
 
-    place: int
+    source_mm: Array
+    target_mm: Array
+    weights: Array
+    chi2: float
+    flat_mm: float
+    stated: bool
+    names: tuple[str, ...]
+    source: str
+    to: str
+
+    def __len__(self) -> int:
+        return len(self.source_mm)
+
+    @property
+    def n_dof(self) -> int:
+        """Degrees of freedom of the fit of all."""
+        return 3 * len(self) - 6
+
+    @property
+    def coplanar(self) -> bool:
+        """Whether a mirror image fits as well."""
+        extent = float(np.max(np.linalg.norm(self.target_mm - self.target_mm.mean(axis=0), axis=1)))
+        noise = 4.0 / np.sqrt(float(np.median(self.weights))) if self.stated else 0.0
+        return len(self) < 4 or self.flat_mm < max(_THIN * extent, noise)
+
+    def rms_mm(self, chi2: float) -> float:
+        """Return the root mean square residual (of three coordinates) that belongs to a sum of squares."""
+        return float(np.sqrt(3.0 * chi2 / np.sum(self.weights)))
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What may be wrong, the sum of squares and the degrees of freedom that it leaves, and its sentence.
+
+    It has ``parameters`` and is one of ``number`` alike; one without parameters is refused, as ``thing`` that
+    must be ``expected``. A single wrong fiducial has a ``name`` and is off by ``size_mm``.
+    """
+
+    words: str
     chi2: float
     n_dof: int
-    offset_mm: Array
-    rotation: Array
+    parameters: int
+    number: int
+    thing: str = ""
+    expected: str = ""
+    step: str = ""
+    name: str = ""
+    size_mm: float = np.inf
 
 
 def inconsistent(chi2: float, n_dof: int) -> bool:
     """Return whether a sum of squares in units of sd is too large for noise (p < 0.001)."""
-    from scipy.special import chdtri
+    from scipy.special import chdtrc
 
-    return n_dof > 0 and chi2 > float(chdtri(n_dof, INCONSISTENT))
+    return n_dof > 0 and float(chdtrc(n_dof, chi2)) < INCONSISTENT
 
 
 def notices_of(pairs: Pairs) -> list[Notice]:
@@ -62,13 +116,13 @@ def notices_of(pairs: Pairs) -> list[Notice]:
     Raises
     ------
     StapeskitError
-        Some fiducials are in other axes, names are exchanged, or one of the frames is left-handed.
+        Names are exchanged, one of the frames is left-handed, or residuals exceed a millimetre.
 
     Notes
     -----
-    With stated sd: chi2 of the fit of all, p < 0.001. Without, the others' scatter is the only scale: F test
-    of the three coordinates of one fiducial, corrected for their number (Cook and Weisberg 1982, Residuals
-    and Influence in Regression, section 2.2).
+    With stated sd: chi2 of the fit of all, p < 0.001. Without, what a cause leaves is the only scale: F test
+    of its gain, corrected for the number of such causes (Cook and Weisberg 1982, Residuals and Influence in
+    Regression, section 2.2).
     """
     notices = []
     if pairs.coplanar:
@@ -76,201 +130,112 @@ def notices_of(pairs: Pairs) -> list[Notice]:
         why = few if len(pairs) < 4 else f"all fiducials within {pairs.flat_mm:.3g} mm of one plane"
         text = f"{why}: a mirrored coordinate system would fit as well; add a fiducial off the plane."
         notices.append(Notice("fiducials_coplanar", text))
+    rms_mm = pairs.rms_mm(pairs.chi2)
     if pairs.stated and not inconsistent(pairs.chi2, pairs.n_dof):
         return notices
-    cause = ""
-    if len(pairs) > 3:
-        suspects = sorted(_each_left_out(pairs), key=lambda suspect: suspect.chi2)
-        if pairs.rms_mm(pairs.chi2) > _NOTICEABLE_MM or pairs.stated:
-            _refuse_certain(pairs, suspects)
-        if sizes_differ(pairs.source_mm, pairs.target_mm):
-            raise size_error(pairs.source_mm, pairs.target_mm, pairs.source, pairs.to)
-        cause = _scale_cause(pairs, suspects[0]) or _wrong_cause(pairs, suspects)
+    likely = [cause for cause in _causes(pairs) if _is_likely(pairs, cause)] if len(pairs) > 3 else []
+    words = ""
+    if likely:
+        scale = 1.0 if pairs.stated else max(min(one.chi2 / one.n_dof for one in likely), _ROUNDING)
+        weights = {
+            one: one.chi2 / scale + _PRICE * one.parameters + 2.0 * np.log(one.number) for one in likely
+        }
+        best = min(likely, key=lambda one: weights[one])
+        if best.step:
+            rivals = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
+            also = f"; or correct fiducial {rivals[0]}, which alone shows it" if len(rivals) == 1 else ""
+            got = f"{best.words} (residual {rms_mm:.3g} mm as given, {pairs.rms_mm(best.chi2):.3g} mm so)"
+            raise StapeskitError.of(best.thing, best.expected, got, "", best.step + also)
+        alike = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
+        words = best.words
+        if best.name and len(alike) > 1:
+            listed = ", ".join(alike)
+            words = f"one of the fiducials {listed} is off by about {best.size_mm:.3g} mm, which one is open"
+    why = "three cannot tell which (add a fourth)" if len(pairs) == 3 else "no single cause explains it"
+    if rms_mm > FARTHEST_MM:
+        want, got = f"in agreement within {FARTHEST_MM:g} mm", f"{rms_mm:.3g} mm (root mean square residual)"
+        raise StapeskitError.of("the fiducials", want, got, "", f"Check them: {words or why}")
     if pairs.stated:
         size = np.sqrt(pairs.chi2 / pairs.n_dof)
-        several = (
-            "three cannot tell which (add a fourth)" if len(pairs) == 3 else "no single cause explains it"
+        words = (
+            f"the fiducials disagree by {size:.1f} times their sd_mm; {words or why}; the covariance of the "
+            "registration was enlarged accordingly"
         )
-        text = (
-            f"the fiducials disagree by {size:.1f} times their sd_mm; {cause or several}; the covariance of "
+    return [*notices, Notice("fiducials_inconsistent", f"{words}.")] if words else notices
+
+
+def _causes(pairs: Pairs) -> Iterator[Cause]:
+    """Yield what may be wrong with four fiducials or more."""
+    source, target, weights, count = pairs.source_mm, pairs.target_mm, pairs.weights, len(pairs)
+    if not pairs.coplanar:
+        yield Cause(
+            "points that fit only as a mirror image",
+            float(misfits(source * [1.0, 1.0, -1.0], target, weights)[0]),
+            *(pairs.n_dof, 0, 1),
+            f"the coordinates of the {pairs.source} frame",
+            "right-handed",
+            undo_mirror(pairs.to, pairs.source),
         )
-        notices.append(Notice("fiducials_inconsistent", f"{text}the registration was enlarged accordingly."))
-    elif cause:
-        notices.append(Notice("fiducials_inconsistent", f"{cause}."))
-    return notices
+    couples = list(combinations(range(count), 2))
+    orders = np.tile(np.arange(count), (len(couples), 1))
+    for order, (one, other) in zip(orders, couples, strict=True):
+        order[[one, other]] = other, one
+    for chi2, (one, other) in zip(misfits(source, target[orders], weights)[0], couples, strict=True):
+        yield Cause(
+            f"{pairs.names[one]} and {pairs.names[other]} exchanged",
+            float(chi2),
+            *(pairs.n_dof, 0, len(couples)),
+            "the names of the fiducials",
+            "those of the same points in both frames",
+            "Correct the names, or the order of the references",
+        )
+    yield _scale(pairs)
+    left_out = np.where(np.eye(count, dtype=bool), 0.0, weights)
+    sums, residuals, rotations = misfits(source, target, left_out)
+    for place, name in enumerate(pairs.names):
+        offset = residuals[place, place]
+        size_mm = float(np.linalg.norm(offset))
+        known, seen = (
+            ", ".join(f"{value:+.3g}" for value in part) for part in (offset, -offset @ rotations[place])
+        )
+        words = (
+            f"fiducial {name} lies {size_mm:.3g} mm from where the others put it (add {known} to x_ref_mm, "
+            f"y_ref_mm, z_ref_mm, or {seen} to x_mm, y_mm, z_mm); correct it or leave it out"
+        )
+        yield Cause(words, float(sums[place]), pairs.n_dof - 3, 3, count, name=name, size_mm=size_mm)
 
 
-def _each_left_out(pairs: Pairs) -> list[Wrong]:
-    count = len(pairs)
-    weights = np.where(np.eye(count, dtype=bool), 0.0, pairs.weights)
-    chi2, residuals, rotations = misfits(pairs.source_mm, pairs.target_mm, weights)
-    return [
-        Wrong(place, float(chi2[place]), pairs.n_dof - 3, -residuals[place, place], rotations[place])
-        for place in range(count)
-    ]
+def _scale(pairs: Pairs) -> Cause:
+    """Return another scale of one frame as a cause (Umeyama 1991, doi:10.1109/34.88573, Eq. 42)."""
+    rotation, _, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
+    share = pairs.weights / np.sum(pairs.weights)
+    turned = (pairs.source_mm - share @ pairs.source_mm) @ rotation.T
+    target = pairs.target_mm - share @ pairs.target_mm
+    weights = pairs.weights[:, None]
+    scale = float(np.sum(weights * turned * target) / np.sum(weights * turned**2))
+    words = (
+        f"distances between the references are {scale:.4f} times those that the {pairs.source} frame has; "
+        "check the voxel size of the scan and the scale of the vibrometer"
+    )
+    chi2 = np.inf if abs(scale - 1.0) < _SCALE else float(np.sum(weights * (scale * turned - target) ** 2))
+    return Cause(words, chi2, pairs.n_dof - 1, 1, 1)
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """A cause without a free parameter, its residual sum of squares, and its sentence.
+def _is_likely(pairs: Pairs, cause: Cause) -> bool:
+    """Return whether a cause gains too much for chance; one without parameters must leave noise alone."""
+    from scipy.special import chdtrc, fdtrc
 
-    It is one of many alike, whose number (its logarithm) it must outweigh: 1 mirror image, n! orders, 47 axes
-    for each of 2^n sets of points.
-    """
-
-    chi2: float
-    log_number: float
-    thing: str
-    expected: str
-    got: str
-    next_step: str
-
-    @property
-    def weight(self) -> float:
-        """Twice the negative logarithm of the likelihood, the choice among so many included."""
-        return self.chi2 + 2.0 * self.log_number
-
-
-def _refuse_certain(pairs: Pairs, suspects: Sequence[Wrong]) -> None:
-    """Refuse fiducials that one explanation without a free parameter explains down to the noise."""
-    tried = (_other_axes(pairs), _other_order(pairs), _mirror_image(pairs, suspects))
-    sound = [one for one in tried if one and _explains(pairs, one.chi2, suspects[0], one.log_number)]
-    if sound:
-        best = min(sound, key=lambda one: one.weight)
-        given, left = pairs.rms_mm(pairs.chi2), pairs.rms_mm(best.chi2)
-        got = f"{best.got} (residual {given:.3g} mm as given, {left:.3g} mm so)"
-        raise StapeskitError.of(best.thing, best.expected, got, "", best.next_step)
-
-
-def _mirror_image(pairs: Pairs, suspects: Sequence[Wrong]) -> Explanation | None:
-    if pairs.coplanar or not pairs.mirrored:
-        return None
-    chi2 = float(misfits(pairs.source_mm * [1.0, 1.0, -1.0], pairs.target_mm, pairs.weights)[0])
-    rivals = [pairs.names[wrong.place] for wrong in suspects if _explains(pairs, wrong.chi2, suspects[0])]
-    also = f"; or correct fiducial {rivals[0]}, the only one that shows it" if len(rivals) == 1 else ""
-    thing, got = f"the coordinates of the {pairs.source} frame", "points that fit only as a mirror image"
-    step = f"{undo_mirror(pairs.to, pairs.source)}{also}"
-    return Explanation(chi2, 0.0, thing, "right-handed", got, step)
-
-
-def _explains(pairs: Pairs, chi2: float, suspect: Wrong, log_number: float = 0.0) -> bool:
-    """Return whether nothing but noise is left, and too much is gained for chance among so many."""
+    gain = max(pairs.chi2 - cause.chi2, 0.0)
     if pairs.stated:
-        gain = 2.0 * (log_number - np.log(INCONSISTENT))
-        noise = not inconsistent(chi2, pairs.n_dof) and not inconsistent(chi2 - suspect.chi2, 3)
-        return noise and pairs.chi2 - chi2 > gain
-    scatter = max(suspect.chi2, _ROUNDING) / suspect.n_dof
-    return chi2 * _FAR_BETTER < pairs.chi2 and chi2 / pairs.n_dof < _ALIKE * max(scatter, _ROUNDING)
-
-
-def _signed_axes() -> Array:
-    """Return the 47 other ways (47, 3, 3) to order and count three axes."""
-    ways = [
-        np.diag(signs)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return np.array(ways[1:])
-
-
-def _other_axes(pairs: Pairs) -> Explanation | None:
-    """Read some targets in other axes: every triple gives a pose, by which each target takes its axes."""
-    count, ways = len(pairs), _signed_axes()
-    if count > _MOST_POINTS:
-        return None
-    triples = np.array(list(combinations(range(count), 3)))
-    rotation, shift, _ = kabsch(pairs.source_mm[triples], pairs.target_mm[triples], pairs.weights[triples])
-    mapped = pairs.source_mm @ rotation.swapaxes(-1, -2) + shift[:, None, :]
-    turned = np.einsum("wij,nj->wni", ways, pairs.target_mm)
-    as_given = pairs.weights * np.sum((mapped - pairs.target_mm) ** 2, axis=-1)
-    otherwise = pairs.weights * np.sum((mapped[:, None] - turned) ** 2, axis=-1)
-    left = np.sum(np.minimum(as_given[:, None], otherwise), axis=-1)
-    triple, way = np.unravel_index(int(np.argmin(left)), left.shape)
-    which, axes = otherwise[triple, way] < as_given[triple], ways[way]
-    if 2 * np.sum(which) > count:  # the other points read in the inverse axes are the same, but for the pose
-        which, axes = ~which, axes.T
-    if not np.any(which):
-        return None
-    target = np.where(which[:, None], pairs.target_mm @ axes.T, pairs.target_mm)
-    listed = ", ".join(pairs.names[place] for place in np.flatnonzero(which))
-    return Explanation(
-        float(misfits(pairs.source_mm, target, pairs.weights)[0]),
-        float(np.log(47.0) + count * np.log(2.0)),
-        f"the references of the fiducials {listed}",
-        f"in the axes of the {pairs.to} frame, as the others",
-        f"coordinates that fit with {_axes_words(axes)}",
-        "Correct these coordinates, or export all of them from one program",
-    )
-
-
-def _axes_words(axes: Array) -> str:
-    """Describe axes (3, 3) in which coordinates were given."""
-    names = [f"{letter}_ref_mm" for letter in "xyz"]
-    order = np.argmax(np.abs(axes), axis=1).tolist()
-    signs = [axes[row, column] for row, column in enumerate(order)]
-    if order == [0, 1, 2]:
-        changed = " and ".join(name for name, sign in zip(names, signs, strict=True) if sign < 0.0)
-        between = " (RAS against LPS)" if signs == [-1.0, -1.0, 1.0] else ""
-        return f"the other sign of {changed}{between}"
-    moved = [name for place, name in enumerate(names) if order[place] != place]
-    if signs == [1.0, 1.0, 1.0] and len(moved) == 2:
-        return f"{' and '.join(moved)} exchanged"
-    read = ", ".join(
-        ("-" if sign < 0.0 else "") + "xyz"[place] for place, sign in zip(order, signs, strict=True)
-    )
-    return f"x, y, z read as {read}"
-
-
-def _other_order(pairs: Pairs) -> Explanation | None:
-    """Exchange names: every triple of targets gives a pose for the three sources that span most.
-
-    The others follow by assignment. Of orders that fit alike the one that moves fewest points counts:
-    symmetric sets have several.
-    """
-    from scipy.optimize import linear_sum_assignment
-    from scipy.spatial.distance import cdist
-    from scipy.special import gammaln
-
-    count, same = len(pairs), tuple(range(len(pairs)))
-    if count > _MOST_POINTS:
-        return None
-    source, target, weights = pairs.source_mm, pairs.target_mm, pairs.weights
-    corners = list(max(combinations(range(count), 3), key=lambda triple: _area(source[list(triple)])))
-    triples = np.array(list(permutations(range(count), 3)))
-    rough = misfits(source[corners], target[triples], weights[corners])[0]
-    likely = triples[np.argsort(rough)[:200]]
-    rotations, shifts, _ = kabsch(source[corners], target[likely], weights[corners])
-    orders = {
-        tuple(linear_sum_assignment(cdist(source @ rotation.T + shift, target, "sqeuclidean"))[1].tolist())
-        for rotation, shift in zip(rotations, shifts, strict=True)
-    }
-    orders.discard(same)
-    if not orders:
-        return None
-    listed = sorted(orders)
-    chi2 = misfits(source, target[np.array(listed)], weights)[0]
-    alike = np.flatnonzero(chi2 < chi2.min() + _ALIKE)
-    best = min(alike, key=lambda k: (sum(a != b for a, b in zip(listed[k], same, strict=True)), chi2[k]))
-    return Explanation(
-        float(chi2[best]),
-        float(gammaln(count + 1)),
-        "the names of the fiducials",
-        "those of the same points in both frames",
-        _order_words(listed[best], pairs.names),
-        "Correct the names, or the order of the references",
-    )
-
-
-def _area(corners: Array) -> float:
-    return float(np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0])))
-
-
-def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
-    """Say which names stand for which points; target order[k] is that of k."""
-    exchanged = [(k, o) for k, o in enumerate(order) if k < o and order[o] == k]
-    moved = [(k, o) for k, o in enumerate(order) if k != o and order[o] != k]
-    words = [f"{names[one]} and {names[other]} exchanged" for one, other in exchanged]
-    return "; ".join([*words, *(f"{names[one]} is {names[other]}" for one, other in moved)])
+        noise = not inconsistent(cause.chi2, cause.n_dof)
+        chance = float(chdtrc(max(cause.parameters, 1), gain))
+        most = cause.chi2 < _MOST_LEFT * pairs.chi2 and cause.parameters > 0
+        return cause.number * chance < INCONSISTENT and (noise or most)
+    if cause.parameters == 0:
+        return cause.chi2 * _FAR_BETTER < pairs.chi2 and pairs.rms_mm(pairs.chi2) > _NOTICEABLE_MM
+    scatter = max(cause.chi2, _ROUNDING) / cause.n_dof
+    chance = float(fdtrc(cause.parameters, cause.n_dof, gain / cause.parameters / scatter))
+    return cause.number * chance < INCONSISTENT and cause.size_mm > _NOTICEABLE_MM
 
 
 def undo_mirror(target: str, source: str) -> str:
@@ -287,72 +252,3 @@ def undo_mirror(target: str, source: str) -> str:
         return step
     scan = "when the slices of the scan are in reverse order, mirror the scan where it is read, by ct2mass"
     return f"{step}; {scan}. A side of the ear that you know shows which of the two it is"
-
-
-def _scale_cause(pairs: Pairs, suspect: Wrong) -> str:
-    """Name a wrong scale (Umeyama 1991, doi:10.1109/34.88573, Eq. 42) when it explains the misfit better."""
-    from scipy.special import fdtrc
-
-    rotation, _, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
-    share = pairs.weights / np.sum(pairs.weights)
-    turned = (pairs.source_mm - share @ pairs.source_mm) @ rotation.T
-    target = pairs.target_mm - share @ pairs.target_mm
-    weights = pairs.weights[:, None]
-    scale = float(np.sum(weights * turned * target) / np.sum(weights * turned**2))
-    chi2, n_dof = float(np.sum(weights * (scale * turned - target) ** 2)), pairs.n_dof - 1
-    scatter = max(chi2, _ROUNDING) / n_dof
-    gain = max(pairs.chi2 - chi2, 0.0)
-    if pairs.stated:  # one parameter more, against three and a choice among n
-        better = inconsistent(gain, 1) and chi2 + 1.0 < suspect.chi2 + 3.0 + 2.0 * np.log(len(pairs))
-    else:
-        better = float(fdtrc(1, n_dof, gain / scatter)) < INCONSISTENT
-        better = better and scatter < max(suspect.chi2, _ROUNDING) / suspect.n_dof
-    if not better or abs(scale - 1.0) < 1e-3:
-        return ""
-    return (
-        f"distances between the references are {scale:.4f} times those that the {pairs.source} frame has; "
-        "check the voxel size of the scan and the scale of the vibrometer"
-    )
-
-
-def _wrong_cause(pairs: Pairs, suspects: Sequence[Wrong]) -> str:
-    """Return the one fiducial whose error explains the misfit, if there is one."""
-    from scipy.special import fdtrc
-
-    first, count = suspects[0], len(pairs)
-    if first.n_dof < 1:
-        return ""
-    scatter = max(first.chi2, _ROUNDING) / first.n_dof
-    size_mm = float(np.linalg.norm(first.offset_mm))
-    if pairs.stated:
-        if first.chi2 > 0.5 * pairs.chi2:
-            return ""
-        alike = [suspect for suspect in suspects if suspect.chi2 < first.chi2 + _ALIKE]
-    else:
-        gain = (pairs.chi2 - first.chi2) / 3.0 / scatter
-        if size_mm < _NOTICEABLE_MM or count * float(fdtrc(3, first.n_dof, gain)) > INCONSISTENT:
-            return ""
-        factor = np.exp(_ALIKE / first.n_dof)
-        alike = [suspect for suspect in suspects if suspect.chi2 <= factor * max(first.chi2, _ROUNDING)]
-    if len(alike) > 1:
-        listed = ", ".join(pairs.names[place] for place in sorted(suspect.place for suspect in alike))
-        return f"one of the fiducials {listed} is off by about {size_mm:.3g} mm, they cannot tell which"
-    cell = _cell(first, float(np.sqrt(scatter)), pairs)
-    others = "" if pairs.stated else f"; the others scatter by {1e3 * np.sqrt(scatter):.2g} um"
-    return (
-        f"fiducial {pairs.names[first.place]} lies {size_mm:.3g} mm from where the others put it{cell}; "
-        f"check its coordinates or leave it out{others}"
-    )
-
-
-def _cell(wrong: Wrong, scatter: float, pairs: Pairs) -> str:
-    """Name the one coordinate that would explain the whole offset, as a mistyped cell does."""
-    noise = scatter / np.sqrt(pairs.weights[wrong.place]) if pairs.stated else scatter
-    hits = []
-    for offset, end in ((-wrong.rotation.T @ wrong.offset_mm, "_mm"), (wrong.offset_mm, "_ref_mm")):
-        axis = int(np.argmax(np.abs(offset)))
-        size, rest = abs(offset[axis]), float(np.linalg.norm(np.delete(offset, axis)))
-        if rest < max(0.05 * size, 3.0 * noise if noise < 0.1 * size else 0.0):
-            sense = "large" if offset[axis] > 0.0 else "small"
-            hits.append(f"{'xyz'[axis]}{end} too {sense} by {size:.4g} mm")
-    return f" (as with {' or '.join(hits)})" if hits else ""

@@ -1,8 +1,8 @@
-"""Paired points of two frames: checks, the least-squares pose between them, and its residuals."""
+"""Paired points of two frames: the least-squares pose between them, its residuals, and what cannot be
+paired."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -12,61 +12,7 @@ from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import cross_matrix
 
-_THIN = 0.02  # of their extent: flatter points count as coplanar, since their mirror image fits as well
-_FAMILIAR = ((1000.0, "m", "um"), (25.4, "inches", ""), (10.0, "cm", ""))
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Paired points and the fit of them all.
-
-    Attributes
-    ----------
-    source_mm, target_mm : ndarray, (n, 3)
-    weights : ndarray, (n,)
-        1 / sd^2, or ones.
-    chi2 : float
-        Weighted sum of squared residuals.
-    flat_mm : float
-        Largest distance of a target point from the best plane through all of them.
-    stated : bool
-        Whether the weights are absolute.
-    mirrored : bool
-        Whether a reflection would have fitted better.
-    names : tuple of str
-    source, to : str
-        Names of the frames.
-    """
-
-    source_mm: Array
-    target_mm: Array
-    weights: Array
-    chi2: float
-    flat_mm: float
-    stated: bool
-    mirrored: bool
-    names: tuple[str, ...]
-    source: str
-    to: str
-
-    def __len__(self) -> int:
-        return len(self.source_mm)
-
-    @property
-    def n_dof(self) -> int:
-        """Degrees of freedom of the fit of all."""
-        return 3 * len(self) - 6
-
-    @property
-    def coplanar(self) -> bool:
-        """Whether a mirror image fits as well."""
-        extent = float(np.max(np.linalg.norm(self.target_mm - self.target_mm.mean(axis=0), axis=1)))
-        noise = 4.0 / np.sqrt(float(np.median(self.weights))) if self.stated else 0.0
-        return len(self) < 4 or self.flat_mm < max(_THIN * extent, noise)
-
-    def rms_mm(self, chi2: float) -> float:
-        """Return the root mean square residual (of three coordinates) that belongs to a sum of squares."""
-        return float(np.sqrt(3.0 * chi2 / np.sum(self.weights)))
+_UNITS = {"m": 1000.0, "inches": 25.4, "cm": 10.0, "um": 1e-3}  # mm
 
 
 def kabsch(
@@ -123,16 +69,11 @@ def check_pairs(source_mm: Array, target_mm: Array, source: str, to: str) -> Non
         Fewer than 3 points, points on a line, numbers that are not finite, or distances that all differ by
         one factor beyond 1.5.
     """
-    if (
-        source_mm.ndim != 2
-        or source_mm.shape[1:] != (3,)
-        or source_mm.shape != target_mm.shape
-        or len(source_mm) < 3
-    ):
+    shape = source_mm.shape
+    if source_mm.ndim != 2 or shape[1:] != (3,) or shape != target_mm.shape or len(source_mm) < 3:
         got = f"{len(source_mm)} and {len(target_mm)} points"
-        raise StapeskitError.of(
-            "a registration", "made from at least 3 paired points", got, "", "Add fiducials"
-        )
+        want = "made from at least 3 paired points"
+        raise StapeskitError.of("a registration", want, got, "", "Add fiducials")
     if not (np.all(np.isfinite(source_mm)) and np.all(np.isfinite(target_mm))):
         raise StapeskitError.of("the coordinates of fiducials", "finite", "NaN or infinity")
     for points in (source_mm, target_mm):
@@ -140,43 +81,26 @@ def check_pairs(source_mm: Array, target_mm: Array, source: str, to: str) -> Non
         if size[1] < 1e-3 * size[0] or size[0] == 0.0:
             want, step = "spread over a plane, not along a line", "Add a fiducial off the line"
             raise StapeskitError.of("fiducials", want, "points on one line", "", step)
-    if sizes_differ(source_mm, target_mm, alike=True):
-        raise size_error(source_mm, target_mm, source, to)
+    first, second = np.array(list(combinations(range(len(source_mm)), 2))).T
+    apart, known = (np.linalg.norm(part[first] - part[second], axis=1) for part in (source_mm, target_mm))
+    ratios = apart / np.maximum(known, 1e-300)
+    ratio = float(np.median(ratios))
+    alike = np.mean(np.abs(ratios / ratio - 1.0) < 0.1) > 0.8
+    if alike and not 1.0 / 1.5 < ratio < 1.5:
+        raise StapeskitError.of(
+            f"the fiducials of the {source} and {to} frames",
+            "both in mm, with the same distances between them",
+            f"distances that are {ratio:.4g} times as large in the {source} frame",
+            next_step=_unit_step(ratio, source, to) or "Check which fiducial is which, and the units",
+        )
 
 
-def sizes_differ(source_mm: Array, target_mm: Array, alike: bool = False) -> bool:
-    """Return whether distances differ by half or more; ``alike``: whether by one common factor."""
-    ratios = _distance_ratios(source_mm, target_mm)
-    median = float(np.median(ratios))
-    differ = not 1.0 / 1.5 < median < 1.5
-    return differ and (not alike or bool(np.mean(np.abs(ratios / median - 1.0) < 0.1) > 0.8))
-
-
-def size_error(source_mm: Array, target_mm: Array, source: str, to: str) -> StapeskitError:
-    """Return the error on points whose distances differ; a factor that units make is named."""
-    ratio = float(np.median(_distance_ratios(source_mm, target_mm)))
-    return StapeskitError.of(
-        f"the fiducials of the {source} and {to} frames",
-        "both in mm, with the same distances between them",
-        f"distances that are {ratio:.4g} times as large in the {source} frame",
-        next_step=unit_hint(ratio, source, to) or "Check which fiducial is which, and the units",
-    )
-
-
-def unit_hint(ratio: float, source: str, to: str) -> str:
-    """Name the mixed-up unit when sizes differ by a factor that units make; empty otherwise."""
-    for factor, small, large in _FAMILIAR:
-        for value, one, other in ((ratio / factor, to, source), (ratio * factor, source, to)):
-            if abs(value - 1.0) < 0.2:
-                also = f", or those of the {other} frame in {large}" if large else ""
-                return f"The {one} coordinates seem to be in {small}{also}"
-    return ""
-
-
-def _distance_ratios(source_mm: Array, target_mm: Array) -> Array:
-    """Return every distance between two source points over that between their targets."""
-    pairs = np.array(list(combinations(range(len(source_mm)), 2)))
-    first, second = (
-        np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (source_mm, target_mm)
-    )
-    return np.asarray(first / np.maximum(second, 1e-300))
+def _unit_step(ratio: float, source: str, to: str) -> str:
+    """Name the unit that makes sizes differ by a ratio; empty where none does."""
+    readings = {
+        f"the {frame} coordinates seem to be in {unit}": seen * factor
+        for frame, seen in ((source, ratio), (to, 1.0 / ratio))
+        for unit, factor in _UNITS.items()
+    }
+    fitting = " or ".join(words for words, left in readings.items() if abs(left - 1.0) < 0.2)
+    return f"Give mm: {fitting}" if fitting else ""

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.fiducial_faults import inconsistent, notices_of
+from stapeskit.fiducial_faults import Pairs, inconsistent, notices_of
 from stapeskit.frames import RigidTransform, cross_matrix, vector_from_rotation
-from stapeskit.paired_points import Pairs, check_pairs, kabsch, pose_rows
+from stapeskit.paired_points import check_pairs, misfits, pose_rows
 from stapeskit.warnings import Notice
 
 
@@ -107,7 +107,7 @@ def fit_rigid(
     StapeskitError
         Fewer than 3 points, points on a line, numbers that are not finite, an sd that is not positive,
         sizes that differ (millimetres against metres), points that fit only as a mirror image (one set
-        is left-handed), only with names exchanged, or only with some of them in other axes.
+        is left-handed), only with two names exchanged, or not within a millimetre.
 
     Notes
     -----
@@ -120,18 +120,18 @@ def fit_rigid(
     stated = sd_mm is not None
     check_pairs(first, second, source, to)
     sd = _checked_sd(sd_mm, len(first))
-    rotation, shift, mirrored = kabsch(first, second, 1.0 / sd**2)
-    residuals = first @ rotation.T + shift - second
-    chi2 = float(np.sum((residuals / sd[:, None]) ** 2))
+    weights = 1.0 / sd**2
+    left, residuals, rotation = misfits(first, second, weights)
+    chi2 = float(left)
+    shift = np.average(second - first @ rotation.T, axis=0, weights=weights)
     n_dof = 3 * len(first) - 6
     spread = sd if stated else np.full(len(first), np.sqrt(chi2 / n_dof))
     flat_mm = _distance_from_plane(second)
-    pairs = Pairs(first, second, 1.0 / sd**2, chi2, flat_mm, stated, bool(mirrored), labels, source, to)
-    notices = notices_of(pairs)
+    notices = notices_of(Pairs(first, second, weights, chi2, flat_mm, stated, labels, source, to))
     scale = chi2 / n_dof if not stated or inconsistent(chi2, n_dof) else 1.0
     return Registration(
         RigidTransform.from_parts(rotation, shift, to, source),
-        scale * _pose_covariance(first, 1.0 / sd**2),
+        scale * _pose_covariance(first, weights),
         residuals,
         spread,
         chi2 if stated else float("nan"),

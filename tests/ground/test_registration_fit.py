@@ -7,16 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import Fault, StapeskitError, collect_faults
 from stapeskit.fiducial_faults import undo_mirror
 from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.paired_points import unit_hint
 from stapeskit.registration import Registration, displacement, fit_rigid
 
 MARKS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8], [0, 3, 0], [4, 5, -3]])
-IRREGULAR = np.array(
-    [[-9.3, 1, -7.2], [8.1, 2, -6.4], [10, -1, 7.7], [-8, 1, 9.1], [0.7, 5, 0.2], [4, 7, -3]]
-)
 POSE = RigidTransform.from_parts(
     rotation_from_vector([0.5, -1.2, 2.0]), [30.0, -400.0, 12.0], "plate", "vibrometer"
 )
@@ -121,10 +117,10 @@ def test_impossible_fits_are_refused(seen, known, sd, thing):
 
 
 def test_units_are_named():
-    assert "vibrometer coordinates seem to be in m," in refused(1e-3 * SEEN).next_step
-    assert "plate coordinates seem to be in m," in refused(1e3 * SEEN).next_step
-    assert "vibrometer coordinates seem to be in inches" in refused(SEEN / 25.4).next_step
-    assert not unit_hint(3.0, "a", "b")
+    for unit, size_mm in {"m": 1e3, "inches": 25.4, "cm": 10.0}.items():
+        assert f"vibrometer coordinates seem to be in {unit}" in refused(SEEN / size_mm).next_step
+        assert f"plate coordinates seem to be in {unit}" in refused(SEEN * size_mm).next_step
+    assert "seem" not in refused(3.0 * SEEN).next_step
 
 
 # ---- what is right raises no alarm
@@ -174,7 +170,7 @@ def test_the_cell_that_is_off_is_named():
     wrong[3, 0] += 1.0
     text = text_of(fit(SEEN, wrong, 0.02))
     assert "fiducial d lies 1 mm" in text
-    assert "x_ref_mm too large by 1 mm" in text
+    assert "add -1, " in text
 
 
 def test_coplanar_marks_cannot_tell_which_is_off():
@@ -197,39 +193,24 @@ def test_a_wrong_scale_is_named(sd):
     assert " 0.9804 times " in text_of(fit(1.02 * SEEN, MARKS, sd))
 
 
-MOVED = [((0, 1),), ((0, 1), (2, 3)), ((0, 1, 2),), ((0, 4, 2, 1),), ((0, 1, 2), (3, 5))]
-
-
-@pytest.mark.parametrize("count", [6, 11])
-@pytest.mark.parametrize("moved", MOVED)
+@pytest.mark.parametrize("count", [5, 11])
 @pytest.mark.parametrize("sd", [0.02, None])
-def test_exchanged_names_are_refused_by_name(moved, sd, count):
-    rng = np.random.default_rng([count, len(moved), len(moved[0])])
+def test_two_exchanged_names_are_refused_by_name(sd, count):
+    rng = np.random.default_rng(count)
     known = rng.uniform(-8.0, 8.0, (count, 3))
     seen = POSE.inverse().points(known) + 0.02 * rng.normal(size=known.shape)
-    reported = known.copy()
-    for cycle in moved:
-        for one, two in zip(cycle, (*cycle[1:], cycle[0]), strict=True):
-            reported[two] = known[one]
-    names = tuple("abcdefghijk")
-    fault = refused(seen, reported, sd, names)
+    known[[0, 3]] = known[[3, 0]]
+    fault = refused(seen, known, sd, tuple("abcdefghijk"))
     assert fault.thing == "the names of the fiducials"
-    said = fault.got.partition(" (residual")[0]
-    for cycle in moved:
-        steps = zip(cycle, (*cycle[1:], cycle[0]), strict=True)
-        pair = [f"{names[cycle[0]]} and {names[cycle[1]]} exchanged"]
-        listed = pair if len(cycle) == 2 else [f"{names[one]} is {names[two]}" for one, two in steps]
-        assert all(step in said for step in listed)
+    assert fault.got.startswith("a and d exchanged")
 
 
 @pytest.mark.parametrize("sd", [0.02, None])
-def test_two_pairs_exchanged_on_a_nearly_flat_plate_are_no_mirror_image(sd):
-    rng = np.random.default_rng(4)
-    corners = [[-2.2, 0.0, -1.5], [2.4, 0.1, -1.4], [2.3, 0.2, 1.7], [-2.1, 0.1, 1.4], [0.3, 1.5, 2.0]]
-    known = np.array([*corners, [1.0, 0.9, -2.1]])
-    seen = POSE.inverse().points(known) + 0.01 * rng.normal(size=known.shape)
-    fault = refused(seen, known[[1, 0, 3, 2, 4, 5]], sd)
-    assert fault.got.startswith("a and b exchanged; c and d exchanged")
+def test_what_no_pose_brings_within_a_millimetre_is_refused(sd):
+    rng = np.random.default_rng(2)
+    fault = refused(SEEN + 0.02 * rng.normal(size=SEEN.shape), MARKS[[1, 2, 0, 3, 5, 4]], sd)
+    assert fault.thing == "the fiducials"
+    assert "no single cause" in fault.next_step
 
 
 @pytest.mark.parametrize("sd", [0.02, None])
@@ -252,27 +233,6 @@ def test_one_mark_off_the_plane_leaves_two_readings():
     assert "correct fiducial e" in fault.next_step
 
 
-AXES = {
-    "the other sign of x_ref_mm and y_ref_mm (RAS against LPS)": np.diag([-1.0, -1.0, 1.0]),
-    "y_ref_mm and z_ref_mm exchanged": np.eye(3)[[0, 2, 1]],
-    "x_ref_mm and z_ref_mm exchanged": np.eye(3)[[2, 1, 0]],
-    "the other sign of z_ref_mm": np.diag([1.0, 1.0, -1.0]),
-    "x, y, z read as -y, x, z": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
-}
-
-
-@pytest.mark.parametrize("words", AXES)
-@pytest.mark.parametrize("members", [[2], [1, 4]])
-@pytest.mark.parametrize("sd", [0.03, None])
-def test_fiducials_in_other_axes_are_named_before_one_is_blamed(words, members, sd):
-    known = IRREGULAR + np.array([20.0, -35.0, 12.0])
-    seen = POSE.inverse().points(known) + 0.02 * np.random.default_rng(3).normal(size=known.shape)
-    known[members] = known[members] @ AXES[words]  # so that reading them by these axes gives them back
-    fault = refused(seen, known, sd)
-    assert fault.thing == f"the references of the fiducials {', '.join(NAMES[k] for k in members)}"
-    assert words in fault.got
-
-
 def test_a_mistyped_coordinate_is_seldom_taken_for_another_cause():
     """A refusal would claim certainty: none in 300 random sets with one coordinate off by 0.3 to 20 mm."""
     rng = np.random.default_rng(11)
@@ -283,7 +243,10 @@ def test_a_mistyped_coordinate_is_seldom_taken_for_another_cause():
         change = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(-1.2, 3.0))
         if abs(change + 2.0 * known[place]) > 0.5:  # else it is another sign
             known[place] += change
-        fit(seen, known, 0.02 if trial % 2 else None, tuple("abcdefg"))
+        faults = []
+        with collect_faults(faults):
+            fit(seen, known, 0.02 if trial % 2 else None, tuple("abcdefg"))
+        assert {fault.thing for fault in faults} <= {"the fiducials"}  # too far off, whatever the cause
 
 
 @pytest.mark.parametrize(("target", "source", "words"), [
