@@ -25,17 +25,21 @@ from kinematics.joint.expected import Priors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
-from kinematics.place.calibration import Calibration, calibrate
-from kinematics.place.channel_errors import body_starts
+from kinematics.place.errors import (
+    ErrorEstimate,
+    body_starts,
+    estimate_errors,
+    sound_values,
+    stated_errors,
+    with_errors,
+)
 from kinematics.place.handedness import check_axes
-from kinematics.place.lasers import LaserAgreement, laser_agreement
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
-from kinematics.place.shared_errors import Parameter, effects, shared_errors
+from kinematics.place.shared_errors import correction_of, shared_errors
 from kinematics.place.surfaces import surfaces_of
 from kinematics.repeats import pool_repeats
 from kinematics.results import MotionResult
-from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.provenance import frames_hash, record
@@ -105,12 +109,6 @@ def measure_motion(
     found = fitted.placed.bodies
     check_axes(diagnoses, placement.transform)
     notices += points_of_other_bodies(fitted.placed, fitted.fits, diagnoses)
-    calibration = None
-    if options.calibrate:
-        readings = [diagnoses[number].last.readings for number in sorted(diagnoses)]
-        calibration = calibrate(fitted.placed, readings, options.laser_sd)
-        fitted = _fit(calibration.measurement, options)
-        notices += calibration.notices()
     notices += [
         notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])
     ]
@@ -118,11 +116,15 @@ def measure_motion(
     if options.correct:
         fitted, corrections = _correct(fitted, diagnoses, options)
         notices += [notice for one in corrections for notice in one.notices]
+    estimate = None
+    if errors := stated_errors(fitted.placed, options.laser_sd, options.calibrate):
+        estimate = estimate_errors(fitted.placed, errors, sound_values(diagnoses, options.calibrate))
+        notices += estimate.notices()
+        if options.calibrate:
+            fitted = _fit(with_errors(fitted.placed, estimate), options)
     notices += [*fitted.notices, *fit_notices(fitted.placed, fitted.fits)]
-    lasers = None if calibration else laser_agreement(fitted.placed, diagnoses, options.laser_sd)
-    motion = _motion(fitted, placement, lasers, calibration, corrections)
+    motion = _motion(fitted, placement, estimate, corrections)
     check_determined(motion)
-    notices += [] if lasers is None else lasers.notices()
     notices += phase_notices(motion, None if mass is None else mass.record)
     if options.reference:
         motion = per_reference(motion, options.reference)
@@ -144,8 +146,7 @@ def measure_motion(
         options=options,
         unseen={body.body: tuple(unseen_motions(body.arms_m, body.directions)) for body in bodies},
         checks=checks,
-        lasers=lasers,
-        calibration=calibration,
+        errors=estimate,
         repeats=repeats,
         mass=mass,
         surfaces=surfaces,
@@ -237,28 +238,21 @@ def _verdicts(
 def _motion(
     fitted: _Fitted,
     placement: Placement,
-    lasers: LaserAgreement | None,
-    calibration: Calibration | None,
+    estimate: ErrorEstimate | None,
     corrections: Sequence[Correction],
 ) -> RigidMotion:
-    """Return the motion of all bodies with its shared errors, after correction of the lasers' errors."""
+    """Return the motion of all bodies with its shared errors, corrected by the estimate of them."""
     placed, fits = fitted.placed, fitted.fits
     runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
 
     def stacked(name: str) -> Any:
         return np.stack([np.stack([getattr(fits[run, body], name) for body in bodies]) for run in runs])
 
-    more: list[tuple[Sequence[Parameter], Array]] = []
-    if calibration is not None:
-        found = calibration.estimate
-        more.append((effects(placed, found.errors, "calibration."), found.covariance))
-    more += [(effects(placed, one.errors, "correction."), one.covariance) for one in corrections]
-    shared = shared_errors(placed, fits, placement, lasers, more, positions=calibration is None)
+    done = [(one.errors, one.covariance) for one in corrections]
+    shared = shared_errors(placed, fits, placement, estimate, done)
     q = stacked("q")
-    if lasers is not None and shared is not None:
-        q = q + np.tensordot(
-            lasers.estimate.values, shared.derivatives[-len(lasers.estimate.values) :], axes=1
-        )
+    if estimate is not None and not estimate.calibrated:
+        q = q + correction_of(placed, fits, estimate)
     return RigidMotion(
         placed.runs,
         tuple(body.body for body in placed.bodies),

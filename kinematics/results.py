@@ -12,8 +12,7 @@ from kinematics.faults.verdicts import ChannelVerdict, write_channels
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.options import MotionOptions
-from kinematics.place.calibration import Calibration
-from kinematics.place.lasers import LaserAgreement
+from kinematics.place.errors import ErrorEstimate
 from kinematics.place.moved import SurfaceCheck
 from kinematics.place.placement import Placement
 from kinematics.place.surfaces import Surface
@@ -54,8 +53,8 @@ class MotionResult(Result):
         By body: the rigid motions that its beams cannot see, in words.
     checks : tuple of SurfaceCheck
         Measured points against the surfaces of the scan.
-    lasers : LaserAgreement or None
-    calibration : Calibration or None
+    errors : ErrorEstimate or None
+        Of lasers and positions; with ``--calibrate`` of axes and beams, too.
     repeats : tuple of RepeatedRun
     mass : MeasuredMass or None
     surfaces : mapping of str to Surface
@@ -74,8 +73,7 @@ class MotionResult(Result):
     options: MotionOptions
     unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     checks: tuple[SurfaceCheck, ...] = ()
-    lasers: LaserAgreement | None = None
-    calibration: Calibration | None = None
+    errors: ErrorEstimate | None = None
     repeats: tuple[RepeatedRun, ...] = ()
     mass: MeasuredMass | None = None
     surfaces: Mapping[str, Surface] = field(default_factory=dict)

@@ -98,7 +98,8 @@ def read_fiducials(path: Path) -> Fiducials:
 
 def _with_name(fault: Fault, names: dict[int, str]) -> Fault:
     """Return a fault with the name of the one fiducial whose line is at fault."""
-    if not isinstance(fault.where, Place) or not (name := names.get(*fault.where.numbers[:1], "")):
+    if not isinstance(fault.where, Place) or len(fault.where.numbers) != 1:
         return fault
-    detail = f"{fault.where.detail}, fiducial {name}".removeprefix(", ")
+    name = names[fault.where.numbers[0]]
+    detail = ", ".join(filter(None, (fault.where.detail, f"fiducial {name}" if name else "")))
     return replace(fault, where=replace(fault.where, detail=detail))

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.expected import ChannelError
-from kinematics.joint.tangents import DELAY, GAIN, GAIN_DRIFT, PHASE, PHASE_DRIFT, Geometry
+from kinematics.joint.tangents import DELAY, GAIN, GAIN_DRIFT, PHASE, PHASE_DRIFT, SHIFT, Geometry
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.place.channel_errors import body_starts, position_errors
-from kinematics.place.lasers import LaserAgreement
+from kinematics.place.errors import ErrorEstimate, body_starts
 from kinematics.place.placement import Placement, block_diagonal
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.rigid_motion import SharedErrors
@@ -58,9 +57,8 @@ def shared_errors(
     placed: Measurement,
     fits: Fits,
     placement: Placement,
-    lasers: LaserAgreement | None = None,
-    more: Sequence[tuple[Sequence[Parameter], Array]] = (),
-    positions: bool = True,
+    estimate: ErrorEstimate | None = None,
+    corrections: Sequence[tuple[Sequence[ChannelError], Array]] = (),
 ) -> SharedErrors | None:
     """Return the errors common to all lines, as named parameters with their effect on the motion.
 
@@ -70,11 +68,10 @@ def shared_errors(
         In the footplate frame, as fitted.
     fits : mapping of (run, body) to LineFit
     placement : Placement
-    lasers : LaserAgreement, optional
-    more : sequence of (parameters, covariance)
-        Further errors: of a calibration, of corrections.
-    positions : bool
-        Whether the stated errors of positions count; not where a calibration has estimated them.
+    estimate : ErrorEstimate, optional
+        Of lasers, positions, and what was calibrated.
+    corrections : sequence of (errors, covariance)
+        What was corrected by estimates of its own.
 
     Notes
     -----
@@ -82,54 +79,64 @@ def shared_errors(
     equations A^T W (y - A q) = 0 with fixed weights, dq/de = -(A^T W A)^-1 A^T W dA q, where residuals, which
     are noise, are left out.
     """
-    blocks: list[tuple[Sequence[Parameter], Array]] = [
-        (pose_parameters(placed, placement), placement.covariance)
-    ]
-    if positions:
-        blocks.append(_positions(placed, fits))
-    blocks += more
-    if lasers is not None:
-        blocks.append((effects(placed, lasers.estimate.errors), lasers.estimate.covariance))
+    blocks = [(_pose_parameters(placed, placement), placement.covariance)]
+    if estimate is not None:
+        prefix = "calibration." if estimate.calibrated else ""
+        named = effects(placed, estimate.errors, prefix), estimate.covariance
+        many = _bytes(placed, fits, len(named[0])) > _MOST_BYTES
+        blocks.append(_patterns(fits, estimate.errors, *named) if many else named)
+    blocks += [(effects(placed, errors, "correction."), spread) for errors, spread in corrections]
     parameters = [parameter for block, _ in blocks for parameter in block]
     if not parameters:
         return None
-    covariance = block_diagonal([spread for _, spread in blocks])
     names = tuple(parameter.name for parameter in parameters)
-    if lasers is not None:
-        _join_positions(covariance, names, lasers)
+    covariance = block_diagonal([spread for block, spread in blocks if block])
+    derivatives, maps = _derivatives(placed, fits, parameters)
+    if any(parameter.drifts for parameter in parameters):
+        return SharedErrors(names, covariance, derivatives)
+    powers = np.array([parameter.power for parameter in parameters])
+    return SharedErrors(names, covariance, derivatives, maps, powers)
+
+
+def correction_of(placed: Measurement, fits: Fits, estimate: ErrorEstimate) -> ComplexArray:
+    """Return what estimated errors add to the motion, (run, body, L, m), complex."""
+    every = effects(placed, estimate.errors)
+    sums = []
+    for power in sorted({parameter.power for parameter in every}):
+        own = [k for k, parameter in enumerate(every) if parameter.power == power]
+        rows = _combined([every[k] for k in own], estimate.values[own])
+        sums.append(Parameter(f"power {power}", rows, power))
+    return np.asarray(_derivatives(placed, fits, sums)[0].sum(axis=0))
+
+
+def _derivatives(
+    placed: Measurement, fits: Fits, parameters: Sequence[Parameter]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return d q / d parameter (p, run, body, L, m), and their maps (p, body, 6, 6).
+
+    Maps are NaN where they differ between runs: they depend on the weights of the channels, which each
+    excitation has of its own.
+    """
     runs, bodies = len(placed.runs), len(placed.bodies)
     lines, size = fits[0, 0].q.shape
-    derivatives = np.zeros((len(names), runs, bodies, lines, size), dtype=complex)
-    maps = np.zeros((len(names), bodies, 6, 6), dtype=complex)
+    derivatives = np.zeros((len(parameters), runs, bodies, lines, size), dtype=complex)
+    maps = np.zeros((len(parameters), bodies, 6, 6), dtype=complex)
     powers = np.array([parameter.power for parameter in parameters])
-    omega = 2j * np.pi * placed.freq_hz
-    tau = np.linspace(-1.0, 1.0, lines)
     drifting = np.array([parameter.drifts for parameter in parameters])
+    omega = 2j * np.pi * placed.freq_hz
     for (run, body), fit in fits.items():
         own = [place for place, parameter in enumerate(parameters) if body in parameter.rows]
         rows = np.stack([parameters[place].rows[body] for place in own]) if own else np.zeros((0, 1, 6))
         moved, mean = sensitivity(fit, rows)
         moved *= omega[None, :, None] ** powers[own][:, None, None]
-        moved[drifting[own]] *= tau[:, None]
+        moved[drifting[own]] *= np.linspace(-1.0, 1.0, lines)[:, None]
         derivatives[own, run, body] = moved
         places = dof_indices(fit.beams.dof)
-        _enter_map(maps[:, body], np.ix_(own, places, places), mean, first=run == 0)
-    if drifting.any():
-        return SharedErrors(names, covariance, derivatives)
-    return SharedErrors(names, covariance, derivatives, maps, powers)
-
-
-def _enter_map(maps: ComplexArray, at: tuple[NDArray[Any], ...], mean: ComplexArray, first: bool) -> None:
-    """Enter the maps (p, m, m) of a run into those of a body; NaN where they differ from an earlier run's.
-
-    The map of an error depends on the weights of the channels, which each excitation has of its own.
-    """
-    if first:
-        maps[at] = mean
-        return
-    size = np.max(np.abs(mean), axis=(1, 2), keepdims=True)
-    same = np.all(np.abs(maps[at] - mean) <= _ALIKE * size, axis=(1, 2), keepdims=True)
-    maps[at] = np.where(same, mean, np.nan)
+        at = np.ix_(own, [body], places, places)
+        difference = np.abs(maps[at][:, 0] - mean).max(axis=(1, 2))
+        same = difference <= _ALIKE * np.abs(mean).max(axis=(1, 2))
+        maps[at] = np.where(same[:, None, None] | (run == 0), mean, np.nan)[:, None]
+    return derivatives, maps
 
 
 def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, ComplexArray]:
@@ -149,27 +156,23 @@ def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, Complex
     beams = fit.beams
     size = len(beams.dof)
     inside = rows[:, :, dof_indices(beams.dof)] @ beams.to_dof
-    q = np.where(np.isfinite(fit.q.real), fit.q, 0.0)
-    z = q @ np.linalg.inv(beams.to_dof).T
+    to_basis = np.linalg.inv(beams.to_dof)
+    z = np.where(np.isfinite(fit.q.real), fit.q, 0.0) @ to_basis.T
     good = np.flatnonzero(fit.solution.good)
-    cost = len(rows) * len(beams.basis) * size**2 * max(len(good), 1)
-    if len(good) == 0 or len(rows) == 0:
-        return np.zeros((len(rows), *fit.q.shape), dtype=complex), np.zeros(
-            (len(rows), size, size), dtype=complex
-        )
-    if _alike(fit) or cost > _MOST_OPERATIONS:
+    derivatives = np.zeros((len(rows), *fit.q.shape), dtype=complex)
+    mean = np.zeros((len(rows), size, size), dtype=complex)
+    cost = len(rows) * len(beams.basis) * size**2 * len(good)
+    if len(good) and (_alike(fit) or cost > _MOST_OPERATIONS):
         some = good[np.unique(np.linspace(0, len(good) - 1, 1 if _alike(fit) else 64).astype(int))]
         mean = _maps(fit, inside, some).mean(axis=0)
         derivatives = np.einsum("pij,lj->pli", mean, z) @ beams.to_dof.T
-    else:
-        derivatives = np.zeros((len(rows), *fit.q.shape), dtype=complex)
-        mean = np.zeros((len(rows), size, size), dtype=complex)
+    elif len(good):
         for part in np.array_split(good, max(1, len(good) * len(rows) * size**2 // 2_000_000)):
             own = _maps(fit, inside, part)
             mean += own.sum(axis=0) / len(good)
             derivatives[:, part] = np.einsum("lpij,lj->pli", own, z[part]) @ beams.to_dof.T
     derivatives[:, ~fit.solution.good] = np.nan
-    return derivatives, beams.to_dof @ mean @ np.linalg.inv(beams.to_dof)
+    return derivatives, beams.to_dof @ mean @ to_basis
 
 
 def _alike(fit: LineFit) -> bool:
@@ -200,7 +203,7 @@ def _maps(fit: LineFit, inside: NDArray[Any], lines: NDArray[Any]) -> ComplexArr
     return np.asarray(-np.linalg.solve(gram[:, None], right), dtype=complex)
 
 
-def pose_parameters(placed: Measurement, placement: Placement) -> list[Parameter]:
+def _pose_parameters(placed: Measurement, placement: Placement) -> list[Parameter]:
     """Return the errors of registration and frames."""
     rows: dict[int, Array] = {}
     for number, body in enumerate(placed.bodies if placement.names else ()):
@@ -242,45 +245,53 @@ def effects(placed: Measurement, errors: Sequence[ChannelError], prefix: str = "
     return found
 
 
-def _positions(placed: Measurement, fits: Fits) -> tuple[list[Parameter], Array]:
-    """Return the stated errors of positions: of each point, or of few patterns of many points.
+def _combined(parameters: Sequence[Parameter], weights: Array) -> dict[int, NDArray[Any]]:
+    """Return the weighted sum of the rows of parameters, by body."""
+    sums: dict[int, Any] = {}
+    for parameter, weight in zip(parameters, weights.tolist(), strict=True):
+        for body, rows in parameter.rows.items():
+            sums[body] = sums.get(body, 0.0) + weight * rows
+    return sums
+
+
+def _bytes(placed: Measurement, fits: Fits, count: int) -> int:
+    """Return the size of the derivatives by so many parameters."""
+    return 16 * count * len(placed.runs) * len(placed.bodies) * fits[0, 0].q.size
+
+
+def _patterns(
+    fits: Fits, errors: Sequence[ChannelError], parameters: Sequence[Parameter], covariance: Array
+) -> tuple[list[Parameter], Array]:
+    """Replace the positions of many points by few patterns of them.
 
     Notes
     -----
-    The motion that errors of positions make is a map of the true one, whose 36 entries are a sum over points:
-    the eigenvectors of their covariance are patterns of all points that have the same effect.
+    The motion that errors of positions make is a map of the true one, whose 36 entries a body are sums over
+    points: the principal components of the maps, the errors made independent by the root of their
+    covariance, are patterns of all points that have the same effect.
     """
-    errors = position_errors(placed)
-    parameters = effects(placed, errors)
-    lines, size = fits[0, 0].q.shape
-    spread = np.array([error.sd for error in errors])
-    if 16 * len(parameters) * len(placed.runs) * len(placed.bodies) * lines * size <= _MOST_BYTES:
-        return parameters, np.diag(spread**2)
-    patterns: list[Parameter] = []
-    for number, body in enumerate(placed.bodies):
-        own = [
-            one.rows[number] * sd for one, sd in zip(parameters, spread, strict=True) if number in one.rows
-        ]
-        if not own:
-            continue
-        fit, rows = fits[0, number], np.stack(own)
-        places = dof_indices(fit.beams.dof)
-        lever = np.where(np.arange(6) < 3, 1.0, fit.beams.lever_m)[places]
-        good = np.flatnonzero(fit.solution.good)[:1]
-        basis = _maps(fit, rows[:, :, places] @ fit.beams.to_dof, good)[0]
-        maps = fit.beams.to_dof @ basis @ np.linalg.inv(fit.beams.to_dof) * lever[:, None] / lever
-        left, strength, _ = np.linalg.svd(maps.real.reshape(len(maps), -1), full_matrices=False)
-        energy = np.cumsum(strength**2) / max(float(np.sum(strength**2)), 1e-300)
-        for k in range(int(np.searchsorted(energy, 1.0 - _LEFT_OUT)) + 1):
-            pattern = np.tensordot(left[:, k], rows, axes=1)
-            patterns.append(Parameter(f"position.{body.body}.pattern_{k + 1}", {number: pattern}))
-    return patterns, np.eye(len(patterns))
-
-
-def _join_positions(covariance: Array, names: Sequence[str], lasers: LaserAgreement) -> None:
-    """Add the covariance between the remaining laser errors and the errors of positions."""
-    at = {name: place for place, name in enumerate(names)}
-    rows = [at[name] for name in lasers.estimate.names]
-    for name, column in lasers.across.items():
-        if name in at:
-            covariance[rows, at[name]] = covariance[at[name], rows] = column
+    shifts = [k for k, error in enumerate(errors) if error.tangent in SHIFT]
+    others = [k for k in range(len(errors)) if k not in shifts]
+    maps: list[Array] = []
+    for (run, body), fit in fits.items():
+        if run == 0 and np.any(fit.solution.good):
+            places = dof_indices(fit.beams.dof)
+            lever = np.where(np.arange(6) < 3, 1.0, fit.beams.lever_m)[places]
+            none = np.zeros((len(fit.beams.basis), 6))
+            rows = np.stack([parameters[k].rows.get(body, none) for k in shifts])[:, :, places]
+            own = _maps(fit, rows @ fit.beams.to_dof, np.flatnonzero(fit.solution.good)[:1])[0]
+            own = fit.beams.to_dof @ own @ np.linalg.inv(fit.beams.to_dof) * lever[:, None] / lever
+            maps.append(own.real.reshape(len(shifts), -1))
+    root = np.linalg.cholesky(covariance[np.ix_(shifts, shifts)])
+    left, strength, _ = np.linalg.svd(root.T @ np.hstack(maps), full_matrices=False)
+    energy = np.cumsum(strength**2) / max(float(np.sum(strength**2)), 1e-300)
+    left = left[:, : int(np.searchsorted(energy, 1.0 - _LEFT_OUT)) + 1]
+    weights = root @ left
+    found = [parameters[k] for k in others]
+    for k, column in enumerate(weights.T, 1):
+        prefix = parameters[shifts[0]].name.partition("position.")[0]
+        rows_of = _combined([parameters[place] for place in shifts], column)
+        found.append(Parameter(f"{prefix}position.pattern_{k}", rows_of))
+    across = left.T @ np.linalg.solve(root, covariance[np.ix_(shifts, others)])
+    own_spread = covariance[np.ix_(others, others)]
+    return found, np.block([[own_spread, across.T], [across, np.eye(left.shape[1])]])

@@ -153,28 +153,27 @@ def _registration(result: MotionResult) -> list[Markup]:
         blocks = [page.table((fit.kind, "x", "y", "z", "sd"), rows, caption)]
     if result.checks:
         rows = [
-            (check.body, check.surface, str(len(check.points)), f"{1e3 * check.rms_mm:.0f}",
+            (check.body, str(len(check.points)), f"{1e3 * check.rms_mm:.0f}",
              f"{1e3 * float(np.sqrt(np.mean(check.expected_sd_mm**2))):.0f}", f"{check.p_value:.2g}")
             for check in result.checks
         ]  # fmt: skip
-        head = ("body", "surface", "points", "rms off it (µm)", "expected (µm)", "p")
+        head = ("body", "points", "rms off it (µm)", "expected (µm)", "p")
         caption = "Did the sample move? Measured points against the surfaces of the scan."
-        blocks.append(page.table(head, rows, caption, names=2))
+        blocks.append(page.table(head, rows, caption))
     return [*blocks, page.subheading("Errors that all lines share"), *_shared(result)]
 
 
 def _shared(result: MotionResult) -> list[Markup]:
     blocks = []
-    for part, caption in (
-        (result.lasers, "How far the lasers agree, as the redundancy of the beams shows it."),
-        (result.calibration, "The geometry as estimated together with the motion."),
-    ):
-        if part is not None:
-            rows = [
-                (name, Quantity(value, sd, ShownUnit(unit, 1.0)), f"{stated:.3g} {unit}")
-                for name, value, sd, stated, unit in part.estimate.rows()[:_MOST_ROWS]
-            ]
-            blocks.append(page.table(("", "estimate", "stated sd"), rows, caption))
+    if result.errors is not None and (shown := result.errors.shown.rows()):
+        caption = "How far the lasers agree, as the redundancy of the beams shows it."
+        if result.errors.calibrated:
+            caption = "The geometry as estimated together with the motion."
+        rows = [
+            (name, Quantity(value, sd, ShownUnit(unit, 1.0)), f"{stated:.3g} {unit}")
+            for name, value, sd, stated, unit in shown[:_MOST_ROWS]
+        ]
+        blocks.append(page.table(("", "estimate", "stated sd"), rows, caption))
     shared = result.motion.shared
     if shared is None:
         return [*blocks, page.text("No errors are stated that all lines share.")]

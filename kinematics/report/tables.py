@@ -87,8 +87,8 @@ def registration_rows(result: MotionResult) -> list[tuple[str, str]]:
         rows.append(
             (f"{check.body} on its surface", f"{1e3 * check.rms_mm:.0f} µm rms, p {check.p_value:.2g}")
         )
-    if result.lasers is not None:
-        rows.append(("lasers agree", f"p {result.lasers.p_value:.2g}"))
+    if result.errors is not None and result.errors.shown.errors and not result.errors.calibrated:
+        rows.append(("lasers agree", f"p {result.errors.shown.p_value:.2g}"))
     return rows
 
 
@@ -127,11 +127,10 @@ def registration_json(result: MotionResult) -> dict[str, Any]:
             {"body": one.body, "rms_mm": one.rms_mm, "p_value": one.p_value, "points": list(one.points)}
             for one in result.checks
         ]
-    for name in ("lasers", "calibration"):
-        part = getattr(result, name)
-        if part is not None:
-            keys = ("name", "value", "sd", "stated_sd", "unit")
-            found[name] = [dict(zip(keys, row, strict=True)) for row in part.estimate.rows()]
+    if result.errors is not None and (rows := result.errors.shown.rows()):
+        keys = ("name", "value", "sd", "stated_sd", "unit")
+        name = "calibration" if result.errors.calibrated else "lasers"
+        found[name] = [dict(zip(keys, row, strict=True)) for row in rows]
     return found
 
 

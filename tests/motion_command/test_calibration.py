@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.joint.pack import Readings
+from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import Geometry
-from kinematics.place.calibration import calibrate, geometry_errors
-from kinematics.place.channel_errors import Lasers, parameters_of, si_units
+from kinematics.place.errors import estimate_errors, parameters_of, stated_errors, with_errors
 from tests.motion_command.test_shared_errors import fitted, measurement
 
 LASER_SD = {"laser_gain": 0.01, "laser_phase": np.deg2rad(0.5), "laser_delay": 1e-6}
@@ -22,9 +21,9 @@ def drawn(seed, position_sd=2e-5):
     rng = np.random.default_rng([seed, 5])
     body = true.bodies[0]
     mean_hz = float(np.mean(true.freq_hz))
-    stated = geometry_errors(true, Lasers.of(true), LASER_SD)
+    stated = stated_errors(true, LASER_SD, calibrate=True)
     parameters = parameters_of(true, stated)
-    units = si_units(true, parameters.tangent.tolist())
+    units = np.array([error.sd for error in stated]) / parameters.sd
     off = 1.0
     while off > 1e-9:  # the normals of a beam jump where two of its components are alike: draw again
         errors = parameters.sd * rng.normal(size=len(parameters))
@@ -48,16 +47,17 @@ def drawn(seed, position_sd=2e-5):
     return replace(true, bodies=(given,)), errors * units, [error.name for error in stated]
 
 
-def readings_of(placed):
+def calibrate(placed):
     body = placed.bodies[0]
-    return [Readings.of(body.value, body.sd, placed.freq_hz, body.arms_m, body.directions)]
+    packed = pack(Readings.of(body.value, body.sd, placed.freq_hz, body.arms_m, body.directions))
+    return estimate_errors(placed, stated_errors(placed, LASER_SD, calibrate=True), {0: packed})
 
 
 def test_errors_lie_within_what_is_stated_of_them():
     distances, gained, free = [], [], 0
     for seed in range(12):
         placed, errors, names = drawn(seed)
-        found = calibrate(placed, readings_of(placed), LASER_SD).estimate
+        found = calibrate(placed)
         assert found.names == tuple(names)
         scale = found.prior_sd
         covariance = found.covariance / np.outer(scale, scale)
@@ -72,11 +72,11 @@ def test_errors_lie_within_what_is_stated_of_them():
 
 def test_the_calibrated_motion_fits_better_and_estimates_are_not_beyond_their_priors():
     placed, _, _ = drawn(5)
-    found = calibrate(placed, readings_of(placed), LASER_SD)
-    before, after = (float(np.nansum(fitted(one)[0, 0].chi2)) for one in (placed, found.measurement))
+    found = calibrate(placed)
+    before, after = (float(np.nansum(fitted(one)[0, 0].chi2)) for one in (placed, with_errors(placed, found)))
     n_dof = int(np.sum(fitted(placed)[0, 0].n_dof))
     assert after < n_dof + 4.0 * np.sqrt(2.0 * n_dof) < before
-    assert found.estimate.p_value > 1e-3
+    assert found.p_value > 1e-3
     assert [notice.code for notice in found.notices()] == ["calibrated"]
 
 
@@ -86,7 +86,7 @@ def test_errors_beyond_their_priors_are_reported():
     off = body.arms_m.copy()
     off[body.channels_of(body.points[0])] += 4e-4
     wrong = replace(placed, bodies=(replace(body, positions_m=off),))
-    found = calibrate(wrong, readings_of(wrong), LASER_SD)
+    found = calibrate(wrong)
     assert [notice.code for notice in found.notices()] == ["calibrated", "calibration_beyond_priors"]
-    worst = int(np.argmax(np.abs(found.estimate.values) / found.estimate.prior_sd))
-    assert found.estimate.names[worst].startswith("position.stapes.")
+    worst = int(np.argmax(np.abs(found.values) / found.prior_sd))
+    assert found.names[worst].startswith("position.stapes.")

@@ -12,7 +12,7 @@ from kinematics.fit.rigid_fit import fit_lines
 from kinematics.joint.tangents import BEAM_U, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
 from kinematics.measurement import Measurement, from_arrays
 from kinematics.place import shared_errors as shared
-from kinematics.place.channel_errors import Lasers
+from kinematics.place.errors import estimate_errors, lasers_of, stated_errors
 from kinematics.place.placement import Placement
 from simulate import Experiment, measure_motion, resonant_motion, scattered_points
 from stapeskit.spatial import DOF_NAMES, point_rows
@@ -89,10 +89,14 @@ def test_derivatives_are_those_of_perturbed_fits(tangent, missing, dof):
     assert np.max(np.abs(moved[0] - slope) / scale) < 2e-4
 
 
+def as_stated(placed):
+    return estimate_errors(placed, stated_errors(placed, {}), {})
+
+
 def test_maps_make_the_derivatives():
     placed = measurement()
     fits = fitted(placed)
-    found = shared.shared_errors(placed, fits, Placement(transform_to_itself()), None)
+    found = shared.shared_errors(placed, fits, Placement(transform_to_itself()), as_stated(placed))
     assert found.names[:2] == ("position.stapes.1.x", "position.stapes.1.y")
     made = np.einsum("pbij,rblj->prbli", found.maps, fits[0, 0].q[None, None])
     scale = np.max(np.abs(found.derivatives), axis=(1, 2, 3, 4), keepdims=True)
@@ -108,9 +112,9 @@ def transform_to_itself():
 def test_patterns_of_many_points_have_the_effect_of_all_of_them(monkeypatch):
     placed = measurement(points=30)
     fits, pose = fitted(placed), Placement(transform_to_itself())
-    named = shared.shared_errors(placed, fits, pose)
+    named = shared.shared_errors(placed, fits, pose, as_stated(placed))
     monkeypatch.setattr(shared, "_MOST_BYTES", 0)
-    patterns = shared.shared_errors(placed, fits, pose)
+    patterns = shared.shared_errors(placed, fits, pose, as_stated(placed))
     assert len(patterns.names) <= 18 < len(named.names)
 
     def covariance(found):
@@ -140,17 +144,18 @@ def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
     truth = simulated(tmp_path, in_footplate=True, seed=7, noise=0.0005, position_sd_mm=0.0)
     beam = off_lasers(tmp_path, 0.015, 0.8)
     result = measured(tmp_path)
-    lasers = result.lasers.estimate
-    directions = lasers.lasers.directions
-    own = int(np.argmin(np.linalg.norm(directions - beam, axis=1)))
-    count = len(directions)
+    lasers = result.errors.shown
+    groups, beams = lasers_of(result.measurement)
+    count = len(beams)
+    every = np.concatenate([body.directions for body in result.measurement.bodies])
+    own = int(np.argmin([np.linalg.norm(every[group[0]] - beam) for group in groups]))
     mean_free = np.eye(count) - 1.0 / count
     gain, phase = (mean_free @ part for part in lasers.values.reshape(3, count)[:2])
     assert gain[own] == pytest.approx(0.015 * (1.0 - 1.0 / count), abs=4.0 * lasers.sd[own])
     assert gain[own] > 2.0 * np.max(np.delete(gain, own))
     assert phase[own] > np.max(np.delete(phase, own))
     plain = measured(tmp_path, gain_sd=0, phase_sd=0, delay_sd=0)
-    assert plain.lasers is None
+    assert plain.errors is None
     true = np.stack([truth.motion_m[body] for body in result.motion.bodies], axis=1)
     left, before = (np.sum(np.abs((r.motion.q - true)[..., 3:]) ** 2) for r in (result, plain))
     assert left < 0.7 * before
@@ -163,7 +168,7 @@ def test_lasers_that_agree_as_stated_raise_no_alarm(tmp_path):
         folder = tmp_path / str(seed)
         simulated(folder, in_footplate=True, seed=seed, lines=16)
         off_lasers(folder, float(0.01 * np.random.default_rng(seed).normal()))
-        chances.append(measured(folder).lasers.p_value)
+        chances.append(measured(folder).errors.shown.p_value)
     assert min(chances) > 1e-3
     assert max(chances) > 0.3
 
@@ -174,8 +179,8 @@ def test_one_laser_has_nothing_to_agree_with():
     along = replace(
         placed, bodies=(replace(body, directions=np.tile([0.0, 1.0, 0.0], (len(body.points), 1))),)
     )
-    assert len(Lasers.of(along).directions) == 1
-    assert Lasers.of(along).errors({"laser_gain": 0.01}) == []
+    assert len(lasers_of(along)[0]) == 1
+    assert all(error.kind == "position" for error in stated_errors(along, {"laser_gain": 0.01}))
 
 
 def test_calibration_finds_a_turn_of_all_beams(tmp_path):
@@ -190,7 +195,7 @@ def test_calibration_finds_a_turn_of_all_beams(tmp_path):
 
     rewrite(tmp_path / "ldv.csv", turned)
     result = measured(tmp_path, calibrate=True)
-    found = result.calibration.estimate
+    found = result.errors
     assert {notice.code for notice in result.notices} >= {"calibrated"}
     values = dict(zip(found.names, found.values, strict=True))
     sd = dict(zip(found.names, found.sd, strict=True))

@@ -1,0 +1,312 @@
+"""Errors of lasers, beams and positions that all lines share: what is stated of them, and their estimate.
+
+The redundancy of the beams shows how far the lasers agree, within what is stated of them and of the
+positions; with ``--calibrate`` the axes of the beams and the direction of each laser are estimated as well.
+
+Shapes: c channels of all bodies side by side, p errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.search import Diagnosis
+from kinematics.fit.lasers import laser_numbers
+from kinematics.joint.estimate import joint
+from kinematics.joint.expected import ChannelError
+from kinematics.joint.pack import Packed, pack
+from kinematics.joint.tangents import BEAM_U, BEAM_V, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
+from kinematics.measurement import Measurement, direction_name
+from stapeskit.arrays import Array
+from stapeskit.warnings import Notice
+
+LASER_KINDS = {"laser_gain": GAIN, "laser_phase": PHASE, "laser_delay": DELAY}
+AXES_SD_DEG = 1.0
+"""Turn between beams and positions: holders are set by eye."""
+BEAM_SD_DEG = 0.5
+"""Direction of each laser: that of a head on its mount."""
+
+_SHOWN = {
+    "laser_gain": ("gain of laser", 100.0, "%"),
+    "laser_phase": ("phase of laser", 180.0 / np.pi, "°"),
+    "laser_delay": ("delay of laser", 1e6, "µs"),
+    "beam": ("beam of laser", 180.0 / np.pi, "°"),
+    "axes": ("turn of all beams about", 180.0 / np.pi, "°"),
+    "position": ("position", 1e6, "µm"),
+}
+"""Words for each kind of error, the factor from SI to the unit in which it is shown, and this unit."""
+
+_UNLIKELY = 1e-3  # probability of an estimate below which errors are larger than stated
+_LEAST_GAINED = 0.1  # share of the prior variance below which the data say nothing
+_INFORMED = 0.9  # sd over that before, below which the data have informed a parameter
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Errors as the redundancy of the beams shows them, the motion at every line left free.
+
+    Attributes
+    ----------
+    errors : tuple of ChannelError, (p,)
+    values : ndarray, (p,)
+        1, rad, s and m.
+    covariance : ndarray, (p, p)
+        After the data.
+    beams : tuple of str
+        Mean direction of the beams of each laser.
+    """
+
+    errors: tuple[ChannelError, ...]
+    values: Array
+    covariance: Array
+    beams: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each error."""
+        return tuple(error.name for error in self.errors)
+
+    @property
+    def prior_sd(self) -> Array:
+        """Standard deviation (p,) that is stated."""
+        return np.array([error.sd for error in self.errors])
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation (p,) after the data."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether axes and beams were estimated as well."""
+        return any(error.kind == "axes" for error in self.errors)
+
+    @property
+    def shown(self) -> ErrorEstimate:
+        """All errors of a calibration, else those of the lasers."""
+        own = [k for k, error in enumerate(self.errors) if self.calibrated or error.kind in LASER_KINDS]
+        errors, spread = tuple(self.errors[k] for k in own), self.covariance[np.ix_(own, own)]
+        return replace(self, errors=errors, values=self.values[own], covariance=spread)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of an estimate so far from 0.
+
+        If what is stated holds, the estimate has the covariance before less that after the data.
+        """
+        from scipy.special import chdtrc
+
+        scale = np.outer(self.prior_sd, self.prior_sd)
+        gained, vectors = np.linalg.eigh(np.eye(len(scale)) - self.covariance / scale)
+        seen = gained > _LEAST_GAINED
+        along = vectors.T @ (self.values / self.prior_sd)
+        return float(chdtrc(seen.sum(), np.sum(along[seen] ** 2 / gained[seen]))) if seen.any() else 1.0
+
+    def rows(self) -> list[tuple[str, float, float, float, str]]:
+        """Return words, estimate, sd, stated sd and unit of every error, in shown units."""
+        found = []
+        for error, *sizes in zip(self.errors, self.values, self.sd, self.prior_sd, strict=True):
+            words, factor, unit = _SHOWN[error.kind]
+            which = error.name.partition(".")[2]
+            beams = f" ({self.beams[int(which.partition('.')[0]) - 1]})" if "laser" in words else ""
+            value, sd, stated = (factor * float(size) for size in sizes)
+            found.append((f"{words} {which}{beams}", value, sd, stated, unit))
+        return found
+
+    def notices(self) -> list[Notice]:
+        """Return what a calibration determines, and errors that go beyond what was stated."""
+        shown = self.shown
+        if not shown.errors:
+            return []
+        name, value, sd, stated, unit = shown.rows()[int(np.argmax(np.abs(shown.values) / shown.prior_sd))]
+        largest = f"{name}, by {value:+.3g} +- {sd:.2g} {unit} (stated sd {stated:.2g} {unit})"
+        notices = []
+        if self.calibrated:
+            seen = self.sd < _INFORMED * self.prior_sd
+            text = (
+                f"calibration: the data determine {int(seen.sum())} of {len(seen)} parameters of the "
+                "geometry. No residual shows a shift of all points of a body together, nor a turn of "
+                "positions and beams together, nor one gain common to all lasers: those rest on fiducials and "
+                "references alone."
+            )
+            notices.append(Notice("calibrated", text))
+        if shown.p_value < _UNLIKELY and self.calibrated:
+            text = (
+                "calibration: the data pull the geometry beyond what the stated errors allow (p "
+                f"{shown.p_value:.1g}), most the {largest}. Check sd_mm, the directions of the beams, and "
+                "the channels with a verdict."
+            )
+            notices.append(Notice("calibration_beyond_priors", text))
+        elif shown.p_value < _UNLIKELY:
+            text = (
+                f"the lasers disagree by more than stated: most the {largest}. The motion is corrected by "
+                "what the beams say together; calibrate the lasers, or state --gain-sd, --phase-sd, --delay-sd."
+            )
+            notices.append(Notice("lasers_disagree", text))
+        return notices
+
+
+def body_starts(placed: Measurement) -> list[int]:
+    """Return the number of the first channel of each body, and that of all channels."""
+    return [0, *np.cumsum([len(body.points) for body in placed.bodies]).tolist()]
+
+
+def lasers_of(placed: Measurement) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
+    """Return the channels of each laser, told by the directions of the beams, and their mean direction."""
+    directions = np.concatenate([body.directions for body in placed.bodies])
+    number = laser_numbers(directions)
+    lasers = [tuple(np.flatnonzero(number == k).tolist()) for k in range(number.max() + 1)]
+    mean = [directions[list(own)].mean(axis=0) for own in lasers]
+    return lasers, tuple(direction_name(one / np.linalg.norm(one)) for one in mean)
+
+
+def stated_errors(
+    placed: Measurement, laser_sd: Mapping[str, float], calibrate: bool = False
+) -> list[ChannelError]:
+    """Return what is stated of lasers (not of a single one) and positions; to calibrate also axes and beams.
+
+    Parameters
+    ----------
+    laser_sd : mapping of str to float
+        By the names of `LASER_KINDS`: 1, rad and s; those that are exact are left out.
+    """
+    lasers, _ = lasers_of(placed)
+    errors = []
+    if calibrate:
+        every, sd = tuple(range(body_starts(placed)[-1])), float(np.deg2rad(AXES_SD_DEG))
+        errors += [ChannelError(f"axes.{k}", every, turn, sd) for k, turn in zip("xyz", TURN, strict=True)]
+        errors += [
+            ChannelError(f"beam.{number}.{letter}", own, tangent, float(np.deg2rad(BEAM_SD_DEG)))
+            for number, own in enumerate(lasers, 1)
+            for letter, tangent in (("u", BEAM_U), ("v", BEAM_V))
+        ]
+    errors += [
+        ChannelError(f"{kind}.{number}", own, tangent, laser_sd[kind])
+        for kind, tangent in LASER_KINDS.items()
+        for number, own in enumerate(lasers, 1)
+        if len(lasers) > 1 and laser_sd.get(kind, 0.0) > 0.0
+    ]
+    for start, body in zip(body_starts(placed), placed.bodies, strict=False):
+        for point in dict.fromkeys(body.points):
+            own = body.channels_of(point)
+            sd = float(body.position_sd_m[own[0]])
+            channels = tuple(start + channel for channel in own)
+            for axis, shift in zip("xyz" if sd > 0.0 else "", SHIFT, strict=False):
+                errors.append(ChannelError(f"position.{body.body}.{point}.{axis}", channels, shift, sd))
+    return errors
+
+
+def sound_values(diagnoses: Mapping[int, Diagnosis], calibrate: bool = False) -> dict[int, Packed]:
+    """Return the values of each body without channels at fault; faults of whole lasers are left in.
+
+    Bodies that bend say nothing, except to calibrate: a wrong geometry looks like bending.
+    """
+    packs = {}
+    for number, found in diagnoses.items():
+        bends = bool(found.causes) or any(finding.kind == "flexible" for finding in found.findings)
+        if calibrate or not bends:
+            readings = found.last.readings
+            factor = np.ones((1, len(readings.noise_factor)), dtype=complex)
+            packed = pack(replace(readings, geometry=replace(readings.geometry, factor=factor)))
+            packs[number] = packed.scaled(np.full(len(packed.y), np.sqrt(found.last.noise.level)))
+    return packs
+
+
+def estimate_errors(
+    placed: Measurement, errors: Sequence[ChannelError], packs: Mapping[int, Packed]
+) -> ErrorEstimate:
+    """Estimate errors together with the motion of all bodies, within what is stated of them.
+
+    Parameters
+    ----------
+    packs : mapping of int to Packed
+        Values by body; bodies that are missing say nothing.
+
+    Notes
+    -----
+    Maximum a posteriori by `kinematics.joint`, the motion projected out. Where the noise is small against the
+    motion, the information that the noise of the estimated motion itself adds is negligible.
+    """
+    stated = np.array([error.sd for error in errors])
+    beams = lasers_of(placed)[1]
+    if not packs:
+        return ErrorEstimate(tuple(errors), 0.0 * stated, np.diag(stated**2), beams)
+    unit = _si_units(placed, errors)
+    found = joint(_side_by_side(placed, packs), parameters_of(placed, errors))
+    covariance = found.covariance * np.outer(unit, unit)
+    return ErrorEstimate(tuple(errors), found.values * unit, covariance, beams)
+
+
+def parameters_of(placed: Measurement, errors: Sequence[ChannelError]) -> Parameters:
+    """Return the parameters (p,) of errors out of the channels of all bodies."""
+    units = _si_units(placed, errors)
+    entries = [(one.channels, one.tangent, one.sd / unit) for one, unit in zip(errors, units, strict=True)]
+    return Parameters.of(body_starts(placed)[-1], entries)
+
+
+def _si_units(placed: Measurement, errors: Sequence[ChannelError]) -> Array:
+    """Return the factors (p,) from parameters to SI: delays are phases at the mean frequency."""
+    mean_omega = 2.0 * np.pi * float(np.mean(placed.freq_hz))
+    return np.array([1.0 / mean_omega if error.tangent == DELAY else 1.0 for error in errors])
+
+
+def with_errors(placed: Measurement, found: ErrorEstimate) -> Measurement:
+    """Return the measurement with positions, directions and values as an estimate makes them."""
+    parameters = parameters_of(placed, found.errors)
+    values = found.values / _si_units(placed, found.errors)
+    rho = placed.freq_hz / float(np.mean(placed.freq_hz))
+    bodies = []
+    for start, body in zip(body_starts(placed), placed.bodies, strict=False):
+        count = len(body.points)
+        own = replace(parameters, mask=parameters.mask[:, start : start + count])
+        as_given = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
+        moved = as_given.moved(own, values, np.zeros(len(rho)), rho)
+        factor = moved.factor.T
+        changed = replace(
+            body,
+            positions_m=moved.positions_m,
+            directions=moved.directions,
+            value=body.value / factor,
+            sd=None if body.sd is None else body.sd / np.abs(factor),
+        )
+        bodies.append(changed)
+    return replace(placed, bodies=tuple(bodies))
+
+
+def _side_by_side(placed: Measurement, packs: Mapping[int, Packed]) -> Packed:
+    """Return the values of several bodies as those of one, so that parameters may belong to all of them.
+
+    Every group of lines keeps its own motion, which only the channels of its own body see.
+    """
+    starts = body_starts(placed)
+    groups = sum(len(packed.y) for packed in packs.values())
+    y = np.zeros((groups, starts[-1], max(packed.y.shape[2] for packed in packs.values())), dtype=complex)
+    w = np.zeros(y.shape[:2])
+    geometry = Geometry(
+        np.concatenate([body.arms_m - body.arms_m.mean(axis=0) for body in placed.bodies]),
+        np.concatenate([body.directions for body in placed.bodies]),
+        np.ones((1, starts[-1]), dtype=complex),
+    )
+    first = 0
+    for number, packed in packs.items():
+        own = slice(first, first + len(packed.y)), slice(starts[number], starts[number + 1])
+        y[(*own, slice(packed.y.shape[2]))], w[own] = packed.y, packed.w
+        geometry.positions_m[own[1]] = packed.geometry.positions_m
+        geometry.directions[own[1]] = packed.geometry.directions
+        first += len(packed.y)
+
+    def joined(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(packed, name) for packed in packs.values()])
+
+    nothing = np.zeros((groups, starts[-1], 0), dtype=complex), np.zeros(groups, dtype=np.intp)
+    scale = np.max([packed.scale for packed in packs.values()], axis=0)
+    live = [starts[number] + packed.live for number, packed in packs.items()]
+    return Packed(
+        y, w, joined("columns"), joined("tau"), joined("rho"), *nothing, geometry, np.eye(6), scale,
+        np.concatenate(live),
+    )  # fmt: skip
