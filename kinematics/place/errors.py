@@ -131,8 +131,8 @@ class ErrorEstimate:
             text = (
                 f"calibration: the data determine {int(seen.sum())} of {len(seen)} parameters of the "
                 "geometry. No residual shows a shift of all points of a body together, nor a turn of "
-                "positions and beams together, nor one gain common to all lasers: those rest on fiducials and "
-                "references alone."
+                "positions and beams together, nor one gain common to all lasers: those rest on fiducials "
+                "and references alone."
             )
             notices.append(Notice("calibrated", text))
         if shown.p_value < _UNLIKELY and self.calibrated:
@@ -145,7 +145,8 @@ class ErrorEstimate:
         elif shown.p_value < _UNLIKELY:
             text = (
                 f"the lasers disagree by more than stated: most the {largest}. The motion is corrected by "
-                "what the beams say together; calibrate the lasers, or state --gain-sd, --phase-sd, --delay-sd."
+                "what the beams say together; calibrate the lasers, or state --gain-sd, --phase-sd, "
+                "--delay-sd."
             )
             notices.append(Notice("lasers_disagree", text))
         return notices
