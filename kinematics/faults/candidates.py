@@ -132,9 +132,13 @@ def _louder(now: Round) -> list[Candidate]:
     found = []
     for channel in now.live:
         ratio = energy[channel] / now.noise.level / max(freedom[channel], 1e-9)
+        if now.levels is not None:
+            ratio *= now.levels[channel] ** 2
         if freedom[channel] > 8.0 and ratio > 1.0:
             fall = energy[channel] * (1.0 - 1.0 / ratio)
             evidence = now.evidence(fall, 1) - 0.5 * freedom[channel] * np.log(ratio)
+            if now.levels is not None:
+                evidence = -now.channel_noise[channel] - 0.5 * np.log(now.packed.values)
             size = np.array([np.sqrt(ratio)])
             sd = size / np.sqrt(2.0 * freedom[channel])
             found.append(Candidate("noise", Place("channel", (channel,)), evidence, 0.0, size, sd))

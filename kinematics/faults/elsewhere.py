@@ -9,7 +9,7 @@ import numpy as np
 
 from kinematics.faults.lines import line_residuals
 from kinematics.faults.rounds import Round
-from kinematics.faults.scores import one_pattern
+from kinematics.faults.scores import pattern_gain
 from kinematics.fit.reference import format_stretches
 from kinematics.joint.estimate import inverse, system
 from kinematics.joint.pack import Readings
@@ -42,8 +42,9 @@ class Cause:
 def other_causes(now: Round) -> list[Cause]:
     """Look for random errors of gains or positions, then for loud lines, then for single values far off."""
     readings, state = now.readings, now.state
-    found = _scatter(now)
-    if found or one_pattern(state, now.noise):
+    bending = pattern_gain(state, now.noise)
+    found = _scatter(now, bending)
+    if found or bending > 0.25 * state.energy / now.noise.level:
         return found
     lines = line_residuals(readings, state)
     squares = np.abs(lines.scaled) ** 2 / np.maximum(lines.own, 0.05)[:, None]
@@ -88,10 +89,9 @@ def _single_values(squares: Array) -> list[Cause]:
     return [Cause("sparse_outliers", text, step, worst)]
 
 
-def _scatter(now: Round) -> list[Cause]:
-    """Look for random errors of one kind at all channels or points."""
+def _scatter(now: Round, least: float) -> list[Cause]:
+    """Look for random errors of one kind at all channels or points that gain more log likelihood."""
     points = list(now.layout.by_point(now.live).values())
-    whole = max(now.state.energy / now.noise.level - now.state.freedom, 1e-9)
     gains = ("channels_scattered", "%", 100.0, "Calibrate the channels, or state larger errors of gains")
     step = "State them as sd_mm in points.csv, or measure the points again"
     places = ("channels_scattered", "mm", 1e3, step)
@@ -100,7 +100,7 @@ def _scatter(now: Round) -> list[Cause]:
         ("gains of channels", [[channel] for channel in now.live], (GAIN,), gains),
         ("positions", points, SHIFT, places),
     )
-    best, found = max(_LEAST_GAIN, 0.25 * whole), []
+    best, found = max(_LEAST_GAIN, least), []
     for name, own, tangents, (code, unit, factor, step) in trials:
         sd, gain, sizes = random_errors(now, own, tangents)
         if gain < best:

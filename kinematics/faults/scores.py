@@ -18,8 +18,6 @@ from stapeskit.arrays import Array
 
 _ROUNDING = 1e-12  # of correlations: exact data determine some errors 1e12 times better than others
 
-_ONE_PATTERN = 0.5  # of the misfit: two points that move on their own hold half each
-
 
 @dataclass(frozen=True)
 class Test:
@@ -156,11 +154,19 @@ def _statistics(b: Array, n: Array, tangents: tuple[int, ...]) -> tuple[Array, N
     return statistic, good.sum(axis=1)
 
 
-def one_pattern(state: State, noise: Noise) -> bool:
-    """Return whether one pattern over channels holds most of the misfit, as one shape of bending has."""
+def pattern_gain(state: State, noise: Noise) -> float:
+    """Return the log likelihood gained by one pattern over channels with a course of its own.
+
+    Notes
+    -----
+    A shape of bending is such a pattern. It costs half the logarithm of the number of values for each of its
+    coefficients (Schwarz 1978, doi:10.1214/aos/1176344136).
+    """
+    columns = int(state.packed.columns.sum())
+    coefficients = len(state.packed.live) - state.q.shape[2] + 2 * columns
     e = state.e.swapaxes(0, 1).reshape(state.e.shape[1], -1)
-    strongest = 2.0 * float(np.linalg.norm(e, 2)) ** 2 / noise.level
-    return strongest > _ONE_PATTERN * max(state.energy / noise.level - state.freedom, 1e-9)
+    strongest = 2.0 * float(np.linalg.norm(e, 2)) ** 2 / noise.level - 2.0 * columns
+    return 0.5 * strongest - 0.5 * coefficients * float(np.log(state.packed.values))
 
 
 def structure(state: State, level: float) -> float:

@@ -17,7 +17,7 @@ from kinematics.faults.candidates import Candidate, fit_candidates
 from kinematics.faults.elsewhere import Cause
 from kinematics.faults.kinds import KINDS, Finding, free
 from kinematics.faults.rounds import Round, noise_level, null_fit
-from kinematics.faults.scores import one_pattern
+from kinematics.faults.scores import pattern_gain
 from kinematics.joint.expected import Layout, Priors
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array
@@ -102,12 +102,15 @@ def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:
     """Return whether the body as a whole does not move as a rigid body.
 
     Nothing that was found makes the others agree; or several points move unlike the others, and one pattern
-    over all channels holds most of the misfit, as one shape of bending has.
+    over all channels explains as much with fewer numbers, as one shape of bending does.
     """
     if found and not last.clean():
         return True
     points = {first.layout.points[c] for one in found if one.kind == "elsewhere" for c in one.channels}
-    return len(points) > 1 and one_pattern(first.state, first.noise)
+    fall = (first.estimate.chi2 - last.estimate.chi2) / first.noise.level
+    count = first.packed.values - last.packed.values
+    without = 0.5 * (fall - count * float(np.log(first.packed.values)))
+    return len(points) > 1 and pattern_gain(first.state, first.noise) > without
 
 
 def _finding(now: Round, best: Candidate) -> Finding:

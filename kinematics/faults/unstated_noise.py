@@ -76,7 +76,7 @@ def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
     width = float(np.diff(np.quantile(logs, [0.25, 0.75]))[0]) / _QUARTILES
     spread = max(float(np.sqrt(max(width**2 - float(np.median(chance)), 0.0))), _REFLECTION)
     shrunk = logs * spread**2 / (spread**2 + chance)
-    levels[some] = np.exp(np.where(np.abs(logs) < _FAR_SD * np.sqrt(spread**2 + chance), shrunk, 0.0))
+    levels[some] = np.exp(shrunk)
     return levels, spread
 
 
@@ -89,4 +89,7 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         taken = (top.statistic, top.freedom) if top else (0.0, 0)
         energy += max(estimate.chi2 - taken[0], 0.0)
         freedom += max(state.freedom - taken[1], 1)
-    return Noise(max(energy, 1e-300) / max(freedom, 1.0), freedom)
+    own = state.noise_energy[1].sum(axis=0)
+    own = own[own > 8.0]
+    by = float(np.sum(own) / np.sum(own - 2.0)) if own.size and own.sum()>=_LEAST_LEVEL_DOF else 1.0
+    return Noise(by * max(energy, 1e-300) / max(freedom, 1.0), freedom)
