@@ -91,5 +91,5 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         freedom += max(state.freedom - taken[1], 1)
     own = state.noise_energy[1].sum(axis=0)
     own = own[own > 8.0]
-    by = float(np.sum(own) / np.sum(own - 2.0)) if own.size and own.sum()>=_LEAST_LEVEL_DOF else 1.0
+    by = float(np.sum(own) / np.sum(own - 2.0)) if own.size and own.sum() >= _LEAST_LEVEL_DOF else 1.0
     return Noise(by * max(energy, 1e-300) / max(freedom, 1.0), freedom)
