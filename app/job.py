@@ -83,6 +83,11 @@ class Job:
             text += f", {100.0 * self.share:.0f} %, about {left:.0f} s left"
         return text
 
+    @property
+    def done(self) -> str:
+        """Say that it has ended."""
+        return f"{TITLES[self.step]}: done in {self.seconds:.0f} s."
+
     def stop(self) -> None:
         """End it; what finished stages have written stays."""
         self._stopped = True

@@ -12,6 +12,7 @@ with app.setup:
     import sys
     import traceback
     import webbrowser
+    from html import escape
     from pathlib import Path
     from typing import get_args
 
@@ -26,6 +27,7 @@ with app.setup:
     from pipeline.new_study import ASSUMED_DENSITY
     from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError
+    from stapeskit.report import page
 
     def listed(*items):
         """Lay items below each other."""
@@ -301,14 +303,7 @@ def show_marks(get_marks, picture, session):
     get_marks()
     placed = session.marks.placed if session.marks else {}
     picture.show_marks(list(placed.values()))
-    marks_table = mo.Html(
-        tables.html_table(
-            [
-                {"mark": name, "scan x, y, z, mm": ", ".join(f"{v:.3f}" for v in at)}
-                for name, at in placed.items()
-            ]
-        )
-    )
+    marks_table = mo.Html(tables.mark_table(placed)) if placed else None
     return (marks_table,)
 
 
@@ -348,13 +343,13 @@ def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, s
 @app.cell
 def layout_mass(get_mass, get_undone, session):
     get_mass(), get_undone()
-    mo.Html(tables.html_table(tables.mass_rows(session.masses)))
+    mo.Html(tables.mass_table(session.masses)) if session.masses else mo.md("")
     return
 
 
 @app.cell
 def layout_beams(measured):
-    mo.Html(tables.folded("beams", tables.html_table(tables.beam_rows(measured)))) if measured else mo.md("")
+    mo.Html(tables.beam_table(measured)) if measured else mo.md("")
     return
 
 
@@ -364,10 +359,9 @@ def layout_fit(get_fit, session):
     fitted = session.content("fit")
     mo.vstack(
         [
-            mo.Html(tables.verdict_html(fitted["verdict"])),
-            mo.Html(tables.html_table(tables.fit_rows(fitted))),
+            mo.Html(fitted["html"]),
             mo.hstack(tables.curves(fitted), wrap=True, justify="start"),
-            mo.Html(tables.repeat_html(session.study.out, session.study.path)),
+            mo.Html(page.text(session.repeat_text())),
         ]
     ) if fitted else mo.md("")
     return
@@ -378,9 +372,8 @@ def layout_compare(attempt, other, session):
     def rows():
         from pipeline.compare import compare
 
-        names = ("", "this", other.value, "difference", "p")
         found = compare(session.study.out, session.study.out.with_name(other.value))
-        return tables.html_table([dict(zip(names, row, strict=True)) for row in found.rows()])
+        return page.table(("", "this", other.value, "difference", "p"), found.rows())
 
     compared = []
     if other.value:
@@ -410,19 +403,18 @@ def progress(
         kind, text = get_said()
         job = session.job
         if tick is None or job is None:
-            return kind, mo.Html(text) if text.startswith("<") else mo.md(tables.escape(text))
+            return kind, mo.Html(text) if text.startswith("<") else mo.Html(page.text(text))
         if job.running:
             share = f' value="{job.share:.3f}"' if job.share is not None else ""
             hidden = mo.Html(f'<div class="clock">{tick}</div>')
             stop = mo.ui.button(label="Stop", on_click=lambda _: job.stop())
-            bar = mo.Html(f"<progress{share}></progress> {tables.escape(job.progress)}")
+            bar = mo.Html(f"<progress{share}></progress> {escape(job.progress)}")
             return "", mo.hstack([bar, stop, hidden], justify="start")
         fault = session.finish()
         if fault:
             set_said(("danger", fault))
         else:
-            notices = tables.notices_text(job.notices)
-            set_said(("", f"<div>{tables.done_text(job.step, job.seconds)} {notices}</div>"))
+            set_said(("", f"<div>{job.done} {tables.notice_list(job.notices)}</div>"))
             up(*changed[job.step])
         set_busy(False)
         return "", mo.md("")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -324,6 +325,11 @@ class Session:
         found = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in MEASUREMENTS]
         named = [str(value) for value in self.study.tables.get("ldv", {}).values()]
         return list(dict.fromkeys([*found, *(name for name in named if (folder / name).exists())]))
+
+    def repeat_text(self) -> str:
+        """Say where all results are, and which command makes them again."""
+        study = self.opened_study
+        return f"All results: {study.out}. Again: scan2kd {shlex.quote(str(study.path))}"
 
     def other_results(self) -> list[str]:
         """Return the other folders next to the study that hold K and D."""

@@ -1,73 +1,47 @@
-"""Tables and curves of the page, from the files that the steps leave."""
+"""Tables and curves of the page, from the files that the steps leave; tables are those of the reports."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import TYPE_CHECKING, Any
 
-from app.job import TITLES
+from stapeskit.report import page
+from stapeskit.report.quantities import VOLUME, Quantity, matrix_units
+from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import altair
+    from markupsafe import Markup
 
-Row = dict[str, str]
-_NAMES = {"found": "as found", "cut": "corrected"}
-
-
-def html_table(rows: Sequence[Row]) -> str:
-    """Return rows as an HTML table; every cell is escaped."""
-    if not rows:
-        return ""
-    head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row.values()) + "</tr>" for row in rows
-    )
-    return f'<table class="results"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+_CUTS = {"found": "as found", "cut": "corrected"}
+_SHOWN = {0: "mass", 3: "M(alpha)", 4: "M(beta)", 5: "M(gamma)"}
+"""Places on the diagonal of the mass matrix."""
 
 
-def mass_rows(masses: Mapping[str, Mapping[str, Any]]) -> list[Row]:
+def mass_table(masses: Mapping[str, Mapping[str, Any]]) -> Markup:
     """Return mass, volume and moments of the cut as found and of the corrected one, each with its sd."""
-    rows = []
+    units, rows = matrix_units("M", DOF_NAMES), []
     for name, mass in masses.items():
         matrix, sd = (mass["mass_matrix"].get(key) for key in ("matrix_si", "standard_deviation_si"))
-
-        def entry(at: int, factor: float, digits: int, matrix: Any = matrix, sd: Any = sd) -> str:
-            return _with_sd(factor * matrix[at][at], None if sd is None else factor * sd[at][at], digits)
-
-        rows.append(
-            {
-                "cut": _NAMES[name],
-                "mass, mg": entry(0, 1e6, 4),
-                "volume, mm³": f"{1e9 * mass['volume_m3']:.5f}",
-                "M(alpha), mg mm²": entry(3, 1e12, 4),
-                "M(beta), mg mm²": entry(4, 1e12, 4),
-                "M(gamma), mg mm²": entry(5, 1e12, 4),
-            }
-        )
-    return rows
+        entries = [
+            Quantity(matrix[at][at], None if sd is None else sd[at][at], units[at][at]) for at in _SHOWN
+        ]
+        rows.append((_CUTS[name], *entries, VOLUME.text(mass["volume_m3"], ".5f")))
+    return page.table(("cut", *_SHOWN.values(), "volume"), rows)
 
 
-def _with_sd(value: float, sd: float | None, digits: int) -> str:
-    return f"{value:.{digits}f}" + ("" if sd is None else f" ± {sd:.{digits}f}")
+def mark_table(placed: Mapping[str, Sequence[float]]) -> Markup:
+    """Return every mark with its place."""
+    rows = [(name, ", ".join(f"{value:.3f}" for value in at)) for name, at in placed.items()]
+    return page.table(("mark", "scan x, y, z, mm"), rows, words=True)
 
 
-def beam_rows(points: Mapping[str, Any]) -> list[Row]:
-    """Return every beam with its verdict."""
-    return [
-        {
-            "body": beam["body"],
-            "point": beam["point"],
-            "beam": beam["beam"],
-            "verdict": beam["verdict"],
-            "estimate": beam["estimate"],
-            "residual, µm": f"{beam['residual_um']:.3g}",
-        }
-        for beam in points["beams"]
-    ]
+def beam_table(points: Mapping[str, Any]) -> Markup:
+    """Return every beam with its verdict, to be unfolded."""
+    keys = ("body", "point", "beam", "verdict", "estimate")
+    rows = [(*(beam[key] for key in keys), f"{beam['residual_um']:.3g}") for beam in points["beams"]]
+    return page.folded("beams", page.table((*keys, "residual, µm"), rows, words=True))
 
 
 def registration_text(points: Mapping[str, Any]) -> str:
@@ -82,58 +56,12 @@ def registration_text(points: Mapping[str, Any]) -> str:
     )
 
 
-def repeat_html(out: Path, study: Path) -> str:
-    """Return where all results are, and the command that makes them again."""
-    words = escape(f"scan2kd {shlex.quote(str(study))}")
-    return f'<p class="path">All results: <code>{escape(str(out))}</code>. Again: <code>{words}</code></p>'
-
-
-def fit_rows(fit: Mapping[str, Any]) -> list[Row]:
-    """Return K and D with sd and 95 % intervals."""
-    return [
-        {
-            "": entry["entry"],
-            "of": f"{entry['row']}, {entry['column']}",
-            "value": f"{entry['value']:.5g} ± {entry['sd']:.2g}",
-            "95 %": f"{entry['lower_95']:.5g} to {entry['upper_95']:.5g}",
-            "unit": entry["unit"],
-        }
-        for entry in fit["entries"]
-    ]
-
-
-def verdict_html(verdict: Mapping[str, Any]) -> str:
-    """Return the verdict with its reasons; confirmed ones are named."""
-    level = {"believe": "", "check": "check"}.get(verdict["level"], "no")
-    reasons = "".join(
-        f"<li><code>{escape(one['code'])}</code> {escape(one['text'])}</li>" for one in verdict["reasons"]
-    )
-    confirmed = (
-        f"<p>Checked by you: {escape(', '.join(verdict['confirmed']))}</p>" if verdict["confirmed"] else ""
-    )
-    return (
-        f'<div class="verdict {level}"><b>{escape(verdict["sentence"])}</b>'
-        f"{f'<ul>{reasons}</ul>' if reasons else ''}{confirmed}</div>"
-    )
-
-
-def folded(title: str, content: str) -> str:
-    """Return content that can be unfolded."""
-    return f"<details><summary>{escape(title)}</summary>{content}</details>"
-
-
-def notices_text(notices: Mapping[str, str]) -> str:
-    """Return warnings by code as HTML that can be unfolded."""
+def notice_list(notices: Mapping[str, str]) -> Markup | str:
+    """Return warnings by code, to be unfolded."""
     if not notices:
         return ""
-    items = "".join(f"<li><code>{escape(code)}</code> {escape(text)}</li>" for code, text in notices.items())
     plural = "warning" if len(notices) == 1 else "warnings"
-    return folded(f"{len(notices)} {plural}", f"<ul>{items}</ul>")
-
-
-def done_text(step: str, seconds: float) -> str:
-    """Return that a step has ended."""
-    return f"{TITLES[step]}: done in {seconds:.0f} s."
+    return page.folded(f"{len(notices)} {plural}", page.notices(Notice(*pair) for pair in notices.items()))
 
 
 def curves(fit: Mapping[str, Any]) -> list[altair.VConcatChart]:

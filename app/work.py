@@ -112,15 +112,17 @@ def points_content(result: MotionResult) -> dict[str, Any]:
 
 def fit(study: StudyFile) -> None:
     """Run the study as ``scan2kd`` does."""
+    from fitting.report.page import matrices, verdict_block
     from pipeline.run import run_study
+    from stapeskit.report import page
 
-    result = run_study(study.path, study.out, progress=tell, tell=warn)
-    content = {"verdict": result.fit.verdict.as_json(), **fit_content(result.fit)}
-    keep(study, "fit", content)
+    fitted = run_study(study.path, study.out, progress=tell, tell=warn).fit
+    shown = str(verdict_block(fitted) + page.beside(*matrices(fitted)))
+    keep(study, "fit", {"verdict": fitted.verdict.as_json(), "html": shown, **response_content(fitted)})
 
 
-def fit_content(result: KDFit) -> dict[str, Any]:
-    """Return K and D with intervals, and measured and simulated responses, for tables and curves."""
+def response_content(result: KDFit) -> dict[str, Any]:
+    """Return measured and simulated responses, for curves."""
     from fitting.report.figures import responses
     from stapeskit.report.figures import dof_unit
 
@@ -140,7 +142,6 @@ def fit_content(result: KDFit) -> dict[str, Any]:
                 }
             )
     return {
-        "entries": json.loads(result.to_frame().to_json(orient="records")),
         "freq_hz": [round(float(one), 4) for one in shown.freq_hz[order]],
         "responses": rows,
     }
