@@ -14,7 +14,6 @@ with app.setup:
     import webbrowser
     from html import escape
     from pathlib import Path
-    from typing import get_args
 
     import marimo as mo
 
@@ -23,7 +22,8 @@ with app.setup:
     from app.grey import beneath, first_look
     from app.picture import VIEWS, Picture
     from app.session import Session
-    from fitting.options import KDOptions
+    from fitting.choices import DAMPING
+    from fitting.options import COMPARE, KDOptions
     from pipeline.new_study import ASSUMED_DENSITY
     from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError
@@ -256,8 +256,7 @@ def measurement_controls(attempt, begin, get_points, get_study, session, set_poi
 @app.cell
 def fit_controls(begin, button, get_fit, get_study, put, session, stated, text_field, ticks):
     get_study(), get_fit()
-    keys = {entry.key: entry for entry in KDOptions.entries()}
-    laws = [*get_args(keys["damping"].annotation)]
+    keys, laws = {entry.key: entry for entry in KDOptions.entries()}, [*DAMPING, COMPARE]
     damping = mo.ui.dropdown(
         laws, value=stated("fit", "damping") or laws[0], label="damping",
         on_change=lambda value: put("fit", "damping", value),

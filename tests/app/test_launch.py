@@ -107,3 +107,11 @@ def test_a_page_without_the_token_reaches_neither_page_nor_kernel_and_ctrl_c_end
     finally:
         server.close()
     assert "Traceback" not in server.said
+
+
+def test_every_cell_of_the_page_runs():
+    """Without a browser: what a cell imports and reads from tables of options is there."""
+    root = Path(__file__).parents[2]
+    command = [sys.executable, str(root / "app" / "page.py")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=root, check=False)
+    assert done.returncode == 0, done.stderr
