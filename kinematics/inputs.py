@@ -29,11 +29,7 @@ class Inputs:
 
     def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
         """Return every file that was read, by its role."""
-        from kinematics.readers.formats import companion_files
-
         roles = dict(self.options.inputs())
-        for path in self.options.file:
-            roles = {**companion_files(path, file_facts(self.options)), **roles}
         return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
 
 

@@ -16,7 +16,6 @@ from stapeskit.option_types import (
     Kind,
     Percent,
     Positive,
-    Range,
     ReadFile,
     ReadFiles,
     Text,
@@ -96,10 +95,6 @@ class MotionOptions(Options):
             lambda v: v.correct and v.calibrate,
             "--correct", "left out with --calibrate, which takes faults for errors of the geometry", "both",
             "Correct the file by what --correct reports, and calibrate then",
-        ),
-        _rule(
-            lambda v: v.steps and v.period_s,
-            "--steps", "left out with --period: excitation is periodic or stepped", "both", "Leave one out",
         ),
     )  # fmt: skip
 
@@ -202,7 +197,12 @@ class MotionOptions(Options):
         Positive | None, Opt("averages behind each value: with coherence they give its noise", _FILES, 20)
     ] = None
     mapping: Annotated[
-        ReadFile | None, Opt("which variable or column is what (TOML)", _FILES, "names.toml")
+        ReadFile | None,
+        Opt(
+            'other names for the columns of a wide table: "A7" = "P7 z Mag [mm/s]" (TOML)',
+            _FILES,
+            "names.toml",
+        ),
     ] = None
 
     channels: Annotated[
@@ -213,16 +213,11 @@ class MotionOptions(Options):
             "channels.csv",
         ),
     ] = None
-    reference_channel: Annotated[Text, Opt("the reference among several", _SERIES, "force")] = ""
     averages: Annotated[Count, Opt("segments of a record of random excitation", _SERIES)] = 30
     period_s: Annotated[
         Positive | None, Opt("period of a periodic excitation, s", _SERIES, 0.2, name="period")
     ] = None
-    steps: Annotated[
-        ReadFile | None, Opt("stepped sine: start_s, stop_s, freq_hz (CSV)", _SERIES, "steps.csv")
-    ] = None
-    settle: Annotated[Share, Opt("share of each step left out at its start", _SERIES)] = 0.2
-    frf_band_hz: Annotated[Range | None, Opt("frequencies to keep, Hz", _SERIES, [400, 5000])] = None
+    settle: Annotated[Share, Opt("share of each step of a stepped sine left out at its start", _SERIES)] = 0.2
 
     @property
     def points_file(self) -> Path | None:
@@ -250,14 +245,14 @@ class MotionOptions(Options):
         named = {
             "points": self.points_file,
             "fiducials": self.fiducials_file,
-            **{name: getattr(self, name) for name in ("mapping", "channels", "steps")},
+            **{name: getattr(self, name) for name in ("mapping", "channels")},
         }
         files = {"ldv" if not number else f"ldv {number + 1}": path for number, path in enumerate(self.file)}
         return files | {role: path for role, path in named.items() if path is not None}
 
     def parameters(self) -> dict[str, Any]:
         """Return what differs from the defaults, for the provenance; files are among its inputs."""
-        files = {"file", "points", "fiducials", "mapping", "channels", "steps"}
+        files = {"file", "points", "fiducials", "mapping", "channels"}
         return {key: value for key, value in self.given().items() if key not in files}
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.facts import FileFacts, with_facts
 from kinematics.readers.formats import read_file
-from kinematics.readers.identify import with_facts
-from kinematics.readers.noise import with_noise
 from kinematics.readers.recording import Recording
 
 
@@ -25,7 +23,7 @@ def read_vibrometer(
     path : path
         A file, or a folder of text exports.
     mapping : path, optional
-        TOML file that says which variable or column is what.
+        TOML file with other names for the columns of a wide table.
     channels : path, optional
         Table of the channels of time series.
     n_avg : float, optional
@@ -50,4 +48,4 @@ def read_vibrometer(
         mapping=None if mapping is None else Path(mapping),
         channels=None if channels is None else Path(channels),
     )
-    return with_noise(with_facts(read_file(Path(path), facts), facts))
+    return with_facts(read_file(Path(path), facts), facts).with_noise()

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
-from kinematics.readers.facts import FileFacts, unknown_files
-from kinematics.readers.formats import companion_files, format_of, read_file
-from kinematics.readers.gather import twice_faults
-from kinematics.readers.identify import assumptions, unused_options, with_bodies, with_facts, with_runs
-from kinematics.readers.lines import check_filled, common_grid, grid_faults
-from kinematics.readers.noise import with_noise
+from kinematics.readers.facts import (
+    FileFacts,
+    assumptions,
+    unused_options,
+    with_bodies,
+    with_facts,
+    with_runs,
+)
+from kinematics.readers.formats import format_of, read_file
+from kinematics.readers.gather import Row, matrices_of, twice_faults
+from kinematics.readers.lines import check_filled, grid_faults
 from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Channel, Recording
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, unique
+
+Take = tuple[str, str]
+"""Run and repeat."""
 
 _SAME_PLACE_M = 1e-6  # positions written with four digits
 _ONE_RUN = "Name different excitations with --run NAME=FILE, or leave one of the two out"
@@ -67,35 +76,17 @@ def read_measurement(
     if points is not None:
         with collect_faults(faults):
             listed = read_points(points)
-    if facts.mapping is not None and not faults and not any(format_of(path, True).mapped for path in paths):
-        want = "left out: no MATLAB or HDF5 file and no wide table is read"
-        faults.append(Fault("--mapping", want, facts.mapping.name))
-    if facts.channels is not None and not faults and not any(one.from_series for one in recordings):
+    raise_all(faults)
+    formats = [format_of(path, facts.mapping is not None) for path in paths]
+    if facts.mapping is not None and not any(one.name == "wide" for one in formats):
+        faults.append(Fault("--mapping", "left out: no wide table is read", facts.mapping.name))
+    if facts.channels is not None and not any(one.series for one in formats):
         faults.append(Fault("--channels", "left out: no file holds time series", facts.channels.name))
     raise_all(faults)
     inputs = {"ldv" if number == 1 else f"ldv {number}": path for number, path in enumerate(paths, 1)}
-    for path in paths:
-        inputs |= companion_files(path, facts)
-    if points is not None:
-        inputs["points"] = Path(points)
+    others = {"points": points, "mapping": facts.mapping, "channels": facts.channels}
+    inputs |= {role: Path(path) for role, path in others.items() if path is not None}
     return replace(assemble(recordings, listed, facts, frame), inputs=inputs)
-
-
-@dataclass(frozen=True)
-class _Stack:
-    """The channels of all files on one grid of lines: P rows, L lines.
-
-    ``sd`` and ``common_sd`` are NaN where none is stated; ``stated`` (P,) says whether the file of a row
-    states noise, ``relative`` (P,) whether that is known up to one factor.
-    """
-
-    freq_hz: Array
-    channels: tuple[Channel, ...]
-    value: ComplexArray
-    sd: Array
-    common_sd: Array
-    stated: NDArray[np.bool_]
-    relative: NDArray[np.bool_]
 
 
 def assemble(
@@ -124,99 +115,92 @@ def assemble(
         of one kind are reported together.
     """
     facts = facts or FileFacts()
-    raise_all([*unknown_files(facts, [one.file for one in recordings]), *unused_options(recordings, facts)])
+    raise_all(unused_options(recordings, facts))
     notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
-    stack, about_lines = _stacked([with_noise(with_facts(one, facts)) for one in recordings])
-    channels, about_bodies = with_bodies(stack.channels, points, facts)
+    recordings = [with_facts(one, facts).with_noise() for one in recordings]
+    freq_hz, held, about_lines = matrices_of([row for one in recordings for row in _rows(one)])
+    channels = [channel for one in recordings for channel in one.channels]
+    channels, about_bodies = with_bodies(channels, points, facts)
     channels, about_runs = with_runs(channels, facts)
     raise_all([*_direction_faults(channels), *_reference_faults(channels)])
-    raise_all(twice_faults(channels, stack.value, _ONE_RUN))
-    stack, order = _of_one_quantity(replace(stack, channels=tuple(channels)))
+    value, sd = held["value"], held.get("sd", np.full(held["value"].shape, np.nan))
+    raise_all(twice_faults(channels, value, _ONE_RUN))
+    order = _to_one_quantity(channels, freq_hz, value, sd)
     takes = list(dict.fromkeys((channel.run, channel.repeat) for channel in channels))
     different = len({(channel.body, channel.point, channel.beam_key) for channel in channels})
-    check_filled(len(takes) * different, len(stack.freq_hz), stack.value.size, "")
-    stack, common_sd = _reference_noise(stack, takes)
+    check_filled(len(takes) * different, len(freq_hz), value.size, "")
+    common_sd = _reference_noise(channels, takes, held) if "common_sd" in held else None
     notices += [*about_bodies, *about_runs, *_reference_notices(channels), *about_lines]
+    relative = np.repeat([one.relative for one in recordings], [len(one.channels) for one in recordings])
     faults: list[Fault] = []
     bodies = []
     for name in dict.fromkeys(channel.body for channel in channels):
+        own = np.array([channel.body == name for channel in channels])
+        mine = [channel for channel in channels if channel.body == name]
         with collect_faults(faults):
-            body, missing = _body(name, stack, takes, points)
+            body, missing = _body(name, mine, value[own], sd[own], relative[own], takes, points)
             bodies.append(body)
             notices += missing
     raise_all(faults)
     present = np.array([np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies])
-    raise_all(grid_faults(stack.freq_hz, present, [body.body for body in bodies]))
+    raise_all(grid_faults(freq_hz, present, [body.body for body in bodies]))
     repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
         frame,
         tuple(repeat.name if several else repeat.run for repeat in repeats),
-        stack.freq_hz,
+        freq_hz,
         tuple(bodies),
         QUANTITY_OF_ORDER[order],
         notices=unique(notices),
         repeats=repeats if several else (),
-        common_sd=common_sd if np.any(common_sd > 0.0) else None,
+        common_sd=common_sd,
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
 
 
-def _stacked(recordings: Sequence[Recording]) -> tuple[_Stack, list[Notice]]:
-    """Join the lines of all files, and set their channels below each other."""
-    freq_hz, places, notices = common_grid([one.freq_hz for one in recordings])
-    counts = [len(one.channels) for one in recordings]
-    shape = (sum(counts), len(freq_hz))
-    check_filled(*shape, sum(one.value.size for one in recordings), "")
-    value, sd, common = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan), np.full(shape, np.nan)
-    start = 0
-    for one, lines, count in zip(recordings, places, counts, strict=True):
-        rows = slice(start, start + count)
-        for matrix, part in ((value, one.value), (sd, one.sd), (common, one.common_sd)):
-            if part is not None:
-                matrix[rows, lines] = part
-        start += count
-    return _Stack(
-        freq_hz,
-        tuple(channel for one in recordings for channel in one.channels),
-        value,
-        sd,
-        common,
-        np.repeat([one.sd is not None for one in recordings], counts),
-        np.repeat([one.relative for one in recordings], counts),
-    ), notices
+def _rows(one: Recording) -> list[Row]:
+    """Return the channels of a recording apart, with their noise."""
+    return [
+        Row(
+            channel,
+            one.freq_hz,
+            one.value[k],
+            sd=None if one.sd is None else one.sd[k],
+            common_sd=None if one.common_sd is None else one.common_sd[k],
+        )
+        for k, channel in enumerate(one.channels)
+    ]
 
 
-def _of_one_quantity(stack: _Stack) -> tuple[_Stack, int]:
-    """Return all values as the most common quantity, and its order."""
-    orders = np.array([channel.order for channel in stack.channels])
+def _to_one_quantity(channels: Sequence[Channel], freq_hz: Array, value: ComplexArray, sd: Array) -> int:
+    """Turn all values in place into the most common quantity, and return its order."""
+    orders = np.array([channel.order for channel in channels])
     order = Counter(orders.tolist()).most_common(1)[0][0]
-    value, sd = stack.value, stack.sd
     for other in set(orders.tolist()) - {order}:
-        rows, factor = orders == other, (2j * np.pi * stack.freq_hz) ** (order - other)
+        rows, factor = orders == other, (2j * np.pi * freq_hz) ** (order - other)
         value[rows] *= factor
         sd[rows] *= np.abs(factor)
-    return stack, order
+    return order
 
 
-def _reference_noise(stack: _Stack, takes: Sequence[tuple[str, str]]) -> tuple[_Stack, Array]:
+def _reference_noise(
+    channels: Sequence[Channel], takes: Sequence[Take], held: dict[str, Any]
+) -> Array | None:
     """Return the noise of the reference of runs, (r, L), whose channels were all recorded together.
 
     Where they were not, the noise of their references is added to that of the channels.
     """
-    common_sd = np.zeros((len(takes), len(stack.freq_hz)))
-    if np.all(np.isnan(stack.common_sd)):
-        return stack, common_sd
-    sd = stack.sd.copy()
+    common_sd = np.zeros((len(takes), held["value"].shape[1]))
     for number, take in enumerate(takes):
-        rows = np.array([(channel.run, channel.repeat) == take for channel in stack.channels])
-        noise = np.nan_to_num(stack.common_sd[rows])
+        rows = np.array([(channel.run, channel.repeat) == take for channel in channels])
+        noise = np.nan_to_num(held["common_sd"][rows])
         if np.all(noise == noise[0]):
             common_sd[number] = noise[0]
         else:
-            sd[rows] = np.hypot(sd[rows], noise * np.abs(stack.value[rows]))
-    return replace(stack, sd=sd), common_sd
+            held["sd"][rows] = np.hypot(held["sd"][rows], noise * np.abs(held["value"][rows]))
+    return common_sd if np.any(common_sd > 0.0) else None
 
 
 def _direction_faults(channels: Sequence[Channel]) -> list[Fault]:
@@ -238,11 +222,11 @@ def _reference_faults(channels: Sequence[Channel]) -> list[Fault]:
     for channel in channels:
         kind = f"responses per {channel.per}" if channel.per else "amplitudes"
         by_run.setdefault(channel.run, {}).setdefault(kind, str(channel.where) or channel.file)
-    step = "Export all points as responses to one reference, or all as amplitudes"
+    want, step = "of one unit", "Export all points as responses to one reference, or all as amplitudes"
     return [
         Fault(
             "the values of one run",
-            "of one unit",
+            want,
             " and ".join(f"{kind} ({where})" for kind, where in kinds.items()),
             f"run {run}",
             step,
@@ -263,29 +247,36 @@ def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:
 
 
 def _body(
-    name: str, stack: _Stack, takes: Sequence[tuple[str, str]], points: Points | None
+    name: str,
+    channels: Sequence[Channel],
+    value: ComplexArray,
+    sd: Array,
+    relative: NDArray[np.bool_],
+    takes: Sequence[Take],
+    points: Points | None,
 ) -> tuple[BodyChannels, list[Notice]]:
-    """Fill the arrays of one body."""
-    rows = [row for row, channel in enumerate(stack.channels) if channel.body == name]
-    mine = [stack.channels[row] for row in rows]
+    """Arrange the rows of one body by run, channel and line; ``relative`` says whose sd lacks a factor.
+
+    Where some sd are absolute, values with a relative one have none.
+    """
     first: dict[tuple[str, tuple[float, ...]], Channel] = {}
-    for channel in mine:
+    for channel in channels:
         first.setdefault((channel.point, channel.beam_key), channel)
     row_of = {key: number for number, key in enumerate(first)}
-    shape = (len(takes), len(first), len(stack.freq_hz))
-    value, sd = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
-    known = np.any(stack.stated[rows])
-    relative = not np.any(stack.stated[rows] & ~stack.relative[rows])
-    for row, channel in zip(rows, mine, strict=True):
-        own = ~np.isnan(stack.value[row].real)
+    shape = (len(takes), len(first), value.shape[1])
+    values, spread = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
+    noisy = np.any(~np.isnan(sd), axis=1)
+    all_relative = not np.any(noisy & ~relative)
+    for row, channel in enumerate(channels):
+        own = ~np.isnan(value[row].real)
         place = takes.index((channel.run, channel.repeat)), row_of[channel.point, channel.beam_key]
-        value[place][own] = stack.value[row, own]
-        if stack.relative[row] == relative:
-            sd[place][own] = stack.sd[row, own]
-    positions = _positions(name, mine, points)
+        values[place][own] = value[row, own]
+        if relative[row] == all_relative:
+            spread[place][own] = sd[row, own]
+    positions = _positions(name, channels, points)
     notices = []
-    unused = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
-    if known and unused:
+    unused = int(np.sum(np.isnan(spread) & ~np.isnan(values.real)))
+    if np.any(noisy) and unused:
         text = f"{unused} values of body {name} have no standard deviation and were not used."
         notices.append(Notice("file_read", text))
     names = tuple(point for point, _ in first)
@@ -295,9 +286,9 @@ def _body(
         names,
         np.array([positions[point] for point in names]) if positions else None,
         np.array([channel.direction for channel in first.values()]),
-        value,
-        sd if known else None,
-        bool(relative),
+        values,
+        spread if np.any(noisy) else None,
+        all_relative,
         np.array([listed.get((name, point), np.nan) for point in names], dtype=float),
     )
     return body, notices
@@ -314,9 +305,8 @@ def _positions(body: str, channels: Sequence[Channel], points: Points | None) ->
     faults: list[Fault] = []
     found: dict[str, tuple[Array, str]] = {}
     if points is not None:
-        found = {
-            point: (place, points.file) for (name, point), place in points.positions_m.items() if name == body
-        }
+        listed = points.positions_m.items()
+        found = {point: (place, points.file) for (name, point), place in listed if name == body}
     for channel in channels:
         place, where = channel.position_m, str(channel.where)
         if np.any(np.isnan(place)):
@@ -324,10 +314,9 @@ def _positions(body: str, channels: Sequence[Channel], points: Points | None) ->
         known, source = found.setdefault(channel.point, (place, where))
         if np.any(np.abs(known - place) > _SAME_PLACE_M + 1e-5 * np.abs(known)):
             got = f"{(1e3 * known).tolist()} ({source}) and {(1e3 * place).tolist()} mm"
+            thing = f"the position of point {channel.point} of body {body}"
             step = "Correct it; --length-unit states the unit where a file does not"
-            faults.append(
-                Fault(f"the position of point {channel.point} of body {body}", "one", got, where, step)
-            )
+            faults.append(Fault(thing, "one", got, where, step))
             found[channel.point] = (place, where)
     measured = dict.fromkeys(channel.point for channel in channels)
     lacking = [point for point in measured if point not in found]

@@ -1,12 +1,20 @@
-"""Names of columns such as ``P1 Vx Mag`` or ``Real X``: which part of which beam they hold."""
+"""Columns such as ``P1 Vx Mag [mm/s]`` or ``Real X``: which part of which beam they hold, and their values."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from kinematics.readers.mapping import Signal
-from kinematics.readers.units import HERTZ
+import numpy as np
+
+from kinematics.readers.gather import Row, from_parts, from_polar
+from kinematics.readers.recording import Channel
+from kinematics.readers.sheets import Sheet, refuse
+from kinematics.readers.text import shown
+from kinematics.readers.units import HERTZ, PHASES
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, collect_faults, raise_all
+from stapeskit.frames import axis_vector
 
 PARTS = {
     "re": ("re", "real", "realteil", "réel", "réelle"),
@@ -16,8 +24,9 @@ PARTS = {
     "coherence": ("coh", "coherence", "gamma2", "kohärenz"),
 }
 FREQUENCIES = ("frequency", "freq", "frequenz", "fréquence", "f")
+LOWEST_AUDIBLE_TOP_HZ = 100.0
+"""A sweep that ends below is in kHz, where no unit is stated: hearing ends at 20 kHz."""
 
-_FIELDS = {"re": "value_re", "im": "value_im", "amp": "magnitude"}
 _WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?[^\W_]+")
 _FILLERS = (
     "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
@@ -27,14 +36,28 @@ _POINT = re.compile(r"(?:p|pt|point|punkt|node)(\d+)")
 _AXIS = re.compile(r"([+-]?)[vdau]?([xyz])")
 
 
-def words_of(name: str) -> list[str]:
-    """Return the words of a name in small letters; a sign before a word belongs to it."""
-    return [word.lower() for word in _WORD.findall(name)]
+@dataclass(frozen=True)
+class Signal:
+    """One beam of a table: names of its point and axis, complex values (row, ...), unit, coherence, column."""
+
+    point: str
+    axis: str
+    value: ComplexArray
+    unit: str
+    coherence: Array | None
+    source: str
+
+    def row(self, freq_hz: Array, channel: Channel) -> Row:
+        """Return the beam as a row; its axis says the direction where the channel has none."""
+        axis = axis_vector(self.axis) if self.axis else None
+        if axis is not None:
+            channel = replace(channel, direction=axis)
+        return Row(channel, freq_hz, self.value, coherence=self.coherence, unit=self.unit, source=self.source)
 
 
 def is_frequency(name: str) -> bool:
     """Return whether a column is named as that of the frequencies."""
-    words = words_of(name)
+    words = [word.lower() for word in _WORD.findall(name)]
     return bool(words) and words[0] in FREQUENCIES and set(words[1:]) <= {*HERTZ, "axis"}
 
 
@@ -57,18 +80,89 @@ def meaning(name: str) -> tuple[str, str, str] | None:
     return (part, " ".join(rest), axis) if part else None
 
 
-def signals_of(names: Sequence[str]) -> tuple[list[Signal], list[str]]:
-    """Return the signals that the names of columns describe, and the names that describe none."""
-    by_beam: dict[tuple[str, str], dict[str, str]] = {}
+def signals_of(sheet: Sheet) -> tuple[list[Signal], list[str]]:
+    """Return the beams that the names of columns describe, and the names that describe none.
+
+    The last axis of the numbers of the table are its columns.
+
+    Raises
+    ------
+    StapeskitError
+        No pair of real and imaginary part or magnitude and phase; one part alone; parts in two units; phases
+        without a unit that may be radians as well as degrees.
+    """
+    by_beam: dict[tuple[str, str], dict[str, int]] = {}
     unknown = []
-    for name in names:
-        parts = meaning(name)
-        if parts is None or parts[0] in by_beam.get(parts[1:], {}):
+    for column, name in enumerate(sheet.names):
+        meant = meaning(name)
+        if meant is None or meant[0] in by_beam.get(meant[1:], {}):
             unknown.append(name)
         else:
-            by_beam.setdefault(parts[1:], {})[parts[0]] = name
-    signals = [
-        Signal(point=point, direction=axis, **{_FIELDS.get(part, part): name for part, name in parts.items()})
-        for (point, axis), parts in by_beam.items()
-    ]
+            by_beam.setdefault(meant[1:], {})[meant[0]] = column
+    if not by_beam:
+        want, got = "real and imaginary part, or magnitude and phase", shown(", ".join(sheet.names))
+        raise refuse(sheet, "the columns", want, got, "Export Real & Imag., or Magnitude & Phase")
+    faults = _phase_faults(sheet, [parts["phase"] for parts in by_beam.values() if "phase" in parts])
+    signals = []
+    for (point, axis), parts in by_beam.items():
+        with collect_faults(faults):
+            signals.append(_signal(sheet, point, axis, parts))
+    raise_all(faults)
     return signals, unknown
+
+
+def _signal(sheet: Sheet, point: str, axis: str, parts: dict[str, int]) -> Signal:
+    """Return the values of one beam from the columns of its parts."""
+    pair = [name for name in ("re", "im", "amp", "phase") if name in parts]
+    if pair not in (["re", "im"], ["amp", "phase"]):
+        thing = f"the column {sheet.names[next(iter(parts.values()))]}"
+        want = "with its phase, or a real part with its imaginary part"
+        raise refuse(sheet, thing, want, "alone", "Export both, with points and axes named alike")
+    one, other = (parts[name] for name in pair)
+    numbers, units = sheet.numbers, sheet.units
+    if pair[0] == "re" and units[one] != units[other]:
+        got = " and ".join(shown(units[column]) or "none" for column in (one, other))
+        raise refuse(sheet, "real and imaginary part", "in one unit", got)
+    if pair[0] == "re":
+        value = from_parts(numbers[..., one], numbers[..., other])
+    elif (turn := PHASES.get((units[other] or "deg").lower())) is None:
+        raise refuse(sheet, "the unit of the phases", "deg or rad", shown(units[other]))
+    else:
+        value = from_polar(numbers[..., one], numbers[..., other], turn)
+    coherence = numbers[..., parts["coherence"]] if "coherence" in parts else None
+    return Signal(point, axis, value, units[one], coherence, sheet.names[one])
+
+
+def _phase_faults(sheet: Sheet, phases: list[int]) -> list[Fault]:
+    """Refuse phases without a unit that may be radians as well as degrees."""
+    silent = [column for column in phases if not sheet.units[column]]
+    largest = float(np.max(np.nan_to_num(np.abs(sheet.numbers[..., silent])), initial=0.0))
+    if not 0.0 < largest <= np.pi + 1e-3:
+        return []
+    got = f"none, with all phases within {largest:.4g}: degrees or radians"
+    step = f'Write "{sheet.names[silent[0]]} [rad]" or "[deg]" in the header'
+    return [Fault("the unit of the phases", "stated", got, sheet.where, step)]
+
+
+def frequencies_of(sheet: Sheet) -> Array:
+    """Return the column of frequencies, Hz.
+
+    Raises
+    ------
+    StapeskitError
+        There is none, there are several, or their unit is unknown or not clear.
+    """
+    columns = [column for column, name in enumerate(sheet.names) if is_frequency(name)]
+    if len(columns) != 1:
+        got = " and ".join(sheet.names[k] for k in columns) or f"none of {shown(', '.join(sheet.names))}"
+        step = f'Export spectra, or name it: "{sheet.names[0]}" = "Frequency [Hz]" in a mapping'
+        raise refuse(sheet, "the column of frequencies", "one", got, step)
+    name, freq = sheet.names[columns[0]], sheet.numbers[:, columns[0]]
+    unit = sheet.units[columns[0]] or next((one for one in _WORD.findall(name) if one.lower() in HERTZ), "")
+    if unit and unit.lower() not in HERTZ:
+        raise refuse(sheet, "the unit of the frequencies", "Hz, kHz or MHz", shown(unit))
+    if not unit and len(freq) and np.max(freq) <= LOWEST_AUDIBLE_TOP_HZ:
+        got = f"none, with frequencies from {np.min(freq):g} to {np.max(freq):g}"
+        step = f'Write "{name} [kHz]" or "[Hz]" in the header'
+        raise refuse(sheet, "the unit of the frequencies", "stated", got, step)
+    return np.asarray(freq * HERTZ[(unit or "Hz").lower()])

@@ -1,18 +1,29 @@
-"""Facts about vibrometer files that the files do not contain: bodies, runs, beams, units, time series."""
+"""Apply what the user states where files are silent: bodies, runs, beams, averages, units."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from kinematics.readers.points import Points
+from kinematics.readers.recording import Channel, Recording
+from kinematics.readers.units import LENGTHS
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.frames import axis_vector
+from stapeskit.warnings import Notice
+
+DEFAULT_BODY = "body"
+"""Name of the body of files that name none and of which nothing else says more."""
+
+DEFAULT_RUN = "1"
+
+_SPAN = re.compile(r"(\d{1,9})\s*-\s*(\d{1,9})")
 
 
 @dataclass(frozen=True)
@@ -34,13 +45,12 @@ class FileFacts:
     n_avg : float, optional
         Number of averages behind each value.
     mapping : Path, optional
-        Which variable or column is what; see `kinematics.readers.mapping`.
+        New names for the columns of wide tables; see `kinematics.readers.wide`.
     channels : Path, optional
-        With it, files hold time series: table with the beam, point and unit of each channel.
-    reference_channel, averages, period_s, steps, settle, frf_band_hz
-        How responses are estimated from time series: the reference among several channels; segments of random
-        excitation; period of a periodic one; table of the steps of a stepped sine, and the share left out at
-        the start of each; frequencies to keep.
+        With it, files hold time series; see `kinematics.readers.series`.
+    averages, period_s, settle
+        How responses are estimated from time series: segments of random excitation; period of a periodic one;
+        share of the steps of a stepped sine that is left out at their start.
     """
 
     body: tuple[str, ...] = ()
@@ -51,12 +61,9 @@ class FileFacts:
     n_avg: float | None = None
     mapping: Path | None = None
     channels: Path | None = None
-    reference_channel: str = ""
     averages: int = 30
     period_s: float | None = None
-    steps: Path | None = None
     settle: float = 0.2
-    frf_band_hz: tuple[float, float] | None = None
 
     @cached_property
     def direction(self) -> Array | None:
@@ -64,8 +71,8 @@ class FileFacts:
         return direction_of(self.beam) if self.beam else None
 
     @cached_property
-    def bodies(self) -> tuple[tuple[str, tuple[Chosen, ...]], ...]:
-        """The rules of ``body``: a name and the points that it has; refused where one cannot be read."""
+    def bodies(self) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
+        """The rules of ``body``: a name, and pairs of file and points; refused where one cannot be read."""
         return tuple(_rule(text) for text in self.body)
 
     @cached_property
@@ -75,23 +82,35 @@ class FileFacts:
         raise_all(Fault("--run", "NAME=FILE", "=".join(rule)) for rule in rules if not all(rule))
         return tuple((name, file) for name, file in rules)
 
+    def bodies_of(self, channel: Channel) -> list[str]:
+        """Return the bodies whose rules mean a channel."""
+        return [name for name, items in self.bodies if any(_means(*item, channel) for item in items)]
 
-@dataclass(frozen=True)
-class Chosen:
-    """Points of one rule: of a file (empty: of any) those in ``span``, those of a name, or all (empty)."""
 
-    file: str
-    name: str = ""
-    span: range | None = None
+def _rule(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Read ``NAME=POINTS``."""
+    name, _, points = (part.strip() for part in text.partition("="))
+    chosen: list[tuple[str, str]] = []
+    file = ""
+    for item in points.split(","):
+        head, colon, rest = item.strip().rpartition(":")
+        file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
+        span = _SPAN.fullmatch(item)
+        if not item or not name or (span and int(span[1]) > int(span[2])):
+            step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
+            raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
+        chosen.append((file, item))
+    return name, tuple(chosen)
 
-    def holds(self, file: str, point: str) -> bool:
-        """Return whether a point of a file is meant; a name without a file may be that of a file."""
-        if self.file and not is_file(self.file, file):
-            return False
-        if self.span is not None:
-            return point.isdigit() and int(point) in self.span
-        as_file = not self.file and not self.name.isdigit() and is_file(self.name, file)
-        return point == self.name or as_file
+
+def _means(file: str, item: str, channel: Channel) -> bool:
+    """Return whether a channel is meant; a name without a file may be that of a file."""
+    if file and not is_file(file, channel.file):
+        return False
+    if span := _SPAN.fullmatch(item):
+        return channel.point.isdecimal() and int(span[1]) <= int(channel.point) <= int(span[2])
+    as_file = not file and not item.isdigit() and is_file(item, channel.file)
+    return channel.point == item or as_file
 
 
 def is_file(item: str, file: str) -> bool:
@@ -120,29 +139,151 @@ def direction_of(text: str, where: Place | str = "", thing: str = "--beam") -> A
     return np.asarray(numbers / length)
 
 
-def _rule(text: str) -> tuple[str, tuple[Chosen, ...]]:
-    """Read ``NAME=POINTS``."""
-    name, _, points = (part.strip() for part in text.partition("="))
-    chosen: list[Chosen] = []
-    file = ""
-    for item in points.split(","):
-        head, colon, rest = item.strip().rpartition(":")
-        file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
-        span = re.fullmatch(r"(\d{1,9})\s*-\s*(\d{1,9})", item)
-        numbers = range(int(span[1]), int(span[2]) + 1) if span else None
-        if not item or not name or (numbers is not None and not numbers):
-            step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
-            raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
-        chosen.append(Chosen(file, "" if span else item, numbers))
-    return name, tuple(chosen)
-
-
-def unknown_files(facts: FileFacts, files: Sequence[str]) -> list[Fault]:
-    """List the files that rules name and nobody gave."""
-    stated = [(f"--run {name}={file}", file) for name, file in facts.runs]
-    stated += [(f"--body {name}", item.file) for name, items in facts.bodies for item in items if item.file]
+def unused_options(recordings: Sequence[Recording], facts: FileFacts) -> list[Fault]:
+    """List the options that were given but that no file needs."""
+    needed = {
+        "beam": any(np.any(np.isnan(one.directions)) for one in recordings),
+        "amplitude": any(not one.amplitude_stated and one.frf is None for one in recordings),
+        "length_unit": any(not one.length_stated for one in recordings),
+        "n_avg": any(one.n_avg is None and one.sd is None for one in recordings),
+    }
+    want, step = "left out where the files say it, or need none", "Leave it out, or correct the file"
     return [
-        Fault(f"the file of {thing}", f"one of {', '.join(files)}", file, "", "Correct its name")
-        for thing, file in stated
-        if not any(is_file(file, other) for other in files)
+        Fault(f"--{name.replace('_', '-')}", want, "a value", "", step)
+        for name, need in needed.items()
+        if getattr(facts, name) and not need
     ]
+
+
+def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
+    """Report what is assumed because neither the file nor the user says it."""
+    notices, file = [], recording.file
+    placed = recording.points_m[np.all(np.isfinite(recording.points_m), axis=1)]
+    if not recording.length_stated and len(placed) and not facts.length_unit:
+        extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(placed, axis=0))
+        text = (
+            f"{file} does not say the unit of its positions: taken as metres they extend over {extent} mm. "
+            "State --length-unit m, mm or um."
+        )
+        notices.append(Notice("length_unit_assumed", text))
+    if not recording.amplitude_stated and recording.frf is None and not facts.amplitude:
+        text = f"{file} does not say whether amplitudes are peak or rms: they were taken as peak."
+        notices.append(Notice("amplitude_assumed", text))
+    return notices
+
+
+def with_facts(recording: Recording, facts: FileFacts) -> Recording:
+    """Return a recording with beam, averages, amplitude and length unit applied where the file is silent."""
+    length = LENGTHS[facts.length_unit] if facts.length_unit and not recording.length_stated else 1.0
+    silent = np.any(np.isnan(recording.directions), axis=1)
+    channels = tuple(
+        replace(
+            channel,
+            direction=channel.direction if facts.direction is None or not without else facts.direction,
+            position_m=channel.position_m * length,
+        )
+        for channel, without in zip(recording.channels, silent.tolist(), strict=True)
+    )
+    value, sd, n_avg = recording.value, recording.sd, recording.n_avg
+    if facts.amplitude == "rms" and not recording.amplitude_stated:
+        peak = np.where([bool(channel.per) for channel in channels], 1.0, np.sqrt(2.0))[:, None]
+        value, sd = value * peak, None if sd is None else sd * peak
+    if facts.n_avg is not None and n_avg is None and sd is None:
+        n_avg = np.full(value.shape, float(facts.n_avg))
+    return replace(recording, channels=channels, value=value, sd=sd, n_avg=n_avg)
+
+
+def with_bodies(
+    channels: Sequence[Channel], points: Points | None, facts: FileFacts
+) -> tuple[list[Channel], list[Notice]]:
+    """Give every channel its body: by ``--body``, its file or the points file; one body needs none.
+
+    Raises
+    ------
+    StapeskitError
+        Points of no body, of several, or missing in the points file; rules that mean no point.
+    """
+    faults: list[Fault] = []
+    assigned: list[Channel] = []
+    bare: dict[str, list[str]] = {}
+    unlisted: dict[str, list[str]] = {}
+    respelled: list[str] = []
+    used: set[str] = set()
+    for channel in channels:
+        ruled = facts.bodies_of(channel)
+        used.update(ruled)
+        names = list(dict.fromkeys([*ruled, *filter(None, [channel.body])]))
+        if not names and points is not None:
+            names = points.bodies_of(channel.point)
+        if not names and (points is not None or facts.body or any(one.body for one in channels)):
+            bare.setdefault(channel.file, []).append(channel.point)
+            continue
+        if len(names) > 1:
+            step, got = "Name each point once, by file: --body base=base.uff:1-9", " and ".join(names)
+            faults.append(Fault(f"point {channel.point}", "of one body", got, channel.where, step))
+        key = ([*names, DEFAULT_BODY][0], channel.point)
+        found = key if points is None else points.key_of(*key)
+        if found is None and (channel.body or np.any(np.isnan(channel.position_m))):
+            unlisted.setdefault(key[0], []).append(channel.point)
+        elif found not in (key, None):
+            respelled.append(f"{' '.join(key)} as {' '.join(found)}")
+        body, point = found or key
+        assigned.append(replace(channel, body=body, point=point))
+    for body, missing in unlisted.items():
+        thing, step = (
+            f"points {list_some(missing, 8)} of body {body}",
+            f"Add them to {points and points.file}",
+        )
+        faults.append(Fault(thing, "listed in the points file", "no rows of these names", "", step))
+    for file, missing in bare.items():
+        step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
+        faults.append(Fault(f"points {list_some(missing, 12)}", "of a body", "none", file, step))
+    known = list_some((channel.point for channel in channels), 20)
+    files = list_some((channel.file for channel in channels), 20)
+    for name, items in facts.bodies:
+        if name not in used:
+            got = ", ".join(":".join(filter(None, item)) for item in items)
+            want, step = f"points or files that were measured ({known}; {files})", "Correct the names"
+            faults.append(Fault(f"--body {name}", want, got, "", step))
+    raise_all(faults)
+    if not respelled or points is None:
+        return assigned, []
+    text = f"names were read as {points.file} spells them: {list_some(respelled, 3)}."
+    return assigned, [Notice("file_read", text)]
+
+
+def with_runs(channels: Sequence[Channel], facts: FileFacts) -> tuple[list[Channel], list[Notice]]:
+    """Give every channel its run: by ``--run``, by its file's content, else by what the files share.
+
+    Files without names of runs that measure one point in one direction again are different excitations, each
+    named after its file; files of different points are parts of one.
+
+    Raises
+    ------
+    StapeskitError
+        A rule names no file.
+    """
+    given = list(dict.fromkeys(channel.file for channel in channels))
+    raise_all(
+        Fault(f"the file of --run {name}={file}", f"one of {', '.join(given)}", file, "", "Correct its name")
+        for name, file in facts.runs
+        if not any(is_file(file, other) for other in given)
+    )
+    labelled = []
+    for channel in channels:
+        stated = next((name for name, file in facts.runs if is_file(file, channel.file)), "")
+        labelled.append(replace(channel, run=f"{stated} {channel.run}".strip()))
+    files: dict[tuple[object, ...], set[str]] = {}
+    for channel in labelled:
+        files.setdefault(channel.key, set()).add(channel.file)
+    if all(len(names) == 1 for names in files.values()):
+        return [replace(channel, run=channel.run or DEFAULT_RUN) for channel in labelled], []
+    named = [
+        channel
+        if facts.runs and channel.run
+        else replace(channel, run=f"{Path(channel.file).stem} {channel.run}".strip())
+        for channel in labelled
+    ]
+    listed = list_some((channel.run for channel in named), 6)
+    text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
+    return named, [Notice("file_read", text)]

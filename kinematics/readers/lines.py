@@ -52,27 +52,11 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
         widest = max(widest, float(np.max(apart[matched & (apart > SAME_LINE * grid)], initial=0.0)))
         joined = np.sort(np.concatenate([joined, grid[~matched]]))
     places = {key: _nearest(joined, grid)[0] for key, grid in different.items()}
-    notices = []
-    if widest > 0.0:
-        text = (
-            f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line "
-            "(within 1 % of the line spacing and 1e-4 of the frequency)."
-        )
-        notices.append(Notice("file_read", text))
-    return joined, [places[key] for key in keys], notices
-
-
-def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
-    """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty.
-
-    Raises
-    ------
-    StapeskitError
-    """
-    if rows * lines > max(_ANY_PLACES, readings / _LEAST_FILLED):
-        got = f"{readings} readings of {rows} channels and runs in {lines} lines"
-        step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
-        raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, where, step)
+    text = (
+        f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line (within "
+        "1 % of the line spacing and 1e-4 of the frequency)."
+    )
+    return joined, [places[key] for key in keys], [Notice("file_read", text)] if widest > 0.0 else []
 
 
 def _nearest(lines: Array, grid: Array) -> tuple[Index, Array, Array]:
@@ -93,30 +77,37 @@ def _spacing(lines: Array) -> Array:
     return np.asarray(np.minimum(steps[:-1], steps[1:]))
 
 
+def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
+    """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty.
+
+    Raises
+    ------
+    StapeskitError
+    """
+    if rows * lines > max(_ANY_PLACES, readings / _LEAST_FILLED):
+        got = f"{readings} readings of {rows} channels and runs in {lines} lines"
+        step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
+        raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, where, step)
+
+
 def grid_faults(freq_hz: Array, present: NDArray[np.bool_], names: Sequence[str]) -> list[Fault]:
     """List the bodies that share less than half of the lines that they could share with the first one.
 
-    Parameters
-    ----------
-    freq_hz : ndarray, (L,)
-    present : ndarray, (body, L), bool
-        Where each body was measured.
+    ``present`` (body, L) says where each body was measured.
     """
-    faults: list[Fault] = []
+    faults = []
     measured = [(name, np.flatnonzero(row)) for name, row in zip(names, present, strict=True) if np.any(row)]
     for name, lines in measured[1:]:
         first_name, first = measured[0]
         low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
         within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (first, lines))
         common = len(np.intersect1d(first, lines))
-        if common and 2 * common >= within:
-            continue
-        spans = [
-            f"{len(rows)} lines from {freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz"
-            for rows in (first, lines)
-        ]
-        want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
-        got = f"{' and '.join(spans)}, {common} of them in common"
-        step = "Measure both bodies on one grid, or resample one of them"
-        faults.append(Fault(f"the frequencies of bodies {first_name} and {name}", want, got, "", step))
+        if not common or 2 * common < within:
+            spans = (
+                f"{len(rows)} lines from {freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz"
+                for rows in (first, lines)
+            )
+            want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
+            got, step = f"{' and '.join(spans)}, {common} in common", "Measure both bodies on one grid"
+            faults.append(Fault(f"the frequencies of bodies {first_name} and {name}", want, got, "", step))
     return faults

@@ -1,4 +1,4 @@
-"""Text exports of scanning vibrometers: FastScan (one table a frequency) and one table a point.
+"""Read text exports of scanning vibrometers: FastScan (one table a frequency) and one table a point.
 
 FastScan: ``Source File Name``, ``Signal``, ``Frequency: <f> Hz``, ``Interpolated``, ``Filtered``; columns
 Index, X, Y, Z, Real X [m/s] ... Imaginary Z [m/s], or Real and Imaginary of a single head. Per point:
@@ -11,91 +11,86 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.recording import unknown_vector
-from kinematics.readers.sheets import Sheet, number_of, refuse
-from kinematics.readers.text import shown
+from kinematics.readers.columns import frequencies_of, signals_of
+from kinematics.readers.facts import FileFacts
+from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.sheets import Sheet, number_of, refuse, sheets_of
+from kinematics.readers.text import decoded, export_files, shown
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, list_some, raise_all
+from stapeskit.faults import Fault, collect_faults, list_some, raise_all
+from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
-FREQUENCY = ("frequency", "frequenz", "fréquence")
-POINT = ("point index", "punktindex", "punkt-index")
-APART = "Put the files of every measurement and excitation into a folder of its own"
-
-_COMPONENT = ("component", "komponente", "composante")
+_FREQUENCY = ("frequency", "frequenz", "fréquence")
+_POINT = ("point index", "punktindex", "punkt-index")
+_COMPONENT = ("component", "komponente", "composante", "signal")
 _SOURCE = ("source file name",)
-_TREATMENTS = ("interpolated", "filtered")
-_INDEX = ("index", *POINT)
+_INDEX = ("index", *_POINT)
 _AXIS = re.compile(r"(?:^|\bvib)\s*(?:vib\s*)?([+-]?)([xyz])\b", re.IGNORECASE)
-_COORDINATE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
-_HERTZ = re.compile(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(k|M)?Hz\s*")
-_SAME_PLACE_M = 1e-6  # positions written with four digits
-
-
-@dataclass(frozen=True)
-class PointTable:
-    """A table over frequency and its header: point, position (3,), m, axis of the beam, source.
-
-    Empty and NaN where nothing is said; ``length_stated``: whether the position has a unit.
-    """
-
-    sheet: Sheet
-    point: str = ""
-    position_m: Array = field(default_factory=unknown_vector)
-    length_stated: bool = True
-    axis: str = ""
-    source: str = ""
+_PLACE = re.compile(
+    r"\b([xyz])\s*=?\s*([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![a-z])", re.IGNORECASE
+)
+_HERTZ = re.compile(r"\s*([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([kM]?Hz)\s*", re.IGNORECASE)
+_SAME_PLACE = {"atol": 1e-6, "rtol": 1e-5}  # m: positions written with four digits
+_APART = "Put the files of every measurement and excitation into a folder of its own"
 
 
 def is_fastscan(sheet: Sheet) -> bool:
     """Return whether a table holds the points at one frequency."""
-    return bool(sheet.field_of(FREQUENCY)) and any(name.lower() in _INDEX for name in sheet.names)
+    return bool(sheet.field_of(_FREQUENCY)) and any(name.lower() in _INDEX for name in sheet.names)
 
 
 def is_of_point(sheet: Sheet) -> bool:
     """Return whether a table says which point it is of."""
-    return any(name in sheet.fields for name in POINT)
+    return any(name in sheet.fields for name in _POINT)
 
 
-def point_table(sheet: Sheet) -> PointTable:
-    """Read the header above the table of a point.
+def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
+    """Read a file, or a folder (with its folders) of exports; the first table says which they are.
 
     Raises
     ------
     StapeskitError
-        No number of the point, or a position that cannot be read.
+        Cells that are no numbers, missing columns or headers, tables of several scans; as `recording_of`.
     """
-    text = sheet.field_of(POINT)
-    number = re.match(r"\s*(\d+)", text)
-    if number is None:
-        want, step = "one with a line Point Index: <n>", "Leave other files out of the folder"
-        raise refuse(sheet, "the header", want, shown(text) or "none", step)
-    match = _AXIS.search(sheet.field_of(_COMPONENT)) or _AXIS.search(sheet.field_of(("signal",)))
-    axis = match[1].replace("+", "") + match[2].lower() if match else ""
-    source = sheet.field_of(_SOURCE) or sheet.where.file
-    found = [
-        match
-        for axis_name in "xyz"
-        if (match := re.search(_COORDINATE.format(axis=axis_name), text[number.end() :], re.IGNORECASE))
-    ]
-    if len(found) < 3:
-        return PointTable(sheet, number[1], axis=axis, source=source)
-    numbers = [number_of(match[1].rstrip(",.")) for match in found]
-    units = {match[2] for match in found if match[2]}
-    if None in numbers or len(units) > 1:
-        raise refuse(sheet, "the position of a point", "three numbers, x = .. y = .. z = ..", shown(text))
-    scale = LENGTHS[plain(min(units)).lower()] if units else 1.0
-    position = np.array(numbers, dtype=float) * scale
-    return PointTable(sheet, number[1], position, bool(units), axis, source)
+    path = Path(path)
+    faults: list[Fault] = []
+    files = export_files(path) if path.is_dir() else [path]
+    sheets = [sheet for file in files for sheet in sheets_of(decoded(file.read_bytes()), file.name, faults)]
+    raise_all(faults)
+    if is_fastscan(sheets[0]):
+        rows, stated = _of_frequencies(sheets)
+    else:
+        rows, stated = [], True
+        for sheet in sheets:
+            with collect_faults(faults):
+                found, length_stated = _of_point(sheet)
+                rows += found
+                stated &= length_stated
+        raise_all(faults)
+    keys = {(row.channel.point, row.channel.beam_key, row.channel.run, row.unit) for row in rows}
+    if len({key[:2] + key[3:] for key in keys}) == len(keys):  # sources that measure other points are parts
+        rows = [replace(row, channel=replace(row.channel, run="")) for row in rows]
+    units = "positions in stated units" if stated else "positions without unit, as metres"
+    return recording_of(
+        path.name,
+        rows,
+        twice=_APART,
+        notices=(*_treatments(sheets, path.name), *_beam_notices(rows, path.name)),
+        statement=f"coordinates of the scan, {units}",
+        length_stated=stated,
+    )
 
 
-def turned_over(sheets: Sequence[Sheet]) -> list[PointTable]:
-    """Return the tables of single frequencies as one table over frequency for each point.
+def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
+    """Return the beams of tables of single frequencies, and whether the unit of positions is stated.
 
     Raises
     ------
@@ -103,58 +98,70 @@ def turned_over(sheets: Sequence[Sheet]) -> list[PointTable]:
         Tables of several measurements, of other points or columns, without a frequency, or whose points have
         other positions.
     """
-    first, file = sheets[0], sheets[0].where.file
-    faults = []
+    first, faults = sheets[0], list[Fault]()
+    names, positions, stated = _points(first)
     sources = list(dict.fromkeys(sheet.field_of(_SOURCE) for sheet in sheets))
     if len(sources) > 1:
         got = list_some(map(shown, sources), 4, " and ")
-        faults.append(Fault("the source of the files", "one measurement", got, file, APART))
-    names, positions, length_stated = _points(first)
+        faults.append(Fault("the source of the files", "one measurement", got, first.where.file, _APART))
     for sheet in sheets[1:]:
         others, places, _ = _points(sheet)
         if (sheet.names, sheet.units, others) != (first.names, first.units, names):
             step = "Export all frequencies of one scan in one way"
             faults.append(Fault("the tables", "of the same columns and points", "others", sheet.where, step))
-            continue
-        apart = np.abs(places - positions) > _SAME_PLACE_M + 1e-5 * np.abs(positions)
-        faults += [
-            Fault(f"the position of point {names[row]}", "one", "another one", sheet.where, "Export one scan")
-            for row in np.flatnonzero(np.any(apart, axis=1)).tolist()
-        ]
-    freq = [_frequency(sheet) for sheet in sheets]
-    place_of: dict[float, Sheet] = {}
-    for sheet, one in zip(sheets, freq, strict=True):
-        if place_of.setdefault(one, sheet) is not sheet:
-            got = f"{place_of[one].where} and {sheet.where}"
-            faults.append(Fault(f"the frequency {one:g} Hz", "there once", got, "", APART))
+        elif not np.allclose(places, positions, equal_nan=True, **_SAME_PLACE):
+            thing, step = "the positions of the points", "Export one scan"
+            faults.append(Fault(thing, "the same at all frequencies", "others", sheet.where, step))
+    freq = np.array([_frequency(sheet) for sheet in sheets])
+    for one in np.unique(freq).tolist():
+        same = [str(sheets[k].where) for k in np.flatnonzero(freq == one).tolist()]
+        if len(same) > 1:
+            faults.append(Fault(f"the frequency {one:g} Hz", "there once", " and ".join(same), "", _APART))
     raise_all(faults)
-    numbers = np.stack([sheet.numbers for sheet in sheets])
-    header, units = ("Frequency", *first.names), ("Hz", *first.units)
-    return [
-        PointTable(
-            replace(first, names=header, units=units, numbers=np.column_stack([freq, numbers[:, row]])),
-            point,
-            positions[row],
-            length_stated,
-            source=sources[0],
-        )
-        for row, point in enumerate(names)
-    ]
+    signals, _ = signals_of(replace(first, numbers=np.stack([sheet.numbers for sheet in sheets])))
+    rows = []
+    for k, name in enumerate(names):
+        channel = Channel(name, position_m=positions[k], where=first.where)
+        for signal in signals:
+            coherence = None if signal.coherence is None else signal.coherence[:, k]
+            rows.append(replace(signal, value=signal.value[:, k], coherence=coherence).row(freq, channel))
+    return rows, stated
 
 
-def treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
-    """Report values that were mixed between points."""
-    yes = ("yes", "ja", "oui", "1")
-    marks = [
-        mark
-        for mark in _TREATMENTS
-        if any(sheet.fields.get(mark, "").strip().lower() in yes for sheet in sheets)
-    ]
-    text = (
-        f"{file} was exported {' and '.join(marks)}: values were mixed between points, so that points do not "
-        "err independently. Export the measured values."
+def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
+    """Return the beams of the table of a point, and whether the unit of its position is stated.
+
+    Raises
+    ------
+    StapeskitError
+        No number of the point, or a position that cannot be read; as `signals_of`.
+    """
+    text = sheet.field_of(_POINT)
+    number = re.match(r"\s*(\d+)", text)
+    if number is None:
+        want, step = "one with a line Point Index: <n>", "Leave other files out of the folder"
+        raise refuse(sheet, "the header", want, shown(text) or "none", step)
+    position, stated = unknown_vector(), True
+    found = {match[1].lower(): match for match in _PLACE.finditer(text, number.end())}
+    if len(found) == 3:
+        numbers = [number_of(found[axis][2].rstrip(",.").replace(",", ".")) for axis in "xyz"]
+        units = {match[3] for match in found.values() if match[3]}
+        if None in numbers or len(units) > 1:
+            raise refuse(sheet, "the position of a point", "three numbers, x = .. y = .. z = ..", shown(text))
+        position = np.array(numbers, dtype=float) * (LENGTHS[plain(min(units)).lower()] if units else 1.0)
+        stated = bool(units)
+    fields = (sheet.fields[name] for name in _COMPONENT if name in sheet.fields)
+    axis = next((match for field in fields if (match := _AXIS.search(field))), None)
+    direction = axis_vector(axis[1].replace("+", "") + axis[2].lower()) if axis else None
+    channel = Channel(
+        number[1],
+        run=Path((sheet.field_of(_SOURCE) or sheet.where.file).replace("\\", "/")).stem,
+        position_m=position,
+        direction=unknown_vector() if direction is None else direction,
+        where=sheet.where,
     )
-    return [Notice("file_read", text)] if marks else []
+    freq = frequencies_of(sheet)
+    return [signal.row(freq, channel) for signal in signals_of(sheet)[0]], stated
 
 
 def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:
@@ -179,10 +186,36 @@ def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:
 
 def _frequency(sheet: Sheet) -> float:
     """Return the frequency of the points, Hz."""
-    text = sheet.field_of(FREQUENCY)
+    text = sheet.field_of(_FREQUENCY)
     match = _HERTZ.fullmatch(text)
-    number = number_of(match[1]) if match else None
+    number = number_of(match[1].replace(",", ".")) if match else None
     if match is None or number is None:
         want, step = "one with a line Frequency: <f> Hz", "Export the bands of a FastScan with their header"
         raise refuse(sheet, "the header", want, shown(text) or "none", step)
-    return number * HERTZ[f"{(match[2] or '').lower()}hz"]
+    return number * HERTZ[match[2].lower()]
+
+
+def _treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
+    """Report values that were mixed between points."""
+    yes = ("yes", "ja", "oui", "1")
+    marks = [
+        mark
+        for mark in ("interpolated", "filtered")
+        if any(sheet.fields.get(mark, "").strip().lower() in yes for sheet in sheets)
+    ]
+    text = (
+        f"{file} was exported {' and '.join(marks)}: values were mixed between points, so that points do not "
+        "err independently. Export the measured values."
+    )
+    return [Notice("file_read", text)] if marks else []
+
+
+def _beam_notices(rows: Sequence[Row], file: str) -> list[Notice]:
+    """Report x, y, z at a point, which scanning vibrometers compute from several beams."""
+    beams = {(row.channel.point, row.channel.beam_key) for row in rows}
+    text = (
+        f"{file} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
+        "beams than along them; sd and verdicts, which take channels as independent, are approximate. Export "
+        "the single heads with their directions where possible."
+    )
+    return [Notice("axes_from_beams", text)] if len(beams) > len({point for point, _ in beams}) else []

@@ -5,7 +5,7 @@ Shapes: P rows (channels), L frequency lines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -175,6 +175,25 @@ class Recording:
             return None
         missing = np.array([1 - channel.order for channel in self.channels])[:, None]
         return np.asarray(self.value * (2j * np.pi * self.freq_hz) ** missing)
+
+    def with_noise(self) -> Recording:
+        """Return the recording with the sd that follows from what its file states.
+
+        Coherence without a number of averages and averages alone give an sd up to one factor (``relative``).
+        The coherence of a single average is 1 by construction and says nothing; NaN where nothing is known.
+        """
+        coherence, counts = self.coherence, self.n_avg
+        nothing = coherence is None and counts is None
+        single = coherence is not None and counts is not None and not np.any(counts > 1.0)
+        if self.sd is not None or nothing or single:
+            return self
+        averages = np.ones(self.value.shape) if counts is None else counts
+        if coherence is None:
+            return replace(self, sd=1.0 / np.sqrt(averages), relative=True)
+        # Bendat and Piersol 2010, Random Data, section 9.2: the sd of the real (= imaginary) part
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            sd = np.abs(self.value) * np.sqrt((1.0 - coherence) / (2.0 * averages * coherence))
+        return replace(self, sd=np.where(np.isfinite(sd), sd, np.nan), relative=counts is None)
 
     def to_frame(self) -> DataFrame:
         """Return a table with one row a channel and line, in SI; columns that the file lacks are left out."""

@@ -1,18 +1,15 @@
 """Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
 
-Files: a CSV with a column ``time_s`` and one column a channel (``freq_hz`` is the set frequency of a stepped
-sine); arrays of samples, or of rows x samples, with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV,
-whose channels are named 1, 2, ... and scaled to full scale = 1.
+Files: a CSV with a column ``time_s`` and one column a channel; arrays of samples by the names of their
+channels with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels are named 1, 2, ... and
+scaled to full scale = 1. ``freq_hz`` is the set frequency of a stepped sine at each sample.
 
 The table of channels, one row a channel::
 
-    channel, role, body, point, dir | dir_x, dir_y, dir_z, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run]
-    [, file]
+    channel, role, body, point, dir, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run] [, file]
 
-``role`` is ``response``, ``reference`` or ``ignore``. ``unit`` says what the numbers are (any unit for a
-reference); ``sensitivity`` is the factor from the numbers to it, such as 0.005 for volts at 5 mm/s/V in m/s.
-An empty ``point`` says that the rows of a two-dimensional variable are points 1, 2, ...; with a point they
-are records of it.
+``role`` is ``response``, ``reference`` or ``ignore``; ``dir`` an axis, or dir_x, dir_y, dir_z. ``unit`` is
+that of the numbers times ``sensitivity`` (any unit for a reference): 5 mm/s per volt is 0.005 and m/s.
 """
 
 from __future__ import annotations
@@ -20,14 +17,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts, is_file
+from kinematics.readers.facts import FileFacts, direction_of, is_file
 from kinematics.readers.gather import Row, recording_of
-from kinematics.readers.recording import Recording
-from kinematics.readers.series_tables import Listed, read_channels, read_steps, reference_of, table_of
+from kinematics.readers.points import require, text_of
+from kinematics.readers.recording import SI_UNITS, Channel, Recording, unknown_vector
+from kinematics.readers.text import plain_name, shown
+from kinematics.readers.tree import read_tree
+from kinematics.readers.units import MOTIONS, is_none, motion_unit, plain
 from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
 from kinematics.signals.lock_in import Step, stepped_frf
 from kinematics.signals.samples import sample_notices
@@ -36,25 +36,29 @@ from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, r
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
 
+if TYPE_CHECKING:
+    from stapeskit.tables import Table
+
+ROLES = ("response", "reference", "ignore")
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 
+_NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
+_TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
 _SHORTEST = 16  # samples; shorter records hold no spectrum
 
-Record = tuple[Array | None, Array]
-"""Reference (sample,) or None, and responses (channel, sample)."""
-
 
 @dataclass(frozen=True)
-class Series:
-    """The samples of a file by channel, (record, sample) each; set frequencies (sample,) of its steps."""
+class Listed:
+    """One row of the table of channels: ``scale`` leads from the numbers of the file to SI, or to ``per``."""
 
+    name: str
+    role: str
     file: str
-    sample_rate_hz: float
-    start_s: float
-    channels: Mapping[str, Array]
-    set_hz: Array | None = None
+    scale: float
+    per: str
+    channel: Channel
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -72,114 +76,185 @@ def read(path: Path, facts: FileFacts) -> Recording:
         raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
     listed = [row for row in read_channels(facts.channels) if not row.file or is_file(row.file, path.name)]
     responses = [row for row in listed if row.role == "response"]
-    if not responses:
-        want, step = f"with a response of {path.name}", "Add a row, or leave the column file empty"
-        raise StapeskitError.of("the table of channels", want, "none", facts.channels.name, step)
-    reference = reference_of(listed, facts.reference_channel, facts.channels.name)
-    names = [row.name for row in responses] + ([] if reference is None else [reference.name])
-    series = read_series(path, list(dict.fromkeys(names)))
-    rows: list[Row] = []
-    groups, notices = _groups(series, responses, reference)
-    spread = 1.0
-    for group, records in groups:
-        frf = _estimate(records, series, facts)
-        low, high = facts.frf_band_hz or (0.0, np.inf)
-        lines = (frf.freq_hz >= low) & (frf.freq_hz <= high)
-        if not np.any(lines):
-            want, step = "wide enough for at least one line", "Widen --frf-band, or record longer"
-            raise StapeskitError.of("the band", want, "none", path.name, step)
-        for k, one in enumerate(group):
-            coherence = None if frf.coherence is None else frf.coherence[k, lines]
-            n_avg = None if np.isnan(frf.n_avg) else frf.n_avg
-            noise = (frf.sd[k, lines], coherence, n_avg, frf.common_sd[lines])
-            rows.append(Row(one.channel, frf.freq_hz[lines], frf.value[k, lines], *noise))
-        notices += frf.notices
-        spread = max(spread, frf.line_spread)
+    references = [row for row in listed if row.role == "reference"]
+    if not responses or len(references) > 1:
+        want = f"with responses of {path.name} and at most one reference"
+        got, step = f"{len(responses)} and {len(references)}", "Give the others the role ignore"
+        raise StapeskitError.of("the table of channels", want, got, facts.channels.name, step)
+    names = [row.name for row in (*responses, *references)]
+    rate, samples, set_hz = _read_samples(path, names)
+    notices = sample_notices({name: [one] for name, one in samples.items()}, path.name)
+    alive = [row for row in responses if np.any(samples[row.name] != samples[row.name][0])]
+    if silent := [row.name for row in responses if row not in alive]:
+        text = f"{list_some(silent, 6)} of {path.name} hold one value throughout and are left out."
+        notices.append(Notice("zero_rows", text))
+    if not alive:
+        step = "Check that the channels were connected"
+        raise StapeskitError.of("the responses", "with a signal", "one value in all", path.name, step)
+    lead = samples[references[0].name] * references[0].scale if references else None
+    signals = np.array([samples[row.name] * row.scale for row in alive])
+    frf = _estimate(lead, signals, rate, set_hz, facts, path.name)
+    per = references[0].per if references else ""
+    rows = [
+        Row(
+            replace(one.channel, per=per),
+            frf.freq_hz,
+            frf.value[k],
+            sd=frf.sd[k],
+            coherence=None if frf.coherence is None else frf.coherence[k],
+            n_avg=None if np.isnan(frf.n_avg) else frf.n_avg,
+            common_sd=frf.common_sd,
+        )
+        for k, one in enumerate(alive)
+    ]
     return recording_of(
         path.name,
         rows,
-        notices=tuple(dict.fromkeys([*sample_notices(series.channels, path.name), *notices])),
-        statement=f"time series at {series.sample_rate_hz:g} Hz",
-        line_spread=spread,
+        notices=(*notices, *frf.notices),
+        statement=f"time series at {rate:g} Hz",
+        line_spread=frf.line_spread,
         amplitude_stated=True,
-        from_series=True,
     )
 
 
-def read_series(path: Path, names: Sequence[str]) -> Series:
-    """Read the named channels of a file.
+def read_channels(path: Path) -> list[Listed]:
+    """Read a table of channels, without those to ignore.
 
     Raises
     ------
     StapeskitError
-        A channel is missing (those found are listed), times are not evenly spaced, there is no sampling rate,
-        or samples are no finite numbers.
+        A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed
+        twice; all faults with their lines.
     """
-    flat = _flatten(_tree(path, names))
-    low = {name.lower(): array for name, array in reversed(flat.items())}
-    listed = list_some(flat, 20) or "none"
-    missing = [name for name in names if name.lower() not in low]
-    if missing:
+    from stapeskit.tables import read_table
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("channel", "unit"), file)
+        return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
+
+    table = read_table(path, choose)
+    faults = list(table.faults)
+    listed = [_listed(table, row, faults) for row in range(len(table))]
+    keys = [(row.name, row.file) for row in listed]
+    faults += [
+        Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
+        for number, key in enumerate(keys)
+        if key in keys[:number]
+    ]
+    raise_all(faults)
+    return [row for row in listed if row.role != "ignore"]
+
+
+def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
+    """Read one row of the table of channels; what is wrong is added to the faults."""
+    texts = {name: text_of(table, name, row) for name in _TEXTS}
+    numbers = {name: table.numbers.get(name, np.full(row + 1, np.nan))[row] for name in _NUMBERS}
+    where = table.where(row)
+    role = texts["role"].lower() or "response"
+    if role not in ROLES or not texts["channel"]:
+        got = shown(f"{texts['channel']} {role}")
+        faults.append(Fault("channel and role", f"a name, and one of {', '.join(ROLES)}", got, where))
+    factor = 1.0 if np.isnan(numbers["sensitivity"]) else float(numbers["sensitivity"])
+    if not 0.0 < factor < np.inf:
+        faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
+    unit = motion_unit(texts["unit"])
+    unit = None if unit is None or unit.per else unit
+    direction = unknown_vector()
+    if role == "response":
+        direction = np.array([numbers[name] for name in _NUMBERS[:3]])
+        with collect_faults(faults):
+            direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
+    if (role == "response" and unit is None) or (role == "reference" and is_none(texts["unit"])):
+        step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
+        want, got = f"one of {MOTIONS}; of a reference any", shown(texts["unit"]) or "none"
+        faults.append(Fault("the unit of unit", want, got, where, step))
+    channel = Channel(
+        plain_name(texts["point"]) or "1",
+        texts["body"],
+        texts["run"],
+        order=unit.order if unit else 1,
+        direction=direction,
+        where=where,
+        position_m=1e-3 * np.array([numbers[name] for name in _NUMBERS[3:6]]),
+    )
+    scale = factor * (unit.scale if unit else 1.0)
+    per = SI_UNITS[unit.order] if unit else plain(texts["unit"])
+    return Listed(texts["channel"], role, texts["file"], scale, per, channel)
+
+
+def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Array], Array | None]:
+    """Return sampling rate, Hz, samples of the named channels, and the set frequencies of a stepped sine.
+
+    Raises
+    ------
+    StapeskitError
+        A channel is missing (those found are listed), channels of several lengths, times that are not evenly
+        spaced, no sampling rate, or samples that are no finite numbers.
+    """
+    held = {
+        name.lower(): np.asarray(value).reshape(-1)
+        for name, value in reversed(list(_arrays(path, names).items()))
+        if np.asarray(value).dtype.kind in "fiu" and np.size(value)
+    }
+    listed = list_some(reversed(list(held)), 20) or "none"
+    if missing := [name for name in names if name.lower() not in held]:
         want = f"in the file, which has {listed}"
         raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
-    matched = {name: flat.get(name, low[name.lower()]) for name in names}
-    longest = max(max(array.shape, default=0) for array in matched.values())
-    time = next((low[name].reshape(-1) for name in TIMES if name in low and low[name].size == longest), None)
-    rate = next((float(low[name].flat[0]) for name in RATES if name in low and low[name].size == 1), np.nan)
-    if time is not None:
-        rate = sampling_rate(time.astype(float), path.name)
+    samples = {name: held[name.lower()].astype(float) for name in names}
+    counts = {len(one) for one in samples.values()}
+    longest = max(counts)
+    if len(counts) > 1 or longest < _SHORTEST:
+        got = ", ".join(f"{name} {len(one)}" for name, one in samples.items())
+        want, step = f"of one number of samples, {_SHORTEST} at least", "Resample them to one rate"
+        raise StapeskitError.of("the channels", want, got, path.name, step)
+    times = [held[name].astype(float) for name in TIMES if name in held and len(held[name]) == longest]
+    rate = next((float(held[name][0]) for name in RATES if name in held and len(held[name]) == 1), np.nan)
+    if times:
+        rate = sampling_rate(times[0], path.name)
     elif not 0.0 < rate <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
-    faults: list[Fault] = []
-    channels: dict[str, Array] = {}
-    for name, array in matched.items():
-        with collect_faults(faults):
-            channels[name] = _samples(array, f"{path.name}, {name}")
+    faults = []
+    for name, one in samples.items():
+        if np.any(bad := ~(np.abs(one) <= LARGEST)):
+            got = f"{int(np.sum(bad))} others, the first at sample {int(np.argmax(bad)) + 1}"
+            want, step = f"finite and below {LARGEST:g}", "Cut the record, or leave the channel out"
+            faults.append(Fault(f"the samples of channel {name}", want, got, path.name, step))
     raise_all(faults)
-    start = 0.0 if time is None else float(time[0])
-    return Series(path.name, rate, start, channels, low["freq_hz"].reshape(-1) if "freq_hz" in low else None)
+    set_hz = held.get("freq_hz")
+    return rate, samples, set_hz if set_hz is not None and len(set_hz) == longest else None
 
 
-def _tree(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
-    """Return what a file holds by name; of a table the wanted columns."""
+def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
+    """Return the variables of a file by their names."""
     with path.open("rb") as stream:
-        head = stream.read(1024)
-    if head.startswith((b"RIFF", b"RIFX", b"RF64")):
-        return _wav(path)
+        head = stream.read(128)
+    if head[:4] in (b"RIFF", b"RIFX", b"RF64"):
+        from scipy.io import wavfile
+
+        rate, data = wavfile.read(path)
+        zero, full = 0.0, 1.0
+        if data.dtype.kind in "iu":  # unsigned bytes have their zero at 128
+            full = 2.0 ** (8 * data.dtype.itemsize - 1)
+            zero = full if data.dtype.kind == "u" else 0.0
+        rows = (np.atleast_2d(data.T).astype(float) - zero) / full
+        return {"sample_rate_hz": rate, **{str(k): row for k, row in enumerate(rows, 1)}}
     if head.startswith(b"PK\x03\x04"):
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    if head.startswith(b"MATLAB") or b"\x89HDF\r\n\x1a\n" in head:
-        from kinematics.readers.matlab import read_variables
+    if head.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or path.suffix.lower() == ".mat":
+        return read_tree(path)
+    from stapeskit.tables import read_table
 
-        return read_variables(path)
     wanted = ["time_s", *(name.lower() for name in names)]
-    table = table_of(path, wanted, [*wanted, "freq_hz"])
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, wanted, file)
+        return {*wanted, "freq_hz"} & set(header), set()
+
+    table = read_table(path, choose)
     raise_all(table.faults)
     return table.numbers
-
-
-def _wav(path: Path) -> dict[str, Any]:
-    from scipy.io import wavfile
-
-    rate, data = wavfile.read(path)
-    samples, zero, full = np.atleast_2d(data.T).astype(float), 0.0, 1.0
-    if data.dtype.kind in "iu":  # unsigned bytes have their zero at 128
-        full = 2.0 ** (8 * data.dtype.itemsize - 1)
-        zero = full if data.dtype.kind == "u" else 0.0
-    return {"sample_rate_hz": rate, **{str(k): (row - zero) / full for k, row in enumerate(samples, 1)}}
-
-
-def _flatten(tree: Mapping[str, Any], start: str = "") -> dict[str, Array]:
-    """Return the numbers in a tree under names with dots."""
-    arrays: dict[str, Array] = {}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            arrays |= _flatten(value, f"{start}{name}.")
-        elif np.asarray(value).dtype.kind in "fiu" and np.size(value):
-            arrays[start + name] = np.asarray(value)
-    return arrays
 
 
 def sampling_rate(time: Array, where: str) -> float:
@@ -201,113 +276,24 @@ def sampling_rate(time: Array, where: str) -> float:
     return 1.0 / step
 
 
-def _samples(values: Array, where: str) -> Array:
-    """Return records of samples; the longer side is time. Rows without any number are left as they are."""
-    rows = np.atleast_2d(values.astype(float).squeeze())
-    if rows.ndim > 2 or rows.size < _SHORTEST:
-        want = f"samples, or rows x samples ({_SHORTEST} at least)"
-        raise StapeskitError.of("a channel", want, f"shape {values.shape}", where)
-    rows = rows if rows.shape[1] >= rows.shape[0] else rows.T
-    bad = ~(np.abs(rows) <= LARGEST) & ~np.all(np.isnan(rows), axis=1)[:, None]
-    if np.any(bad):
-        row, sample = np.argwhere(bad)[0].tolist()
-        got = f"{int(np.sum(bad))} others, the first in row {row + 1}, sample {sample + 1}"
-        step = "Cut the record, or leave the channel out"
-        raise StapeskitError.of("the samples", f"finite and below {LARGEST:g}", got, where, step)
-    return rows
+def _estimate(
+    lead: Array | None, signals: Array, rate: float, set_hz: Array | None, facts: FileFacts, file: str
+) -> Frf:
+    """Estimate responses as the excitation is: steps, a period, or segments of anything else.
 
-
-def _groups(
-    series: Series, responses: Sequence[Listed], reference: Listed | None
-) -> tuple[list[tuple[list[Listed], list[Record]]], list[Notice]]:
-    """Return what was recorded together: channels with a point, and each row of channels without one."""
-    lead = None if reference is None else series.channels[reference.name]
-    fixed = [one for one in responses if one.channel.point or len(series.channels[one.name]) == 1]
-    roving = [one for one in responses if one not in fixed]
-    groups: list[tuple[list[Listed], list[Record]]] = []
-    notices: list[Notice] = []
-    for members in filter(None, (fixed, roving)):
-        used = {one.name: series.channels[one.name] for one in members}
-        shapes = {rows.shape for rows in used.values()}
-        shapes |= set() if lead is None or len(lead) == 1 else {lead.shape}
-        samples = {shape[1] for shape in shapes} | (set() if lead is None else {lead.shape[1]})
-        if len(shapes) > 1 or len(samples) > 1:
-            got = ", ".join(f"{name} {' x '.join(map(str, rows.shape))}" for name, rows in used.items())
-            step = "Resample channels that were sampled at another rate"
-            want = "of one number of records (or points) and samples"
-            raise StapeskitError.of("the channels", want, got, series.file, step)
-        count = next(iter(shapes))[0]
-        for part in [range(count)] if members is fixed else [range(k, k + 1) for k in range(count)]:
-            alive = [one for one in members if all(_moves(used[one.name][k]) for k in part)]
-            if len(alive) < len(members):
-                silent = list_some((one.name for one in members if one not in alive), 6)
-                text = (
-                    f"{silent} of {series.file} hold one value throughout (a missing point) and are left out."
-                )
-                notices.append(Notice("zero_rows", text))
-            if alive:
-                point = "1" if members is fixed else str(part[0] + 1)
-                per = "" if reference is None else reference.per
-                named = [
-                    replace(one, channel=replace(one.channel, point=one.channel.point or point, per=per))
-                    for one in alive
-                ]
-                leads = None if reference is None or lead is None else lead * reference.scale
-                records = [
-                    (
-                        None if leads is None else leads[k % len(leads)],
-                        np.array([used[one.name][k] * one.scale for one in alive]),
-                    )
-                    for k in part
-                ]
-                groups.append((named, records))
-    if not groups:
-        step = "Check that the channels were connected"
-        raise StapeskitError.of("the responses", "with a signal", "one value in all", series.file, step)
-    return groups, notices
-
-
-def _moves(row: Array) -> bool:
-    return bool(np.all(np.isfinite(row)) and np.any(row != row[0]))
-
-
-def _estimate(records: Sequence[Record], series: Series, facts: FileFacts) -> Frf:
-    """Estimate responses as the excitation is: steps, a period, or segments of anything else."""
-    rate = series.sample_rate_hz
-    if facts.steps is not None or series.set_hz is not None:
-        stretches = _set_frequencies(series) if facts.steps is None else read_steps(facts.steps)
-        steps = [step for record in records for step in _steps(record, stretches, series)]
-        return stepped_frf(steps, rate, facts.settle, series.file)
-    pairs = [(lead, signals) for lead, signals in records if lead is not None]
-    if not pairs:
+    ``lead`` (sample,) is the reference, ``signals`` (channel, sample) the responses.
+    """
+    if set_hz is not None:
+        edges = [0, *(np.flatnonzero(np.diff(set_hz)) + 1).tolist(), len(set_hz)]
+        steps = [
+            Step(float(set_hz[a]), None if lead is None else lead[a:b], signals[:, a:b])
+            for a, b in zip(edges[:-1], edges[1:], strict=True)
+            if set_hz[a] > 0.0
+        ]
+        return stepped_frf(steps, rate, facts.settle, file)
+    if lead is None:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
-        raise StapeskitError.of("the table of channels", "with a reference", "none", series.file, step)
+        raise StapeskitError.of("the table of channels", "with a reference", "none", file, step)
     if facts.period_s is not None:
-        return periodic_frf(pairs, rate, facts.period_s, series.file)
-    shortest = min(len(lead) for lead, _ in pairs)
-    segment = segment_for(shortest, max(3, -(-facts.averages // len(pairs))))
-    return welch_frf(pairs, rate, segment, series.file)
-
-
-def _set_frequencies(series: Series) -> list[tuple[float, float, float]]:
-    """Return start and stop, s, and frequency, Hz, of the steps at which the generator was set."""
-    set_hz = np.zeros(0) if series.set_hz is None else series.set_hz.astype(float)
-    edges = [0, *(np.flatnonzero(np.diff(set_hz)) + 1).tolist(), len(set_hz)]
-    seconds = series.start_s + np.array(edges) / series.sample_rate_hz
-    stretches = zip(seconds[:-1].tolist(), seconds[1:].tolist(), edges[:-1], strict=True)
-    return [(start, stop, float(set_hz[at])) for start, stop, at in stretches if set_hz[at] > 0.0]
-
-
-def _steps(record: Record, stretches: Sequence[tuple[float, float, float]], series: Series) -> list[Step]:
-    """Cut a record into its steps (start and stop, s; frequency, Hz)."""
-    (lead, signals), rate = record, series.sample_rate_hz
-    count, steps, outside = signals.shape[1], list[Step](), list[str]()
-    for start, stop, freq in stretches:
-        a, b = (round((second - series.start_s) * rate) for second in (start, stop))
-        if not 0 <= a < b <= count + 1:
-            outside.append(f"samples {a} to {b}")
-        steps.append(Step(freq, None if lead is None else lead[a:b], signals[:, a:b]))
-    if outside:
-        want, step = f"within the record of {count} samples", "Correct the table of steps"
-        raise StapeskitError.of("a step", want, list_some(outside), series.file, step)
-    return steps
+        return periodic_frf([(lead, signals)], rate, facts.period_s, file)
+    return welch_frf([(lead, signals)], rate, segment_for(len(lead), max(3, facts.averages)), file)

@@ -26,11 +26,6 @@ def decoded(content: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a file; see `decoded`."""
-    return decoded(Path(path).read_bytes())
-
-
 def shown(text: str, most: int = 60) -> str:
     """Return text from a file as messages quote it: printable and short."""
     printable = "".join(letter if letter.isprintable() else "?" for letter in text.strip())

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-Names = tuple[Index, tuple[str, ...]]
-"""Codes (rows,), -1 where empty, and the names that they stand for."""
 
 _SAME_PLACE_MM = 1e-6  # rounding of written coordinates
 
@@ -57,12 +55,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     table = read_table(Path(path), choose)
     columns, faults = found[0], list(table.faults)
     usable = _check_numbers(table, columns, faults)
-    names = {name: _names(table, name) for name in TEXTS[:4] if name in columns.names}
-    for name, (codes, _) in names.items():
-        must = name in ("body", "point")
-        if must or np.any(codes >= 0):
-            want = "a name" if must else "given in every row, or in none"
-            faults += _row_faults(table, codes < 0, name, want, lambda _: "an empty cell")
+    names = {name: _names(table, name, faults) for name in TEXTS[:4] if name in columns.names}
     directions, beam = _directions(table, columns, faults)
     usable &= (names["body"][0] >= 0) & (names["point"][0] >= 0) & (beam >= 0)
     if POSITION[0] in columns.names:
@@ -72,29 +65,32 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         step = "Export it again"
         raise_all(faults or [Fault(table.file, "a table with rows of values", "none", "", step)])
     sweep, first = _numbered([*(codes[rows] for codes, _ in names.values()), beam[rows]])
-    freq = table.numbers["freq_hz"][rows]
+    first, freq = rows[first], table.numbers["freq_hz"][rows]
     check_filled(len(first), len(np.unique(freq)), len(rows), table.file)
     if np.any((np.diff(sweep) < 0) | ((np.diff(sweep) == 0) & (np.diff(freq) <= 0.0))):
         order = np.lexsort((freq, sweep))
-        first, rows, sweep, freq = rows[first], rows[order], sweep[order], freq[order]
-    else:
-        first = rows[first]
-    again = np.zeros(len(table), dtype=bool)
-    repeated = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(sweep) == 0))
-    again[rows[repeated + 1]] = True
-    earlier = dict(zip(rows[repeated + 1].tolist(), table.lines[rows[repeated]].tolist(), strict=True))
+        rows, sweep, freq = rows[order], sweep[order], freq[order]
+    again = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(sweep) == 0))
+    earlier = dict(zip(rows[again + 1].tolist(), table.lines[rows[again]].tolist(), strict=True))
     want = "the only one of its run, body, point, direction and frequency"
     step = "Number repeats in a column repeat, or remove the row"
-    faults += _row_faults(table, again, "a row", want, lambda row: f"that of line {earlier[row]}", step)
+    faults += [
+        Fault("a row", want, f"that of line {earlier[row]}", table.where(row), step)
+        for row in sorted(earlier)
+    ]
     raise_all(faults)
-    channels = [_channel(table, columns, names, directions[beam[row]], row) for row in first.tolist()]
     value, extra = _values(table, columns, rows)
     edges = [0, *(np.flatnonzero(np.diff(sweep)) + 1).tolist(), len(sweep)]
     recording = recording_of(
         table.file,
         [
-            Row(channel, freq[a:b], value[a:b], **{name: part[a:b] for name, part in extra.items()})
-            for channel, (a, b) in zip(channels, pairwise(edges), strict=True)
+            Row(
+                _channel(table, columns, names, directions[beam[row]], row),
+                freq[a:b],
+                value[a:b],
+                **{name: part[a:b] for name, part in extra.items()},
+            )
+            for row, (a, b) in zip(first.tolist(), pairwise(edges), strict=True)
         ],
         statement="as its columns say",
         amplitude_stated=True,
@@ -111,17 +107,24 @@ def _row_faults(
     step: str = "Correct the cell",
 ) -> list[Fault]:
     """Return one fault for each bad row."""
-    return [
-        Fault(column, want, got(row), table.where(row, column), step) for row in np.flatnonzero(bad).tolist()
-    ]
+    rows = np.flatnonzero(bad).tolist()
+    return [Fault(column, want, got(row), table.where(row, column), step) for row in rows]
 
 
-def _names(table: Table, name: str) -> Names:
-    """Return a text column; names that a spreadsheet made of one are one."""
+def _names(table: Table, name: str, faults: list[Fault]) -> tuple[Index, tuple[str, ...]]:
+    """Return codes (rows,), -1 where a cell is empty, and the names that they stand for.
+
+    Names that a spreadsheet made of one are one. A run or repeat is named in every row or in none.
+    """
     column = table.texts[name]
     plain = [plain_name(text) if name == "point" else text for text in column.names]
     place = {text: number for number, text in enumerate(dict.fromkeys(plain))}
-    return np.array([*(place[text] for text in plain), -1], dtype=np.intp)[column.codes], tuple(place)
+    codes = np.array([*(place[text] for text in plain), -1], dtype=np.intp)[column.codes]
+    must = name in ("body", "point")
+    if must or np.any(codes >= 0):
+        want = "a name" if must else "given in every row, or in none"
+        faults += _row_faults(table, codes < 0, name, want, lambda _: "an empty cell")
+    return codes, tuple(place)
 
 
 def _check_numbers(table: Table, columns: Columns, faults: list[Fault]) -> Mask:
@@ -197,19 +200,20 @@ def _check_positions(table: Table, place: Index, faults: list[Fault]) -> None:
     faults += _row_faults(table, moved, "the position of a point", "one", got, step)
 
 
-def _channel(table: Table, columns: Columns, names: dict[str, Names], direction: Array, row: int) -> Channel:
+def _channel(
+    table: Table,
+    columns: Columns,
+    names: dict[str, tuple[Index, tuple[str, ...]]],
+    direction: Array,
+    row: int,
+) -> Channel:
     """Return the channel that a row is of."""
     texts = {name: (*known, "")[codes[row]] for name, (codes, known) in names.items()}
     position = unknown_vector()
     if POSITION[0] in columns.names:
         position = 1e-3 * np.array([table.numbers[name][row] for name in POSITION])
-    return Channel(
-        **texts,
-        order=columns.unit.order,
-        position_m=position,
-        direction=direction,
-        where=table.where(row),
-    )
+    given = {"order": columns.unit.order, "position_m": position, "direction": direction}
+    return Channel(**texts, **given, where=table.where(row))
 
 
 def _values(table: Table, columns: Columns, rows: Index) -> tuple[ComplexArray, dict[str, Any]]:
@@ -249,9 +253,6 @@ def _notices(table: Table, columns: Columns, recording: Recording) -> list[Notic
     if columns.ignored:
         listed = list_some(map(with_meant, columns.ignored), 6)
         notices.append(Notice("file_read", f"columns of {file} that are not used: {listed}."))
-    if table.comments:
-        text = f"{table.comments} lines of {file} begin with # and were skipped."
-        notices.append(Notice("file_read", text))
     return notices
 
 

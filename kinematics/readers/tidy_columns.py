@@ -85,7 +85,14 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
         refuse("the table", "complete", f"no column {', '.join(missing)}", step)
     if "dir" in header and not set(DIRECTION).isdisjoint(header):
         refuse("the direction", "given once", "dir and dir_x ...", "Remove one")
-    first, second = _pair(units, header)
+    values = sorted((unit.part, name) for name, unit in units.items() if unit.part != "sd")
+    parts, names = [part for part, _ in values], [name for _, name in values]
+    if parts == ["amp"] and "phase_deg" in header:
+        first, second = names[0], "phase_deg"
+    elif parts == ["im", "re"]:
+        second, first = names
+    else:
+        first, second = ", ".join(names), ""
     spreads = [name for name, unit in units.items() if unit.part == "sd"]
     if not second:
         want = "re_m_s with im_m_s, or amp_m_s with phase_deg (or another unit), once"
@@ -100,21 +107,9 @@ def columns_of(header: Sequence[str], file: str) -> Columns:
         refuse("the standard deviation", want, ", ".join(spreads), "Convert it, or remove the others")
     raise_all(faults)
     sd = spreads[0] if spreads else ""
-    names = frozenset([*wanted, first, second, *spreads, *({"run", "repeat", *EXTRA} & set(header))])
-    ignored = tuple(name for name in header if name and name not in names)
-    return Columns(first, second, units[first], sd, units[sd].scale if sd else 1.0, names, ignored)
-
-
-def _pair(units: dict[str, Unit], header: Sequence[str]) -> tuple[str, str]:
-    """Return the two columns of the value; where they are no pair, the names found and an empty name."""
-    values = {name: unit.part for name, unit in units.items() if unit.part != "sd"}
-    names = list(values)
-    if list(values.values()) == ["amp"] and "phase_deg" in header:
-        return names[0], "phase_deg"
-    if sorted(values.values()) == ["im", "re"]:
-        real, imaginary = sorted(names, key=lambda name: values[name], reverse=True)
-        return real, imaginary
-    return ", ".join(names), ""
+    used = frozenset([*wanted, first, second, *spreads, *({"run", "repeat", *EXTRA} & set(header))])
+    ignored = tuple(name for name in header if name and name not in used)
+    return Columns(first, second, units[first], sd, units[sd].scale if sd else 1.0, used, ignored)
 
 
 def with_meant(name: str) -> str:

@@ -11,12 +11,14 @@ import kinematics
 from kinematics.readers.formats import FORMATS, format_of, read_file
 from stapeskit import warnings
 from stapeskit.faults import StapeskitError
-from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, WRITERS
+from tests.motion_files.written_files import FREQ_HZ, OTHERS, PLACES_M, VELOCITY, WRITERS
 
-NAMES = [entry.name for entry in FORMATS]
+WAYS = {**WRITERS, **OTHERS}
+NAMES = [*(entry.name for entry in FORMATS), *OTHERS]
+FORMAT_OF = {"hdf5": "matlab", "points": "psv"}
 SEEDS = 50
 # Rounding of the formats: digits of the text, and of single precision in a genuine scan.
-TOLERANCE = {"time": 1e-9, "fastscan": 1e-11, "points": 1e-11, "uff": 1e-11}
+TOLERANCE = {"series": 1e-9, "psv": 1e-11, "points": 1e-11, "uff": 1e-11}
 
 
 def by_channel(recording):
@@ -29,8 +31,8 @@ def by_channel(recording):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_written_is_recognised_and_read(name, tmp_path):
-    path, facts = WRITERS[name](tmp_path)
-    assert format_of(path, facts.mapping is not None).name == name
+    path, facts = WAYS[name](tmp_path)
+    assert format_of(path, facts.mapping is not None).name == FORMAT_OF.get(name, name)
     recording = read_file(path, facts)
     if name == "svd":  # a genuine scan: see test_polytec_scans.py
         return
@@ -51,7 +53,7 @@ def test_what_is_written_is_recognised_and_read(name, tmp_path):
 @pytest.mark.parametrize("name", NAMES)
 def test_cut_files_are_refused(name, tmp_path):
     """Cut in their last tenth, where what is there may look whole."""
-    path, facts = WRITERS[name](tmp_path)
+    path, facts = WAYS[name](tmp_path)
     whole = path.read_bytes()
     silent = []
     for share in np.linspace(0.05, 0.97, 12):
@@ -62,13 +64,13 @@ def test_cut_files_are_refused(name, tmp_path):
             continue
         silent.append(np.sum(np.isfinite(values)))
     # A text that ends between two numbers or rows cannot be told from a shorter one; its lines are fewer.
-    most = 9 * len(FREQ_HZ) if name in ("tidy", "wide", "fastscan", "points") else 0
+    most = 9 * len(FREQ_HZ) if name in ("tidy", "wide", "psv", "points") else 0
     assert all(count < most for count in silent), silent
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
-    path, facts = WRITERS[name](tmp_path)
+    path, facts = WAYS[name](tmp_path)
     whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
@@ -83,10 +85,10 @@ def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
             assert np.all(np.diff(recording.freq_hz) > 0.0)
 
 
-@pytest.mark.parametrize("name", ["uff", "fastscan", "points", "wide", "tidy"])
+@pytest.mark.parametrize("name", ["uff", "psv", "points", "wide", "tidy"])
 def test_texts_with_words_in_wrong_places_end_in_values_or_in_a_refusal(name, tmp_path):
     """Words, numbers and marks of a text in the place of others; lines that are gone."""
-    path, facts = WRITERS[name](tmp_path)
+    path, facts = WAYS[name](tmp_path)
     whole = path.read_bytes()
     words = list(re.finditer(rb"[A-Za-z]+|[-+.0-9eE]+|[\[\]:;,=\t]", whole))
     for seed in range(SEEDS if name == "uff" else 4 * SEEDS):
@@ -106,7 +108,10 @@ def test_texts_with_words_in_wrong_places_end_in_values_or_in_a_refusal(name, tm
 
 
 def test_files_of_no_known_format_are_refused_with_what_to_do(tmp_path):
-    for name, content, got in (("a.bin", bytes(range(256)), ".bin"), ("a.xlsx", b"PK\x03\x04", "a workbook")):
+    for name, content, got in (
+        ("a.bin", bytes(range(256)), ".bin"),
+        ("a.xlsx", b"PK\x03\x04", "a workbook or archive"),
+    ):
         path = tmp_path / name
         path.write_bytes(content)
         with pytest.raises(StapeskitError) as caught:

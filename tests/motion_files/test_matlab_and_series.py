@@ -1,4 +1,4 @@
-"""MATLAB and HDF5 files by names, structs and mappings; time series by a table of channels."""
+"""MATLAB and HDF5 files by names and structs; time series by a table of channels."""
 
 import h5py
 import numpy as np
@@ -15,17 +15,14 @@ Z = VELOCITY[:, 2]
 USD = {"YUnit": "m/s", "ResponseDOFs": {"Direction": 3.0}}
 
 
-def read(folder, variables, toml="", **options):
-    path = folder / "a.mat"
-    savemat(path, variables, **options)
-    if toml:
-        (folder / "a.mat.toml").write_text(toml, encoding="utf-8")
-    return read_file(path, FileFacts())
+def read(folder, variables, **options):
+    savemat(folder / "a.mat", variables, **options)
+    return read_file(folder / "a.mat", FileFacts())
 
 
-def faults(folder, variables, toml=""):
+def faults(folder, variables):
     with pytest.raises(StapeskitError) as caught:
-        read(folder, variables, toml)
+        read(folder, variables)
     return caught.value.faults
 
 
@@ -65,35 +62,13 @@ def test_versions_of_matlab_files(tmp_path):
         assert np.array_equal(recording.directions, np.repeat(np.eye(3), 3, axis=0))
 
 
-def test_structs_beside_each_other_are_runs(tmp_path):
-    path = tmp_path / "a.mat"
-    savemat(path, {name: {"x": FREQ_HZ, "y": Z, "usd": USD} for name in ("push", "tilt")})
-    assert read_measurement([path]).runs == ("push", "tilt")
-
-
-def test_a_mapping_names_the_variables(tmp_path):
-    toml = (
-        'frequency = "d.f"\nposition = "where"\nposition_unit = "mm"\npoints = "who"\nconvention = "-"\n'
-        '[[signal]]\nvalue = "d.v"\ndirection = "beams"\nunit = "mm/s"\nsd = "spread"\nbody = "stapes"\n'
-    )
-    variables = {
-        "d": {"f": FREQ_HZ, "v": 1e3 * Z.conj()}, "where": 1e3 * PLACES_M, "who": [5.0, 6.0, 7.0],
-        "beams": np.eye(3), "spread": np.ones(Z.shape),
-    }  # fmt: skip
-    recording = read(tmp_path, variables, toml)
-    assert np.allclose(recording.value, Z)
-    assert recording.points == ("5", "6", "7")
-    assert np.allclose(recording.points_m, PLACES_M)
-    assert np.allclose(recording.directions, np.eye(3))
-    assert np.allclose(recording.sd, 1e-3)
-    assert {channel.body for channel in recording.channels} == {"stapes"}
-
-
 MISTAKES = {
     "no unit": ({"x": FREQ_HZ, "y": Z}, "the unit of y"),
     "a power": ({"x": FREQ_HZ, "y": Z, "usd": {**USD, "PowerSignal": 1.0}}, "y"),
     "a magnitude": ({"x": FREQ_HZ, "y": np.abs(Z), "usd": USD}, "the variable y"),
     "nothing": ({"a": 1.0}, "a.mat"),
+    "two structs": ({name: {"x": FREQ_HZ, "y": Z, "usd": USD} for name in ("push", "tilt")}, "a.mat"),
+    "another name": ({"x": FREQ_HZ, "speed": Z, "usd": USD}, "a.mat"),
     "too few positions": ({"x": FREQ_HZ, "y": Z, "usd": USD, "xyz": PLACES_M[:2]}, "xyz"),
 }
 
@@ -198,7 +173,7 @@ SERIES_MISTAKES = {
     "no reference": (["a,response,stapes,1,z,m/s,"], "the table of channels"),
     "two references": (
         ["a,response,stapes,1,z,m/s,", "b,reference,,,,V,", "d,reference,,,,V,"],
-        "the reference",
+        "the table of channels",
     ),
     "no unit": (["a,response,stapes,1,z,V,", "d,reference,,,,V,"], "the unit of unit"),
     "another direction": (["a,response,stapes,1,w,m/s,", "d,reference,,,,V,"], "dir"),
@@ -219,19 +194,14 @@ def test_mistakes_of_series(name, tmp_path):
     assert [fault.thing for fault in caught.value.faults] == [thing]
 
 
-def test_a_stepped_sine_by_its_table_of_steps(tmp_path):
+def test_a_stepped_sine_by_its_column_of_set_frequencies(tmp_path):
     rate, freq, gain = 20_000.0, np.array([300.0, 500.0]), np.array([0.5 + 0.2j, -0.1 + 0.7j])
     time = np.arange(8000) / rate
     parts = [np.exp(2j * np.pi * one * time) for one in freq]
     drive = np.concatenate([part.real for part in parts])
     response = np.concatenate([(g * part).real for g, part in zip(gain, parts, strict=True)])
-    np.savez(tmp_path / "a.npz", fs=rate, a=response, d=drive)
-    steps = tmp_path / "steps.csv"
-    steps.write_text("start_s,stop_s,freq_hz\n0,0.4,300\n0.4,0.8,500\n", encoding="utf-8")
+    np.savez(tmp_path / "a.npz", fs=rate, a=response, d=drive, freq_hz=np.repeat(freq, len(time)))
     rows = ["a,response,stapes,1,z,m/s,", "d,reference,,,,V,"]
-    facts = FileFacts(channels=channels(tmp_path, rows), steps=steps)
-    recording = read_file(tmp_path / "a.npz", facts)
+    recording = read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, rows)))
+    assert np.allclose(recording.freq_hz, freq)
     assert np.allclose(recording.value[0], gain, atol=1e-9)
-    np.savez(tmp_path / "b.npz", fs=rate, a=response, d=drive, freq_hz=np.repeat(freq, len(time)))
-    by_column = read_file(tmp_path / "b.npz", FileFacts(channels=facts.channels))
-    assert np.array_equal(by_column.value, recording.value)

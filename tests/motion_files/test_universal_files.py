@@ -93,15 +93,12 @@ def test_a_response_is_per_unit_of_its_reference(tmp_path):
     assert recording.velocity is None
 
 
-def test_directions_are_those_of_the_displacement_system(tmp_path):
-    """+x of the system points along +y, +z along +z: a third axis follows by the right hand."""
-    turned = system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1))
-    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, 2, -3)]
-    recording = read(tmp_path, units(), turned, nodes_15(PLACE, measured=7), *parts)
-    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
-    shifted = system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1))
-    recording = read(tmp_path, units(), shifted, nodes_15(PLACE, defined=7), function(FREQ_HZ, VALUE))
-    assert np.allclose(recording.points_m[0], [1.0, 0.5, 0.0])
+def test_coordinate_systems_of_nodes(tmp_path):
+    """One that no dataset describes is the global one, with a warning; one that is described is refused."""
+    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, -3)]
+    recording = read(tmp_path, units(), nodes_15(PLACE, measured=7), *parts)
+    assert np.array_equal(recording.directions, [[1, 0, 0], [0, 0, -1]])
+    assert "axes_assumed" in {notice.code for notice in recording.notices}
 
 
 def test_coherence_belongs_to_its_response(tmp_path):
@@ -119,17 +116,14 @@ def test_descending_frequencies_are_turned_round(tmp_path):
     assert np.allclose(recording.value[0], VALUE)
 
 
-def test_references_load_cases_and_versions(tmp_path):
-    path = tmp_path / "a.uff"
-    parts = [function(FREQ_HZ, VALUE, per=FORCE, reference=(node, 3)) for node in (8, 9)]
-    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
-    assert read_measurement([path]).runs == ("8+z", "9+z")
-    parts = [function(FREQ_HZ, VALUE, load_case=case) for case in (1, 2)]
-    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
-    assert read_measurement([path]).runs == ("case 1", "case 2")
-    parts = [function(FREQ_HZ, VALUE, version=version) for version in (1, 2)]
-    path.write_bytes(b"".join([units(), nodes_2411(PLACE), *parts]))
-    assert [one.repeat for one in read_measurement([path]).repeats] == ["1", "2"]
+def test_two_excitations_in_one_file_are_refused(tmp_path):
+    for parts in (
+        [function(FREQ_HZ, VALUE, per=FORCE, reference=(node, 3)) for node in (8, 9)],
+        [function(FREQ_HZ, VALUE, load_case=case) for case in (1, 2)],
+        [function(FREQ_HZ, VALUE, version=version) for version in (1, 2)],
+    ):
+        found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
+        assert [fault.thing for fault in found] == ["the channel 1 (z)"]
 
 
 def test_a_dc_line_is_dropped(tmp_path):
@@ -157,15 +151,15 @@ REFUSED = {
         "the frequencies",
     ),
     "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
-    "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),
+    "a system": (system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1)), "the coordinate system of nodes in a.uff"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals(name, tmp_path):
     part, thing = REFUSED[name]
-    nodes = nodes_15(PLACE, measured=7) if name == "a curved system" else nodes_2411(PLACE)
-    more = function(FREQ_HZ, VALUE) if name == "a curved system" else b""
+    nodes = nodes_15(PLACE, measured=7) if name == "a system" else nodes_2411(PLACE)
+    more = function(FREQ_HZ, VALUE) if name == "a system" else b""
     assert [fault.thing for fault in faults(tmp_path, units(), nodes, part, more)] == [thing]
 
 

@@ -118,32 +118,31 @@ def test_a_mapping_for_nothing_is_refused(tmp_path):
     assert [fault.thing for fault in caught.value.faults] == ["--mapping"]
 
 
+MAPPING = {
+    "f": "Frequency [kHz]",
+    "A": "P7 z Mag [mm/s rms]",
+    "B": "P7 z Phase [rad]",
+    "C": "P7 z Coherence",
+}
+
+
 def test_a_mapping_names_the_columns(tmp_path):
     path = written(tmp_path, "f,A,B,C\n0.4,1,0.5,0.9\n0.5,2,0.25,0.8\n")
-    written(
-        tmp_path,
-        'frequency = "f"\nfrequency_unit = "kHz"\namplitude = "rms"\n[[signal]]\nmagnitude = "A"\n'
-        'phase = "B"\nphase_unit = "rad"\nunit = "mm/s"\ndirection = [0.0, 0.6, 0.8]\npoint = "7"\n'
-        'coherence = "C"\nn_avg = 10\n',
-        "ldv.csv.toml",
-    )
-    recording = read_file(path, FileFacts())
-    assert np.allclose(
-        recording.value[0], 1e-3 * np.sqrt(2) * np.array([1, 2]) * np.exp(1j * np.array([0.5, 0.25]))
-    )
+    text = "".join(f'"{old}" = "{new}"\n' for old, new in MAPPING.items())
+    facts = FileFacts(mapping=written(tmp_path, text, "names.toml"), n_avg=10.0)
+    recording = read_file(path, facts)
+    expected = 1e-3 * np.sqrt(2) * np.array([1, 2]) * np.exp(1j * np.array([0.5, 0.25]))
+    assert np.allclose(recording.value[0], expected)
     assert np.allclose(recording.freq_hz, [400.0, 500.0])
-    assert np.allclose(recording.directions, [[0.0, 0.6, 0.8]])
-    assert set(read_measurement([path]).inputs) == {"ldv", "mapping of ldv.csv"}
-    assert (recording.points, recording.n_avg[0, 0], recording.coherence[0, 1]) == (("7",), 10.0, 0.8)
+    assert (recording.points, recording.coherence[0, 1]) == (("7",), 0.8)
+    assert set(read_measurement([path], facts=facts).inputs) == {"ldv", "mapping"}
 
 
 def test_mistakes_of_a_mapping_come_together(tmp_path):
     path = written(tmp_path, "f,A,B\n1,2,3\n4,5,6\n")
-    text = 'frequenzy = "f"\namplitude = "half"\n[[signal]]\nmagnitude = "A"\nshape = "B"\n'
-    text += 'phase_unit = "turns"\n'
-    written(tmp_path, text, "ldv.csv.toml")
-    things = {fault.thing for fault in faults(path)}
-    assert things == {"a key", "amplitude", "frequency", "the values of a signal", "phase_unit"}
+    mapping = written(tmp_path, '"g" = "Frequency [Hz]"\n"A" = 3\n', "names.toml")
+    found = faults(path, FileFacts(mapping=mapping))
+    assert [fault.thing for fault in found] == ["g of the mapping", "A of the mapping"]
 
 
 def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
@@ -169,7 +168,7 @@ SCANS = {
     ),
     "points that move": (
         [fastscan(400, PLACES_M, VELOCITY[:, :, 0]), fastscan(500, 2 * PLACES_M, VELOCITY[:, :, 0])],
-        "the position of point 1",
+        "the positions of the points",
     ),
     "decibels": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0], "dB")], "the unit of Real X, Real Y, Real Z"),
     "a row cut short": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0]).rsplit(b"\t", 1)[0]], "a row"),

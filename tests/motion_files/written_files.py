@@ -254,14 +254,14 @@ def _scan_file(folder):
 WRITERS = {
     "svd": _scan_file,
     "matlab": _matlab,
-    "hdf5": _hdf5,
     "uff": _bytes("a.uff", universal_file()),
-    "fastscan": _bytes(
+    "psv": _bytes(
         "a.txt", b"\r\n".join(fastscan(f, PLACES_M, VELOCITY[:, :, k]) for k, f in enumerate(FREQ_HZ))
     ),
-    "points": _points,
-    "time": _series,
+    "series": _series,
     "wide": _bytes("a.csv", wide_table()),
     "tidy": _bytes("a.csv", tidy_table()),
 }
+OTHERS = {"hdf5": _hdf5, "points": _points}
+"""Other layouts of formats."""
 """By the name of the format: writes the recording (a genuine scan for svd) and returns file and facts."""

@@ -1,7 +1,4 @@
-"""Read HDF5 files by h5py, those of MATLAB 7.3 too, as dictionaries of arrays, texts and lists.
-
-What the data sets are follows from their names and shapes, or from a mapping (kinematics.readers.matlab).
-"""
+"""Read MATLAB files by scipy.io and HDF5 files, those of MATLAB 7.3 too, by h5py."""
 
 from __future__ import annotations
 
@@ -22,15 +19,25 @@ _DEEPEST = 8  # groups in groups that are read; links may lead round
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Return groups as dictionaries, data sets as arrays or texts, and the attributes of the file."""
-    import h5py
+    """Return variables as arrays, texts, dictionaries and lists of them, and the attributes of a file."""
+    with Path(path).open("rb") as stream:
+        hdf5 = b"\x89HDF\r\n\x1a\n" in stream.read(1024)
+    if hdf5:
+        import h5py
 
-    with h5py.File(path, "r") as file:
-        tree = {name: _value(file, node, 0) for name, node in file.items() if not name.startswith("#")}
-        return {**{name: _attribute(value) for name, value in file.attrs.items()}, **tree}
+        with h5py.File(path, "r") as file:
+            tree = {name: _value(file, node, 0) for name, node in file.items() if not name.startswith("#")}
+            return {**{name: _text(value) for name, value in file.attrs.items()}, **tree}
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
+
+    tree = loadmat(path, squeeze_me=True, simplify_cells=True)
+    unread = {name for name, value in tree.items() if isinstance(value, MatlabOpaque | MatlabFunction)}
+    plain = {name: value for name, value in tree.items() if not name.startswith("__") and name not in unread}
+    return plain | {("a variable" if name == "None" else name): STRINGS for name in unread}
 
 
-def _attribute(value: Any) -> Any:
+def _text(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
@@ -38,8 +45,8 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
     """Return a node; MATLAB writes dimensions in reverse, texts as numbers, cells as references."""
     import h5py
 
-    kind = _attribute(node.attrs.get("MATLAB_class", b""))
-    kind = str(_attribute(kind.item()) if isinstance(kind, np.generic) else kind)
+    kind = _text(node.attrs.get("MATLAB_class", b""))
+    kind = str(_text(kind.item()) if isinstance(kind, np.generic) else kind)
     if depth > _DEEPEST:
         return {}
     if isinstance(node, h5py.Group):
@@ -56,7 +63,7 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
     if h5py.check_ref_dtype(node.dtype) is h5py.Reference:
         return [_value(file, file[reference], depth + 1) for reference in np.asarray(node).T.reshape(-1)]
     if h5py.check_string_dtype(node.dtype) is not None:
-        texts = [_attribute(text) for text in np.asarray(node).reshape(-1).tolist()]
+        texts = [_text(text) for text in np.asarray(node).reshape(-1).tolist()]
         return texts[0] if node.shape == () else texts
     values = np.asarray(node)
     if kind == "char":
