@@ -205,7 +205,9 @@ def _positions(
     listed = ", ".join(map(str, sorted(systems)))
     if systems and any(one["type"] in (18, 2420) for one in sets):
         want, step = "the global one", "Export the geometry in global cartesian coordinates"
-        faults.append(Fault(f"the coordinate system of nodes in {file}", want, f"system {listed}", file, step))
+        faults.append(
+            Fault(f"the coordinate system of nodes in {file}", want, f"system {listed}", file, step)
+        )
     elif systems:
         text = (
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
