@@ -72,7 +72,7 @@ def read_fiducials(path: Path) -> Fiducials:
     frames = [text_of(table, "frame", row).lower() or "plate" for row in rows]
     sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
     stated = not np.all(np.isnan(sd))
-    faults = [*table.faults, *position_faults(table, (*_SEEN, *_KNOWN)), *sd_faults(table, sd)]
+    faults = [*table.faults, *position_faults(table, (*_SEEN, *_KNOWN)), *sd_faults(table)]
     for row, (name, frame) in enumerate(zip(names, frames, strict=True)):
         if not name or name in names[:row]:
             got, want = f"{name} again" if name else "an empty cell", "given, and different for each fiducial"

@@ -59,7 +59,7 @@ def read_points(path: Path) -> Points:
     table = read_table(Path(path), choose)
     xyz = np.column_stack([table.numbers[name] for name in POSITION])
     sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
-    faults = [*table.faults, *position_faults(table, POSITION), *sd_faults(table, sd)]
+    faults = [*table.faults, *position_faults(table, POSITION), *sd_faults(table)]
     positions: dict[tuple[str, str], Array] = {}
     spread: dict[tuple[str, str], float] = {}
     for row in range(len(table)):
@@ -82,52 +82,47 @@ def text_of(table: Table, name: str, row: int) -> str:
 
 
 def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
-    """Refuse a header that lacks a column.
+    """Refuse a header that lacks columns.
 
     Raises
     ------
     StapeskitError
-        Names every missing column, and the table that the header seems to be of.
+        Names every missing column.
     """
-    missing = [name for name in names if name not in header]
-    if missing:
-        step = other_table(header, names) or "Add the column in the unit of its name, or correct its name"
+    if missing := [name for name in names if name not in header]:
+        step = "Add the column in the unit of its name, correct its name, or give the table it belongs to"
         got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
         raise StapeskitError.of("the table", "complete", got, where, step)
 
 
-def other_table(header: Sequence[str], names: Sequence[str]) -> str:
-    """Return the next step for a header that belongs to another table than the one with columns ``names``.
-
-    Files that were exchanged on the command line lack many columns, and none of them should be added. Empty
-    where the header is of the right table, or of none that is known.
-    """
-    tables = {
-        "vibrometer readings: give it first, without an option": {"freq_hz"},
-        "fiducials: give it with --fiducials": {"x_ref_mm"},
-        "points: give it with --points": {"body", "point", *POSITION},
-    }
-    own = next((kind for kind, columns in tables.items() if columns <= set(header)), "")
-    return f"It looks like a table of {own}" if own and not tables[own] <= set(names) else ""
+def cell_faults(
+    table: Table, name: str, low: float, high: float, step: str, must: bool = False
+) -> list[Fault]:
+    """List the numbers of a column outside of a range, and with ``must`` its cells without a number."""
+    cells = table.numbers[name]
+    bad = (cells < low) | (cells > high)
+    if must:
+        bad |= np.isnan(cells) & ~table.invalid_rows(name)
+    got = [f"{cell:g}" if cell == cell else "an empty or NaN cell" for cell in cells[bad].tolist()]
+    want = f"from {low:g} to {high:g}"
+    return [
+        Fault(name, want, text, table.where(row, name), step)
+        for row, text in zip(np.flatnonzero(bad).tolist(), got, strict=True)
+    ]
 
 
 def position_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
     """List the cells of columns in mm that are empty, infinite or impossibly far."""
-    faults = []
-    for name in columns:
-        values = table.numbers[name]
-        bad = ~(np.abs(values) <= FARTHEST_MM) & ~(np.isnan(values) & table.invalid_rows(name))
-        for row in np.flatnonzero(bad).tolist():
-            got = "an empty or NaN cell" if np.isnan(values[row]) else f"{values[row]:g}"
-            step = "Give the number in mm, or leave the row out"
-            want = f"a number within {FARTHEST_MM:g} mm"
-            faults.append(Fault(name, want, got, table.where(row, name), step))
-    return faults
+    step = "Give the number in mm, or leave the row out"
+    return [
+        fault
+        for name in columns
+        for fault in cell_faults(table, name, -FARTHEST_MM, FARTHEST_MM, step, must=True)
+    ]
 
 
-def sd_faults(table: Table, sd: Array) -> list[Fault]:
-    """List the standard deviations that are not positive and finite, or beyond all positions."""
+def sd_faults(table: Table) -> list[Fault]:
+    """List the standard deviations in mm that are not positive and finite, or beyond all positions."""
     step = "Give the standard deviation per coordinate in mm"
-    want = f"from {NEAREST_MM:g} to {FARTHEST_MM:g} mm"
-    rows = np.flatnonzero((sd < NEAREST_MM) | (sd > FARTHEST_MM)).tolist()
-    return [Fault("sd_mm", want, f"{sd[row]:g}", table.where(row, "sd_mm"), step) for row in rows]
+    known = "sd_mm" in table.numbers
+    return cell_faults(table, "sd_mm", NEAREST_MM, FARTHEST_MM, step) if known else []
