@@ -26,6 +26,7 @@ _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP, _COMPOUND, _HDF5 = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", b"\x89HDF\r\n\x1a\n"
 _SOUND = (b"RIFF", b"RIFX", b"RF64")
+_TIDY = {"body", "dir", "dir_x", "freq_hz"}
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
 _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
@@ -43,10 +44,21 @@ class Head:
 
     @cached_property
     def kind(self) -> str:
-        """As what table of numbers its text begins; see `kinematics.readers.wide.kind_of`."""
-        from kinematics.readers.wide import kind_of
+        """As what table of numbers its text begins: ``psv``, ``series``, ``wide`` or none of them, empty."""
+        from kinematics.readers.psv import is_fastscan, is_of_point
+        from kinematics.readers.sheets import sheets_of
+        from kinematics.readers.wide import is_wide
 
-        return "" if self.content.startswith((_ZIP, _COMPOUND, *_SOUND)) else kind_of(decoded(self.content))
+        binary = self.content.startswith((_ZIP, _COMPOUND, *_SOUND))
+        sheets = [] if binary else sheets_of(decoded(self.content), "", [])
+        if not sheets:
+            return ""
+        if is_of_point(sheets[0]) or is_fastscan(sheets[0]):
+            return "psv"
+        low = {name.strip('"').lower() for name in sheets[0].names}
+        if "time_s" in low or not _TIDY.isdisjoint(low):
+            return "series" if "time_s" in low else ""
+        return "wide" if is_wide(sheets[0]) else ""
 
 
 @dataclass(frozen=True)
@@ -86,14 +98,14 @@ FORMATS = (
     ),
     Format(
         "matlab", "a MATLAB or HDF5 file (.mat, .h5)",
-        lambda head: head.content.startswith((b"MATLAB", _HDF5)) or (head.suffix == ".mat" and bool(head.content)),
+        lambda head: head.content.startswith((b"MATLAB", _HDF5))
+        or (head.suffix == ".mat" and bool(head.content)),
         "v4 to v7.3 and HDF5: variables by their names, as File Access scripts save them",
         libraries=("scipy.io", "h5py"), series=True,
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
-        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate "
-        "systems, 164 units",
+        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 164 units",
         (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
     ),
     Format(

@@ -1,4 +1,4 @@
-"""Gather what a reader found to one recording: units, quantity, lines, and the same checks for each format."""
+"""Gather what a reader found to one recording: units, quantity, lines; the same checks for each format."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 
 
 def _parts_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
-    """Return the variables of a file, with those of its one struct, or of each element of its struct array."""
+    """Return the variables of a file, or of its one struct, or of each element of its struct array."""
     low = {name.lower(): value for name, value in tree.items()}
     if len(low) < len(tree):
         got, want = list_some(tree, 20), "different in more than their case"

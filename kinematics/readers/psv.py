@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.columns import frequencies_of, signals_of
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.gather import Row, recording_of
 from kinematics.readers.recording import Channel, Recording, unknown_vector
 from kinematics.readers.sheets import Sheet, number_of, refuse, sheets_of
 from kinematics.readers.text import decoded, export_files, shown
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
+from kinematics.readers.wide import frequencies_of, signals_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.frames import axis_vector

@@ -175,7 +175,8 @@ def _codes(table: Table, name: str, faults: list[Fault]) -> Index:
     """
     column = table.texts[name]
     plain = [plain_name(text) if name == "point" else text for text in column.names]
-    codes = np.array([*map(plain.index, plain), -1], dtype=np.intp)[column.codes]
+    first = {text: number for number, text in reversed([*enumerate(plain)])}
+    codes = np.array([*(first[text] for text in plain), -1], dtype=np.intp)[column.codes]
     must = name in ("body", "point")
     if must or np.any(codes >= 0):
         want = "a name" if must else "given in every row, or in none"

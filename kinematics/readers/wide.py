@@ -1,42 +1,47 @@
 """Read tables over frequency: ``Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...``.
 
-The names of the columns give part, axis, point and unit (`kinematics.readers.columns`). A mapping, a TOML
-file, gives them such names: ``"A7" = "P7 z Mag [mm/s]"``.
+The names of the columns give part, axis, point and unit. A mapping, a TOML file, gives them such names:
+``"A7" = "P7 z Mag [mm/s]"``.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinematics.readers.columns import frequencies_of, is_frequency, meaning, signals_of
+import numpy as np
+
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import recording_of
-from kinematics.readers.psv import is_fastscan, is_of_point
+from kinematics.readers.gather import Row, from_parts, from_polar, recording_of
 from kinematics.readers.recording import Channel, Recording
 from kinematics.readers.sheets import Sheet, name_and_unit, refuse, sheets_of
 from kinematics.readers.text import decoded, plain_name, shown
-from stapeskit.faults import Fault, StapeskitError, list_some, raise_all
+from kinematics.readers.units import HERTZ, PHASES
+from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
-_TIDY = {"body", "dir", "dir_x", "freq_hz"}
+PARTS = {
+    "re": ("re", "real", "realteil", "réel", "réelle"),
+    "im": ("im", "imag", "imaginary", "imaginär", "imaginärteil", "imaginaire"),
+    "amp": ("mag", "magnitude", "amp", "amplitude", "abs", "betrag", "module"),
+    "phase": ("ph", "phase", "arg", "angle", "winkel"),
+    "coherence": ("coh", "coherence", "gamma2", "kohärenz"),
+}
+FREQUENCIES = ("frequency", "freq", "frequenz", "fréquence", "f")
+LOWEST_AUDIBLE_TOP_HZ = 100.0
+"""A sweep that ends below is in kHz, where no unit is stated: hearing ends at 20 kHz."""
 
-
-def kind_of(text: str) -> str:
-    """Return the format by the first lines of a text: ``psv``, ``wide``, ``series`` or empty."""
-    sheets = sheets_of(text, "", [])
-    if not sheets:
-        return ""
-    sheet = sheets[0]
-    if is_of_point(sheet) or is_fastscan(sheet):
-        return "psv"
-    low = {name.strip('"').lower() for name in sheet.names}
-    if "time_s" in low or not _TIDY.isdisjoint(low):
-        return "series" if "time_s" in low else ""
-    parts = {meant[0] for name in sheet.names if (meant := meaning(name))}
-    complete = {"re", "im"} <= parts or {"amp", "phase"} <= parts
-    return "wide" if complete and any(map(is_frequency, sheet.names)) else ""
+_WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?[^\W_]+")
+_FILLERS = (
+    "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
+    "point", "pt", "punkt", "node", "axis", "channel", "of", "part", "frf", "fft", "h1", "spectrum",
+)  # fmt: skip
+_POINT = re.compile(r"(?:p|pt|point|punkt|node)(\d+)")
+_AXIS = re.compile(r"([+-]?)[vdau]?([xyz])")
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -93,3 +98,141 @@ def _renamed(sheet: Sheet, path: Path) -> Sheet:
         units[place] = unit or units[place]
     raise_all(faults)
     return replace(sheet, names=tuple(names), units=tuple(units))
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One beam of a table: its point and axis, complex values (row, ...), unit, coherence, first column."""
+
+    point: str
+    axis: str
+    value: ComplexArray
+    unit: str
+    coherence: Array | None
+    source: str
+
+    def row(self, freq_hz: Array, channel: Channel) -> Row:
+        """Return the beam as a row; its axis says the direction where the channel has none."""
+        axis = axis_vector(self.axis) if self.axis else None
+        if axis is not None:
+            channel = replace(channel, direction=axis)
+        return Row(channel, freq_hz, self.value, coherence=self.coherence, unit=self.unit, source=self.source)
+
+
+def is_frequency(name: str) -> bool:
+    """Return whether a column is named as that of the frequencies."""
+    words = [word.lower() for word in _WORD.findall(name)]
+    return bool(words) and words[0] in FREQUENCIES and set(words[1:]) <= {*HERTZ, "axis"}
+
+
+def meaning(name: str) -> tuple[str, str, str] | None:
+    """Return part, point and axis of a column's name; None where the part is missing or ambiguous."""
+    part, axis, rest = "", "", []
+    for word in _WORD.findall(name):
+        low = word.lower()
+        known = next((key for key, words in PARTS.items() if low in words), "")
+        turned = _AXIS.fullmatch(low)
+        if (known and part) or (turned and axis):
+            return None
+        if known:
+            part = known
+        elif turned:
+            axis = turned[1].replace("+", "") + turned[2]
+        elif low not in _FILLERS:
+            numbered = _POINT.fullmatch(low)
+            rest.append(numbered[1] if numbered else word.lstrip("+-"))
+    return (part, " ".join(rest), axis) if part else None
+
+
+def is_wide(sheet: Sheet) -> bool:
+    """Return whether a table has frequencies and both parts of values by the names of its columns."""
+    parts = {meant[0] for name in sheet.names if (meant := meaning(name))}
+    return any(map(is_frequency, sheet.names)) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
+
+
+def signals_of(sheet: Sheet) -> tuple[list[Signal], list[str]]:
+    """Return the beams that the names of columns describe, and the names that describe none.
+
+    The last axis of the numbers of the table are its columns.
+
+    Raises
+    ------
+    StapeskitError
+        No pair of real and imaginary part or magnitude and phase; one part alone; parts in two units; phases
+        without a unit that may be radians as well as degrees.
+    """
+    by_beam: dict[tuple[str, str], dict[str, int]] = {}
+    unknown = []
+    for column, name in enumerate(sheet.names):
+        meant = meaning(name)
+        if meant is None or meant[0] in by_beam.get(meant[1:], {}):
+            unknown.append(name)
+        else:
+            by_beam.setdefault(meant[1:], {})[meant[0]] = column
+    if not by_beam:
+        want, got = "real and imaginary part, or magnitude and phase", shown(", ".join(sheet.names))
+        raise refuse(sheet, "the columns", want, got, "Export Real & Imag., or Magnitude & Phase")
+    faults = _phase_faults(sheet, [parts["phase"] for parts in by_beam.values() if "phase" in parts])
+    signals = []
+    for (point, axis), parts in by_beam.items():
+        with collect_faults(faults):
+            signals.append(_signal(sheet, point, axis, parts))
+    raise_all(faults)
+    return signals, unknown
+
+
+def _signal(sheet: Sheet, point: str, axis: str, parts: dict[str, int]) -> Signal:
+    """Return the values of one beam from the columns of its parts."""
+    pair = [name for name in ("re", "im", "amp", "phase") if name in parts]
+    if pair not in (["re", "im"], ["amp", "phase"]):
+        thing = f"the column {sheet.names[next(iter(parts.values()))]}"
+        want = "with its phase, or a real part with its imaginary part"
+        raise refuse(sheet, thing, want, "alone", "Export both, with points and axes named alike")
+    one, other = (parts[name] for name in pair)
+    numbers, units = sheet.numbers, sheet.units
+    if pair[0] == "re" and units[one] != units[other]:
+        got = " and ".join(shown(units[column]) or "none" for column in (one, other))
+        raise refuse(sheet, "real and imaginary part", "in one unit", got)
+    if pair[0] == "re":
+        value = from_parts(numbers[..., one], numbers[..., other])
+    elif (turn := PHASES.get((units[other] or "deg").lower())) is None:
+        raise refuse(sheet, "the unit of the phases", "deg or rad", shown(units[other]))
+    else:
+        value = from_polar(numbers[..., one], numbers[..., other], turn)
+    coherence = numbers[..., parts["coherence"]] if "coherence" in parts else None
+    return Signal(point, axis, value, units[one], coherence, sheet.names[one])
+
+
+def _phase_faults(sheet: Sheet, phases: list[int]) -> list[Fault]:
+    """Refuse phases without a unit that may be radians as well as degrees."""
+    silent = [column for column in phases if not sheet.units[column]]
+    largest = float(np.max(np.nan_to_num(np.abs(sheet.numbers[..., silent])), initial=0.0))
+    if not 0.0 < largest <= np.pi + 1e-3:
+        return []
+    got = f"none, with all phases within {largest:.4g}: degrees or radians"
+    step = f'Write "{sheet.names[silent[0]]} [rad]" or "[deg]" in the header'
+    return [Fault("the unit of the phases", "stated", got, sheet.where, step)]
+
+
+def frequencies_of(sheet: Sheet) -> Array:
+    """Return the column of frequencies, Hz.
+
+    Raises
+    ------
+    StapeskitError
+        There is none, there are several, or their unit is unknown or not clear.
+    """
+    columns = [column for column, name in enumerate(sheet.names) if is_frequency(name)]
+    if len(columns) != 1:
+        got = " and ".join(sheet.names[k] for k in columns) or f"none of {shown(', '.join(sheet.names))}"
+        step = f'Export spectra, or name it: "{sheet.names[0]}" = "Frequency [Hz]" in a mapping'
+        raise refuse(sheet, "the column of frequencies", "one", got, step)
+    name, freq = sheet.names[columns[0]], sheet.numbers[:, columns[0]]
+    unit = sheet.units[columns[0]] or next((one for one in _WORD.findall(name) if one.lower() in HERTZ), "")
+    if unit and unit.lower() not in HERTZ:
+        raise refuse(sheet, "the unit of the frequencies", "Hz, kHz or MHz", shown(unit))
+    if not unit and len(freq) and np.max(freq) <= LOWEST_AUDIBLE_TOP_HZ:
+        got = f"none, with frequencies from {np.min(freq):g} to {np.max(freq):g}"
+        step = f'Write "{name} [kHz]" or "[Hz]" in the header'
+        raise refuse(sheet, "the unit of the frequencies", "stated", got, step)
+    return np.asarray(freq * HERTZ[(unit or "Hz").lower()])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.columns import meaning
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.wide import meaning
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import (
     FREQ_HZ,
