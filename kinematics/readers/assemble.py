@@ -84,8 +84,6 @@ def read_measurement(
         faults.append(Fault("--channels", "left out: no file holds time series", facts.channels.name))
     raise_all(faults)
     inputs = {"ldv" if number == 1 else f"ldv {number}": path for number, path in enumerate(paths, 1)}
-    others = {"points": points, "mapping": facts.mapping, "channels": facts.channels}
-    inputs |= {role: Path(path) for role, path in others.items() if path is not None}
     return replace(assemble(recordings, listed, facts, frame), inputs=inputs)
 
 
@@ -122,7 +120,7 @@ def assemble(
     channels = [channel for one in recordings for channel in one.channels]
     channels, about_bodies = with_bodies(channels, points, facts)
     channels, about_runs = with_runs(channels, facts)
-    raise_all([*_direction_faults(channels), *_reference_faults(channels)])
+    raise_all(_channel_faults(channels))
     value, sd = held["value"], held.get("sd", np.full(held["value"].shape, np.nan))
     raise_all(twice_faults(channels, value, _ONE_RUN))
     order = _to_one_quantity(channels, freq_hz, value, sd)
@@ -142,8 +140,8 @@ def assemble(
             bodies.append(body)
             notices += missing
     raise_all(faults)
-    present = np.array([np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies])
-    raise_all(grid_faults(freq_hz, present, [body.body for body in bodies]))
+    present = {body.body: np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies}
+    raise_all(grid_faults(freq_hz, present))
     repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
@@ -188,9 +186,9 @@ def _to_one_quantity(channels: Sequence[Channel], freq_hz: Array, value: Complex
 def _reference_noise(
     channels: Sequence[Channel], takes: Sequence[Take], held: dict[str, Any]
 ) -> Array | None:
-    """Return the noise of the reference of runs, (r, L), whose channels were all recorded together.
+    """Return the noise of the reference, (r, L), of runs whose channels were all recorded together.
 
-    Where they were not, the noise of their references is added to that of the channels.
+    Where they were not, the noise of their references is added to that of the channels in place.
     """
     common_sd = np.zeros((len(takes), held["value"].shape[1]))
     for number, take in enumerate(takes):
@@ -203,37 +201,27 @@ def _reference_noise(
     return common_sd if np.any(common_sd > 0.0) else None
 
 
-def _direction_faults(channels: Sequence[Channel]) -> list[Fault]:
-    without: dict[str, list[str]] = {}
+def _channel_faults(channels: Sequence[Channel]) -> list[Fault]:
+    """Refuse channels without direction, and responses to different quantities in one run."""
+    silent: dict[str, list[str]] = {}
+    kinds: dict[str, dict[str, str]] = {}
     for channel in channels:
         if np.any(np.isnan(channel.direction)):
-            without.setdefault(channel.body, []).append(channel.point)
-    want = "given with the direction of the beam"
-    step = "State the direction towards the laser head with --beam z, -y or X,Y,Z"
-    return [
-        Fault(f"points {list_some(names, 8)} of body {body}", want, "none", "", step)
-        for body, names in without.items()
-    ]
-
-
-def _reference_faults(channels: Sequence[Channel]) -> list[Fault]:
-    """Refuse responses to different quantities in one run."""
-    by_run: dict[str, dict[str, str]] = {}
-    for channel in channels:
+            silent.setdefault(channel.body, []).append(channel.point)
         kind = f"responses per {channel.per}" if channel.per else "amplitudes"
-        by_run.setdefault(channel.run, {}).setdefault(kind, str(channel.where) or channel.file)
-    want, step = "of one unit", "Export all points as responses to one reference, or all as amplitudes"
-    return [
-        Fault(
-            "the values of one run",
-            want,
-            " and ".join(f"{kind} ({where})" for kind, where in kinds.items()),
-            f"run {run}",
-            step,
-        )
-        for run, kinds in by_run.items()
-        if len(kinds) > 1
+        kinds.setdefault(channel.run, {}).setdefault(kind, f"{kind} ({channel.where or channel.file})")
+    step = "State the direction towards the laser head with --beam z, -y or X,Y,Z"
+    want = "given with the direction of the beam"
+    faults = [
+        Fault(f"points {list_some(names, 8)} of body {body}", want, "none", "", step)
+        for body, names in silent.items()
     ]
+    step = "Export all points as responses to one reference, or all as amplitudes"
+    for run, found in kinds.items():
+        if len(found) > 1:
+            got = " and ".join(found.values())
+            faults.append(Fault("the values of one run", "of one unit", got, f"run {run}", step))
+    return faults
 
 
 def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:

@@ -26,6 +26,7 @@ _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP, _COMPOUND, _HDF5 = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", b"\x89HDF\r\n\x1a\n"
 _SOUND = (b"RIFF", b"RIFX", b"RF64")
+_TABLES = (".csv", ".tsv", ".txt")
 _TIDY = {"body", "dir", "dir_x", "freq_hz"}
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
 _EXPORT_STEP = (
@@ -73,8 +74,6 @@ class Format:
         What it is, in messages; what is read of it, for the help and the documentation.
     holds : callable
         Takes the Head of a file and returns whether it is of this format.
-    suffixes : tuple of str
-        Endings of names that decide where no content does.
     libraries : tuple of str
         What reads the file in a child process with limits; empty: plain text, read in this process.
     series : bool
@@ -85,7 +84,6 @@ class Format:
     words: str
     holds: Callable[[Head], bool]
     reads: str
-    suffixes: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
     series: bool = False
 
@@ -106,7 +104,7 @@ FORMATS = (
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
         "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 164 units",
-        (".uff", ".unv", ".bunv", ".ufb"), libraries=("pyuff",),
+        libraries=("pyuff",),
     ),
     Format(
         "psv", "text exports of a scanning vibrometer (a folder, or .txt)", lambda head: head.kind == "psv",
@@ -126,10 +124,10 @@ FORMATS = (
         "...`); other names by `--mapping`",
     ),
     Format(
-        "tidy", "a tidy table (.csv)", lambda _head: False,
+        "tidy", "a tidy table (.csv)",
+        lambda head: head.suffix in _TABLES and not head.content.startswith(_ZIP),
         "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` "
         "comments, `sep=;`; anything else is refused with file, line and column, all faults in one message",
-        (".csv", ".tsv", ".txt"),
     ),
 )  # fmt: skip
 """In the order in which they are tried."""
@@ -180,9 +178,6 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     if held is not None:
         return held
     archive, scan = head.content.startswith(_ZIP), head.suffix in (".svd", ".pvd", ".set")
-    by_name = next((entry for entry in FORMATS if head.suffix in entry.suffixes), None)
-    if by_name is not None and not archive and (head.content or by_name.name == "tidy"):
-        return by_name
     want, got = f"one of {', '.join(entry.words for entry in FORMATS)}", path.suffix or path.name
     step = "See points2dof --help for the layouts"
     if archive:

@@ -93,8 +93,9 @@ def recording_of(file: str, rows: Sequence[Row], twice: str = _ONE_SIGNAL, **fac
     if not rows:
         step = "Export the points with their spectra"
         raise StapeskitError.of("the file", "with values of at least one point", "none", file, step)
-    found, kinds, faults = _in_si([_ascending(row) for row in rows])
-    raise_all([*faults, *_line_faults(rows), *_direction_faults(rows)])
+    rows = [_ascending(row) for row in rows]
+    found, kinds, faults = _in_si(rows)
+    raise_all([*faults, *_line_faults(rows)])
     found, notices = _one_quantity(found, file)
     channels = tuple(replace(row.channel, file=file) for row in found)
     grid, matrices, about_lines = matrices_of(found, file)
@@ -212,27 +213,14 @@ def _line_faults(rows: Sequence[Row]) -> list[Fault]:
     bad: list[Channel] = []
     got: list[str] = []
     for row in rows:
-        freq = np.sort(row.freq_hz)
-        texts = [f"{one:g}" for one in freq[~((freq >= 0.0) & (freq <= HIGHEST_HZ))]]
-        texts += [f"{one:g} twice" for one in freq[1:][np.diff(freq) == 0.0]]
+        freq = row.freq_hz
+        texts = [f"{one:g}" for one in freq[~((freq >= 0.0) & (freq <= HIGHEST_HZ))].tolist()]
+        texts += [f"{one:g} twice" for one in freq[1:][np.diff(freq) == 0.0].tolist()]
         if texts or not len(freq):
             bad.append(row.channel)
             got += texts or ["none"]
-    if not bad:
-        return []
     want, step = "finite, different and not negative", "Write every frequency once, in Hz"
-    return [fault_of(bad, "the frequencies", want, list_some(got), step)]
-
-
-def _direction_faults(rows: Sequence[Row]) -> list[Fault]:
-    with np.errstate(over="ignore"):
-        lengths = np.linalg.norm([row.channel.direction for row in rows], axis=1)
-    bad = np.flatnonzero(np.abs(lengths - 1.0) > 1e-3).tolist()  # not so for NaN
-    if not bad:
-        return []
-    want, step = "a unit vector (within 1e-3)", "Divide the direction by its length"
-    channels = [rows[row].channel for row in bad]
-    return [fault_of(channels, "a direction", want, f"length {lengths[bad[0]]:.4g}", step)]
+    return [fault_of(bad, "the frequencies", want, list_some(got), step)] if bad else []
 
 
 def _one_quantity(rows: Sequence[Row], file: str) -> tuple[list[Row], list[Notice]]:
@@ -253,9 +241,12 @@ def _one_quantity(rows: Sequence[Row], file: str) -> tuple[list[Row], list[Notic
 def _range_faults(channels: Sequence[Channel], matrices: dict[str, Any]) -> list[Fault]:
     """Refuse numbers that no motion can have; one sentence a kind."""
     places_mm = 1e3 * np.array([channel.position_m for channel in channels])
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm([channel.direction for channel in channels], axis=1)
     limits: tuple[tuple[str, Array | None, float, float], ...] = (
         ("the values", np.abs(matrices["value"]), 0.0, LARGEST),
         ("the coordinates of the points, in mm", np.abs(places_mm), 0.0, FARTHEST_MM),
+        ("the length of a direction", lengths[:, None], 0.999, 1.001),
         ("the standard deviations", matrices.get("sd"), 0.0, LARGEST),
         ("the coherence", matrices.get("coherence"), 0.0, 1.0),
         ("the number of averages", matrices.get("n_avg"), 1.0, LARGEST),
@@ -267,7 +258,7 @@ def _range_faults(channels: Sequence[Channel], matrices: dict[str, Any]) -> list
         bad = (numbers < low) | (numbers > high)
         if np.any(bad):
             got = f"{numbers[bad][0]:.6g}, and {int(np.sum(bad)) - 1} more"
-            want = f"from {low:g} to {high:g}, or NaN where missing"
+            want = f"from {low:g} to {high:g}, or missing"
             mine = [channels[row] for row in np.flatnonzero(np.any(bad, axis=1)).tolist()]
             faults.append(fault_of(mine, thing, want, got, "Export it again"))
     return faults

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,24 +90,22 @@ def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
         raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, where, step)
 
 
-def grid_faults(freq_hz: Array, present: NDArray[np.bool_], names: Sequence[str]) -> list[Fault]:
+def grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> list[Fault]:
     """List the bodies that share less than half of the lines that they could share with the first one.
 
-    ``present`` (body, L) says where each body was measured.
+    ``present`` says by body where it was measured, (L,).
     """
     faults = []
-    measured = [(name, np.flatnonzero(row)) for name, row in zip(names, present, strict=True) if np.any(row)]
-    for name, lines in measured[1:]:
-        first_name, first = measured[0]
+    measured = {name: np.flatnonzero(row) for name, row in present.items() if np.any(row)}
+    for name, lines in list(measured.items())[1:]:
+        first_name, first = next(iter(measured.items()))
+        common = len(np.intersect1d(first, lines))
         low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
         within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (first, lines))
-        common = len(np.intersect1d(first, lines))
         if not common or 2 * common < within:
-            spans = (
-                f"{len(rows)} lines from {freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz"
-                for rows in (first, lines)
-            )
+            spans = [f"{freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz" for rows in (first, lines)]
             want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
-            got, step = f"{' and '.join(spans)}, {common} in common", "Measure both bodies on one grid"
-            faults.append(Fault(f"the frequencies of bodies {first_name} and {name}", want, got, "", step))
+            got = f"{len(first)} from {spans[0]} and {len(lines)} from {spans[1]}, {common} in common"
+            thing, step = f"the frequencies of bodies {first_name} and {name}", "Measure both on one grid"
+            faults.append(Fault(thing, want, got, "", step))
     return faults

@@ -174,7 +174,7 @@ IMPOSSIBLE = {
     "the coherence": {"coherence": 1.5},
     "the number of averages": {"n_avg": 0.0},
     "the standard deviations": {"sd": -1.0},
-    "a direction": {"channel": Channel("1", direction=2.0 * Z)},
+    "the length of a direction": {"channel": Channel("1", direction=2.0 * Z)},
     "the coordinates of the points, in mm": {"channel": Channel("1", position_m=np.full(3, 1e10))},
 }
 
