@@ -70,6 +70,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         return recording_of(
             path.name,
             [row for part in parts for row in part.rows()],
+            "Keep one of the signals, and save each excitation to a file of its own",
             notices=(notice,) if strings else (),
             statement=f"variables of {path.name}",
             length_stated=all(bool(part.length_unit) or not part.name("position") for part in parts),
@@ -89,12 +90,7 @@ def _parts_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
     whole = Variables(low, file)
     if whole.name("frequency"):
         return [whole]
-    structs = {
-        name: [value] if isinstance(value, Mapping) else list(value)
-        for name, value in low.items()
-        if isinstance(value, Mapping)
-        or (np.ndim(value) == 1 and len(value) and all(isinstance(one, Mapping) for one in value))
-    }
+    structs = {name: elements for name, value in low.items() if (elements := _structs_of(value))}
     if len(structs) == 1:
         ((struct, elements),) = structs.items()
         parts = []
@@ -104,9 +100,16 @@ def _parts_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
             parts.append(Variables({**low, **inner}, f"{file}, {struct}", point))
         if all(part.name("frequency") for part in parts):
             return parts
-    sizes = {name: " x ".join(map(str, np.shape(value))) for name, value in tree.items()}
+    sizes = {name: " x ".join(map(str, getattr(value, "shape", ()))) for name, value in tree.items()}
     listed = list_some((f"{name} ({size})" if size else name for name, size in sizes.items()), 12)
     raise StapeskitError.of(file, "of a known layout", f"the variables {listed or 'none'}", "", _STEP)
+
+
+def _structs_of(value: Any) -> list[Mapping[str, Any]]:
+    """Return a struct, or the elements of a struct array; nothing of other variables."""
+    listed = [value] if isinstance(value, Mapping) else value
+    found = list(listed) if isinstance(listed, list | np.ndarray) and np.shape(listed[:1]) == (1,) else []
+    return found if all(isinstance(one, Mapping) for one in found) else []
 
 
 @dataclass(frozen=True)
@@ -197,10 +200,10 @@ class Variables:
             step = "Export the FFT or the FRF: an auto or cross power has no phase of its own"
             self.refuse(source, "an amplitude spectrum", "a power", step)
         one, other = (self.shaped(parts.get(part, source), len(freq)) for part in ("re", "im"))
+        if one.shape != other.shape or ({"re", "im"} - set(parts) and not np.iscomplexobj(one)):
+            want, step = "complex, or of two parts", "Export Real & Imag.: without phase there is no motion"
+            self.refuse(f"the variable {source}", want, "real numbers alone", step)
         value = one if np.iscomplexobj(one) else from_parts(one, np.real(other))
-        if one.shape != other.shape or ("im" not in parts and not np.iscomplexobj(one)):
-            want, step = "complex", "Export Real & Imag.: without phase there is no motion"
-            self.refuse(f"the variable {source}", want, "real numbers", step)
         count, _, beams = value.shape
         names = self.texts(self.name("points"), count) if self.name("points") else [self.point] * count
         names = names if any(names) else [str(k) for k in range(1, count + 1)]

@@ -85,8 +85,8 @@ def read(path: Path, facts: FileFacts) -> Recording:
     names = [row.name for row in (*responses, *references)]
     rate, samples, set_hz = _read_samples(path, names)
     notices = sample_notices({name: [one] for name, one in samples.items()}, path.name)
-    alive = [row for row in responses if np.any(samples[row.name] != samples[row.name][0])]
-    if silent := [row.name for row in responses if row not in alive]:
+    alive = [row for row in responses if np.ptp(samples[row.name]) > 0.0]
+    if silent := [row.name for row in responses if np.ptp(samples[row.name]) == 0.0]:
         text = f"{list_some(silent, 6)} of {path.name} hold one value throughout and are left out."
         notices.append(Notice("zero_rows", text))
     if not alive:
@@ -202,10 +202,12 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
         want = f"in the file, which has {listed}"
         raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
     samples = {name: held[name.lower()].astype(float) for name in names}
-    counts = {len(one) for one in samples.values()}
-    longest = max(counts)
-    if len(counts) > 1 or longest < _SHORTEST:
-        got = ", ".join(f"{name} {len(one)}" for name, one in samples.items())
+    set_hz = held.get("freq_hz")
+    counts = {name: len(one) for name, one in samples.items()}
+    counts |= {} if set_hz is None else {"freq_hz": len(set_hz)}
+    longest = max(counts.values())
+    if len(set(counts.values())) > 1 or longest < _SHORTEST:
+        got = ", ".join(f"{name} {count}" for name, count in counts.items())
         want, step = f"of one number of samples, {_SHORTEST} at least", "Resample them to one rate"
         raise StapeskitError.of("the channels", want, got, path.name, step)
     times = [held[name].astype(float) for name in TIMES if name in held and len(held[name]) == longest]
@@ -222,8 +224,7 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
             want, step = f"finite and below {LARGEST:g}", "Cut the record, or leave the channel out"
             faults.append(Fault(f"the samples of channel {name}", want, got, path.name, step))
     raise_all(faults)
-    set_hz = held.get("freq_hz")
-    return rate, samples, set_hz if set_hz is not None and len(set_hz) == longest else None
+    return rate, samples, set_hz
 
 
 def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
