@@ -28,29 +28,9 @@ _SPAN = re.compile(r"(\d{1,9})\s*-\s*(\d{1,9})")
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What the user states where files are silent: options of the command, by their names.
+    """What the user states where files are silent: options of ``points2dof``, by their names.
 
-    Attributes
-    ----------
-    body : tuple of str
-        ``NAME=POINTS`` each: points are numbers, ranges 3-7, names, FILE or FILE:POINTS, comma separated.
-    run : tuple of str
-        ``NAME=FILE`` each: the excitation that a file belongs to.
-    beam : str
-        Direction towards the laser head, x, -y ... or three numbers.
-    amplitude : str
-        ``peak`` or ``rms``; empty: peak, with a warning.
-    length_unit : str
-        Of positions; empty: m, with a warning.
-    n_avg : float, optional
-        Number of averages behind each value.
-    mapping : Path, optional
-        New names for the columns of wide tables; see `kinematics.readers.wide`.
-    channels : Path, optional
-        With it, files hold time series; see `kinematics.readers.series`.
-    averages, period_s, settle
-        How responses are estimated from time series: segments of random excitation; period of a periodic one;
-        share of the steps of a stepped sine that is left out at their start.
+    See `kinematics.options.MotionOptions`; empty or None where nothing is stated.
     """
 
     body: tuple[str, ...] = ()

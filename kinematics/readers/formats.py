@@ -66,18 +66,10 @@ class Head:
 class Format:
     """A format of vibrometer files.
 
-    Attributes
-    ----------
-    name : str
-        Also the module below this package that has ``read(path, facts)``.
-    words, reads : str
-        What it is, in messages; what is read of it, for the help and the documentation.
-    holds : callable
-        Takes the Head of a file and returns whether it is of this format.
-    libraries : tuple of str
-        What reads the file in a child process with limits; empty: plain text, read in this process.
-    series : bool
-        Whether a table of channels makes it time series.
+    ``name`` is also the module that has ``read(path, facts)``; ``words`` say what it is, ``reads`` what is
+    read of it, in help and docs; ``holds`` says whether a file is of it. ``libraries`` read it in a child
+    process with limits; without any it is plain text, read in this process. With ``series`` a table of
+    channels makes it time series.
     """
 
     name: str

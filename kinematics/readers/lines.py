@@ -27,21 +27,10 @@ _ANY_PLACES = 4_000_000  # 64 MB of values, of which any share may be empty
 
 
 def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice]]:
-    """Join grids of frequencies; lines are joined within 1 % of the spacing and 1e-4 of the frequency.
+    """Join grids of frequencies, (l,) each, ascending, in Hz.
 
-    Parameters
-    ----------
-    grids : sequence of ndarray, (l,)
-        Frequencies of each channel, Hz, ascending.
-
-    Returns
-    -------
-    freq_hz : ndarray, (L,)
-        Of the first grid that has each line.
-    places : list of ndarray, (l,)
-        Which line each frequency of a grid is.
-    notices : list of Notice
-        Whether lines were joined that differ by more than rounding.
+    Returns the frequencies (L,), of the first grid that has each line; which line each frequency of a grid
+    is, (l,) each; and whether lines were joined that differ by more than rounding.
     """
     keys = [np.ascontiguousarray(grid, dtype=float).tobytes() for grid in grids]
     different = dict(zip(keys, grids, strict=True))

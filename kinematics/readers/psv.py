@@ -24,7 +24,7 @@ from kinematics.readers.text import decoded, export_files, shown
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from kinematics.readers.wide import frequencies_of, signals_of
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
@@ -38,7 +38,7 @@ _PLACE = re.compile(
     r"\b([xyz])\s*=?\s*([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![a-z])", re.IGNORECASE
 )
 _HERTZ = re.compile(r"\s*([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([kM]?Hz)\s*", re.IGNORECASE)
-_SAME_PLACE = {"atol": 1e-6, "rtol": 1e-5}  # m: positions written with four digits
+_SAME_PLACE_M = 1e-6  # positions written with four digits
 _APART = "Put the files of every measurement and excitation into a folder of its own"
 
 
@@ -75,9 +75,6 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
                 rows += found
                 stated &= length_stated
         raise_all(faults)
-    keys = {(row.channel.point, row.channel.beam_key, row.channel.run, row.unit) for row in rows}
-    if len({key[:2] + key[3:] for key in keys}) == len(keys):  # sources that measure other points are parts
-        rows = [replace(row, channel=replace(row.channel, run="")) for row in rows]
     units = "positions in stated units" if stated else "positions without unit, as metres"
     return recording_of(
         path.name,
@@ -95,28 +92,25 @@ def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
     Raises
     ------
     StapeskitError
-        Tables of several measurements, of other points or columns, without a frequency, or whose points have
-        other positions.
+        Tables of several scans (sources, columns, points, positions), or of no or one frequency twice.
     """
-    first, faults = sheets[0], list[Fault]()
+    first = sheets[0]
     names, positions, stated = _points(first)
-    sources = list(dict.fromkeys(sheet.field_of(_SOURCE) for sheet in sheets))
-    if len(sources) > 1:
-        got = list_some(map(shown, sources), 4, " and ")
-        faults.append(Fault("the source of the files", "one measurement", got, first.where.file, _APART))
-    for sheet in sheets[1:]:
-        others, places, _ = _points(sheet)
-        if (sheet.names, sheet.units, others) != (first.names, first.units, names):
-            step = "Export all frequencies of one scan in one way"
-            faults.append(Fault("the tables", "of the same columns and points", "others", sheet.where, step))
-        elif not np.allclose(places, positions, equal_nan=True, **_SAME_PLACE):
-            thing, step = "the positions of the points", "Export one scan"
-            faults.append(Fault(thing, "the same at all frequencies", "others", sheet.where, step))
     freq = np.array([_frequency(sheet) for sheet in sheets])
-    for one in np.unique(freq).tolist():
-        same = [str(sheets[k].where) for k in np.flatnonzero(freq == one).tolist()]
-        if len(same) > 1:
-            faults.append(Fault(f"the frequency {one:g} Hz", "there once", " and ".join(same), "", _APART))
+    faults = []
+    for number, sheet in enumerate(sheets):
+        others, places, _ = _points(sheet)
+        differences = {
+            "another source": sheet.field_of(_SOURCE) != first.field_of(_SOURCE),
+            "other columns": (sheet.names, sheet.units) != (first.names, first.units),
+            "other points": others != names,
+            "other positions": others == names
+            and not np.allclose(places, positions, 1e-5, _SAME_PLACE_M, equal_nan=True),
+            f"{freq[number]:g} Hz again": freq[number] in freq[:number],
+        }
+        if got := ", ".join(text for text, true in differences.items() if true):
+            want = "of one scan, each of another frequency"
+            faults.append(Fault("the tables", want, got, sheet.where, _APART))
     raise_all(faults)
     signals, _ = signals_of(replace(first, numbers=np.stack([sheet.numbers for sheet in sheets])))
     rows = []
@@ -155,7 +149,6 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     direction = axis_vector(axis[1].replace("+", "") + axis[2].lower()) if axis else None
     channel = Channel(
         number[1],
-        run=Path((sheet.field_of(_SOURCE) or sheet.where.file).replace("\\", "/")).stem,
         position_m=position,
         direction=unknown_vector() if direction is None else direction,
         where=sheet.where,
@@ -197,17 +190,13 @@ def _frequency(sheet: Sheet) -> float:
 
 def _treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
     """Report values that were mixed between points."""
-    yes = ("yes", "ja", "oui", "1")
-    marks = [
-        mark
-        for mark in ("interpolated", "filtered")
-        if any(sheet.fields.get(mark, "").strip().lower() in yes for sheet in sheets)
-    ]
+    marks = [sheet.fields.get(mark, "") for mark in ("interpolated", "filtered") for sheet in sheets]
     text = (
-        f"{file} was exported {' and '.join(marks)}: values were mixed between points, so that points do not "
-        "err independently. Export the measured values."
+        f"{file} was exported interpolated or filtered: values were mixed between points, so that points do "
+        "not err independently. Export the measured values."
     )
-    return [Notice("file_read", text)] if marks else []
+    mixed = any(mark.strip().lower() in ("yes", "ja", "oui", "1") for mark in marks)
+    return [Notice("file_read", text)] if mixed else []
 
 
 def _beam_notices(rows: Sequence[Row], file: str) -> list[Notice]:

@@ -24,7 +24,7 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of, is_file
 from kinematics.readers.gather import Row, recording_of
-from kinematics.readers.points import require, text_of
+from kinematics.readers.points import cell_faults, require, text_of
 from kinematics.readers.recording import SI_UNITS, Channel, Recording, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
@@ -135,6 +135,9 @@ def read_channels(path: Path) -> list[Listed]:
 
     table = read_table(path, choose)
     faults = list(table.faults)
+    if "sensitivity" in table.numbers:
+        step = "Give the factor from the numbers of the file to unit"
+        faults += cell_faults(table, "sensitivity", 1.0 / LARGEST, LARGEST, step)
     listed = [_listed(table, row, faults) for row in range(len(table))]
     keys = [(row.name, row.file) for row in listed]
     faults += [
@@ -150,25 +153,22 @@ def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
     """Read one row of the table of channels; what is wrong is added to the faults."""
     texts = {name: text_of(table, name, row) for name in _TEXTS}
     numbers = {name: table.numbers.get(name, np.full(row + 1, np.nan))[row] for name in _NUMBERS}
-    where = table.where(row)
-    role = texts["role"].lower() or "response"
-    if role not in ROLES or not texts["channel"]:
-        got = shown(f"{texts['channel']} {role}")
-        faults.append(Fault("channel and role", f"a name, and one of {', '.join(ROLES)}", got, where))
+    where, role = table.where(row), texts["role"].lower() or "response"
     factor = 1.0 if np.isnan(numbers["sensitivity"]) else float(numbers["sensitivity"])
-    if not 0.0 < factor < np.inf:
-        faults.append(Fault("sensitivity", "a positive number", f"{factor:g}", where))
     unit = motion_unit(texts["unit"])
     unit = None if unit is None or unit.per else unit
+    if role not in ROLES or not texts["channel"]:
+        got, want = shown(f"{texts['channel']} {role}"), f"a name, and one of {', '.join(ROLES)}"
+        faults.append(Fault("channel and role", want, got, where))
+    if is_none(texts["unit"]) if role == "reference" else unit is None and role == "response":
+        step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
+        want, got = f"one of {MOTIONS}; of a reference any", shown(texts["unit"]) or "none"
+        faults.append(Fault("unit", want, got, where, step))
     direction = unknown_vector()
     if role == "response":
         direction = np.array([numbers[name] for name in _NUMBERS[:3]])
         with collect_faults(faults):
             direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
-    if (role == "response" and unit is None) or (role == "reference" and is_none(texts["unit"])):
-        step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
-        want, got = f"one of {MOTIONS}; of a reference any", shown(texts["unit"]) or "none"
-        faults.append(Fault("the unit of unit", want, got, where, step))
     channel = Channel(
         plain_name(texts["point"]) or "1",
         texts["body"],

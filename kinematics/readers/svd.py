@@ -82,14 +82,9 @@ class Medium:
 class Scan:
     """What the scan file holds; p points, L lines, in SI.
 
-    Attributes
-    ----------
-    points_m : ndarray, (p, 3)
-        In the aligned coordinates of the scan; NaN where the file has none.
-    cross : ndarray, (p, L), complex
-        Averaged cross power, vibrometer times conjugate of reference; NaN at points that were not measured.
-    auto, auto_reference : ndarray, (p, L)
-        Averaged auto powers.
+    ``points_m`` (p, 3) are in the aligned coordinates of the scan, NaN where the file has none; ``cross``
+    (p, L) is the averaged cross power, vibrometer times conjugate of reference, ``auto`` and
+    ``auto_reference`` (p, L) the auto powers, NaN at points that were not measured.
     """
 
     version: str
@@ -140,14 +135,13 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")
     # the ratio of powers of an empty line is no number: a missing value
     with np.errstate(divide="ignore", invalid="ignore"):
-        response, coherence = scan.h1, scan.coherence
+        response, coherence = scan.h1, np.minimum(scan.coherence, 1.0)
     response[~np.isfinite(response)] = np.nan
     rows = []
     for point in np.flatnonzero(measured).tolist():
         place, where = scan.points_m[point], Place(path.name, "point", (point + 1,))
         channel = Channel(str(point + 1), per=per, position_m=place, direction=direction, where=where)
-        noise = {"coherence": np.minimum(coherence[point], 1.0), "n_avg": float(scan.averages)}
-        rows.append(Row(channel, scan.freq_hz, response[point], **noise))
+        rows.append(Row(channel, scan.freq_hz, response[point], None, coherence[point], scan.averages))
     statement = (
         f"PSV {scan.version}, aligned coordinates in metres, H1 of {scan.names[0]} over {scan.names[1]}, "
         f"{scan.averages} averages"
@@ -156,13 +150,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 
 
 def read_scan(path: Path) -> Scan:
-    """Read the averaged powers of a scan file.
-
-    Raises
-    ------
-    StapeskitError
-        As `read`.
-    """
+    """Read the averaged powers of a scan file; refused as `read` does."""
     import olefile
 
     try:

@@ -122,30 +122,25 @@ def _datasets(path: Path, content: bytes, name: str) -> tuple[list[Dataset], lis
     import pyuff
 
     faults: list[Fault] = []
-    whole = content.rstrip(b" \t\r\n\0\x1a")
-    if not whole.endswith(b" -1"):
-        got = shown(whole.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"
+    end = content.rstrip(b" \t\r\n\0\x1a")
+    if not end.endswith(b" -1"):
+        got = shown(end.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"
         faults.append(Fault("the last line of a universal file", "-1", got, name, CUT))
     file = pyuff.UFF(str(path))
     sets: list[Dataset] = []
-    damaged: list[int] = []
     for place in range(1, file.get_n_sets() + 1):
+        want, got, where = "whole, as its header says", "another layout", Place(name, "dataset", (place,))
         try:
             one = {**file.read_sets(place - 1), "place": place}
+            x, y = (np.atleast_1d(one.get(axis, [])) for axis in ("x", "data"))
+            got = f"{len(y)} of {one.get('num_pts')} values"
+            whole = one["type"] != 58 or (len(y) > 0 and len(x) == len(y) == one["num_pts"])
         except Exception:  # pyuff raises plain exceptions of many kinds
-            damaged.append(place)
-            continue
-        if one.get("type") == 58:
-            x, y = np.atleast_1d(one.get("x", [])), np.atleast_1d(one.get("data", []))
-            if not len(y) or len(y) != one["num_pts"] or len(x) != len(y):
-                got, where = f"{len(y)} of {one['num_pts']}", Place(name, "dataset", (place,))
-                want = "as many as its header says"
-                faults.append(Fault("the values of a function", want, got, where, CUT))
-                continue
-        sets.append(one)
-    if damaged:
-        where = Place(name, "dataset", tuple(damaged))
-        faults.append(Fault("a dataset", "as the format describes it", "another layout", where, CUT))
+            whole = False
+        if whole:
+            sets.append(one)
+        else:
+            faults.append(Fault("a dataset", want, got, where, CUT))
     return sets, faults
 
 

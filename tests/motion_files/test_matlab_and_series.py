@@ -175,7 +175,7 @@ SERIES_MISTAKES = {
         ["a,response,stapes,1,z,m/s,", "b,reference,,,,V,", "d,reference,,,,V,"],
         "the table of channels",
     ),
-    "no unit": (["a,response,stapes,1,z,V,", "d,reference,,,,V,"], "the unit of unit"),
+    "no unit": (["a,response,stapes,1,z,V,", "d,reference,,,,V,"], "unit"),
     "another direction": (["a,response,stapes,1,w,m/s,", "d,reference,,,,V,"], "dir"),
     "listed twice": (
         ["a,response,stapes,1,z,m/s,", "a,response,stapes,1,z,m/s,", "d,reference,,,,V,"],

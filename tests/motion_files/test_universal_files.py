@@ -144,7 +144,7 @@ def test_velocity_is_taken_before_displacement_and_responses_before_spectra(tmp_
 
 REFUSED = {
     "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "the direction of a function"),
-    "fewer values": (function(FREQ_HZ, VALUE, count=9), "the values of a function"),
+    "fewer values": (function(FREQ_HZ, VALUE, count=9), "a dataset"),
     "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "quantity and unit"),
     "one frequency twice": (
         function([1.0, 1.0, 2.0, 3.0], VALUE, even=False),

@@ -157,17 +157,17 @@ def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
 
 
 SCANS = {
-    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequency 400 Hz"),
+    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the tables"),
     "two scans": (
         [
             fastscan(400, PLACES_M, VELOCITY[:, :, 0]),
             fastscan(500, PLACES_M, VELOCITY[:, :, 0]).replace(b"ear.svd", b"old.svd"),
         ],
-        "the source of the files",
+        "the tables",
     ),
     "points that move": (
         [fastscan(400, PLACES_M, VELOCITY[:, :, 0]), fastscan(500, 2 * PLACES_M, VELOCITY[:, :, 0])],
-        "the positions of the points",
+        "the tables",
     ),
     "decibels": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0], "dB")], "the unit of Real X, Real Y, Real Z"),
     "a row cut short": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0]).rsplit(b"\t", 1)[0]], "a row"),
@@ -187,13 +187,13 @@ def test_values_mixed_between_points_are_reported(tmp_path):
     assert "interpolated" in text
 
 
-def test_points_of_two_sources_are_two_runs(tmp_path):
+def test_points_of_two_sources_are_refused_where_they_repeat(tmp_path):
     blocks = [
         point_block(1, VELOCITY[0, 0], PLACES_M[0], source=f"{name}.svd", component="-Z") for name in "ab"
     ]
-    measured = read_measurement([written(tmp_path, b"\r\n".join(blocks), "a.txt")])
-    assert measured.runs == ("a", "b")
-    assert np.array_equal(measured.bodies[0].directions, [[0.0, 0.0, -1.0]])
+    found = faults(written(tmp_path, b"\r\n".join(blocks), "a.txt"))
+    assert [fault.thing for fault in found] == ["the channel 1 (-z)"]
+    assert "a folder of its own" in found[0].next_step
 
 
 def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
