@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,11 +9,6 @@ from stapeskit.command import Outcome, progress_line, run
 
 if TYPE_CHECKING:
     from kinematics.results import MotionResult
-
-# Matrices are small: threads of BLAS cost more than they save, most of all on a busy machine. Before numpy is
-# loaded.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 SCHEMA = "stapeskit.points2dof/1"
 

@@ -66,6 +66,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     work : callable
         Takes the words of the command line; returns the outcome, or None when it has printed already.
     """
+    import gc
     import os
     import signal
     import warnings
@@ -74,6 +75,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
         os.environ.setdefault(
             name, "1"
         )  # small matrices: threads that wait for each other cost more than they bring
+    gc.set_threshold(50_000)  # looking for cycles among objects that live on took a tenth of a command
     if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
         warnings.simplefilter("ignore")
     for name in ("SIGTERM", "SIGHUP"):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.polydata import arrays_of, polydata
 from stapeskit.records.measured_mass import MeasuredMass
 
 BODIES = ("stapes", "plate")
@@ -33,19 +34,10 @@ class Surface:
 
     @cached_property
     def _distance(self) -> Any:
-        from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
-        from vtkmodules.vtkCommonCore import vtkPoints
-        from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
         from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 
-        points, cells, surface = vtkPoints(), vtkCellArray(), vtkPolyData()
-        points.SetData(numpy_to_vtk(np.ascontiguousarray(self.vertices_mm, dtype=float), deep=True))
-        numbered = np.column_stack([np.full(len(self.faces), 3), self.faces]).astype(np.int64)
-        cells.ImportLegacyFormat(numpy_to_vtkIdTypeArray(numbered.ravel(), deep=True))
-        surface.SetPoints(points)
-        surface.SetPolys(cells)
         distance = vtkImplicitPolyDataDistance()
-        distance.SetInput(surface)
+        distance.SetInput(polydata(self.vertices_mm, self.faces))
         return distance
 
     def signed(self, points_mm: Array) -> tuple[Array, Array]:
@@ -74,7 +66,6 @@ def surfaces_of(mass: MeasuredMass) -> dict[str, Surface]:
 
 
 def _read(path: Path, name: str) -> Surface:
-    from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkObject
     from vtkmodules.vtkIOPLY import vtkPLYReader
 
@@ -88,6 +79,4 @@ def _read(path: Path, name: str) -> Surface:
         raise StapeskitError.of(
             f"the surface {path.name}", "made of triangles", "none", path.parent.name, step
         )
-    vertices = np.array(vtk_to_numpy(data.GetPoints().GetData()), dtype=float)
-    faces = np.array(vtk_to_numpy(data.GetPolys().GetConnectivityArray()), dtype=np.int64).reshape(-1, 3)
-    return Surface(name, vertices, faces)
+    return Surface(name, *arrays_of(data))

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform
+from stapeskit.polydata import arrays_of, polydata
 from stapeskit.report.colours import AXIS_COLOURS, PAGE_COLOURS, VERDICT_COLOURS, lighten
 
 Faces = NDArray[np.int64]
@@ -252,20 +253,21 @@ def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array
     The corners in each cell of a grid become the one that is nearest to the planes of their triangles
     (Lindstrom 2000, doi:10.1145/344779.344912).
     """
-    import pyvista as pv
+    vertices, triangles = np.asarray(vertices_mm, dtype=float), np.asarray(faces, dtype=np.int64)
+    if len(triangles) <= most:
+        return vertices, triangles
     from vtkmodules.vtkFiltersCore import vtkQuadricClustering
 
-    surface = pv.PolyData.from_regular_faces(np.asarray(vertices_mm, dtype=float), np.asarray(faces))
-    if surface.n_cells > most:
-        cell = np.sqrt(2.2 * surface.area / most)  # a cell has about 2.2 triangles for each face that is cut
-        cells = np.maximum(np.ptp(surface.points, axis=0) / cell, 1.0).astype(int)
-        clusters = vtkQuadricClustering()
-        clusters.SetInputData(surface)
-        clusters.AutoAdjustNumberOfDivisionsOff()
-        clusters.SetNumberOfDivisions(*cells.tolist())
-        clusters.Update()
-        surface = pv.wrap(clusters.GetOutput())
-    return np.asarray(surface.points, dtype=float), np.asarray(surface.regular_faces, dtype=np.int64)
+    a, b, c = vertices[triangles].swapaxes(0, 1)
+    area = 0.5 * float(np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1)))
+    cell = np.sqrt(2.2 * area / most)  # a cell has about 2.2 triangles for each face that is cut
+    cells = np.maximum(np.ptp(vertices, axis=0) / cell, 1.0).astype(int)
+    clusters = vtkQuadricClustering()
+    clusters.SetInputData(polydata(vertices, triangles))
+    clusters.AutoAdjustNumberOfDivisionsOff()
+    clusters.SetNumberOfDivisions(*cells.tolist())
+    clusters.Update()
+    return arrays_of(clusters.GetOutput())
 
 
 def _packed(values: NDArray[Any]) -> str:
