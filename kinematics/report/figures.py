@@ -64,7 +64,7 @@ def spectra_figure(motion: RigidMotion) -> Figure:
         amplitude.set_ylabel(plain(f"|{name}{per}| ({unit})"))
         phase.set_ylabel(f"phase of {name} (°)")
         phase.set_ylim(-190, 190)
-        phase.set_yticks([-180, -90, 0, 90, 180])
+        phase.set_yticks([-180, 0, 180])
         if extent:
             amplitude_axis(amplitude, min(extent), max(extent))
     for view in axes[:, :].flat:
