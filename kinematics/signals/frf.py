@@ -1,8 +1,8 @@
 """Frequency responses from time series: H1 with its coherence and the variance of each channel.
 
-Random or transient excitation: averages over overlapping Hann segments by scipy.signal. Periodic excitation:
-whole periods without a window, the noise from what differs between them. One reference; any number of
-channels recorded with it; any number of records.
+Random or transient excitation: averages over Hann segments that overlap by half. Periodic excitation: whole
+periods without a window, the noise from what differs between them. One reference; any number of channels
+recorded with it; any number of records.
 
 Sources: Bendat and Piersol, Random Data, 4th ed. 2010, ch. 7 and 9 (H1, coherence, random errors); Welch
 1967, IEEE Trans. Audio Electroacoust. 15:70, doi:10.1109/TAU.1967.1161901 (overlapping segments); Pintelon
@@ -24,12 +24,10 @@ from stapeskit.warnings import Notice
 Records = Sequence[tuple[Array, Array]]
 """Reference (sample,) and responses (channel, sample) of every record."""
 
-OVERLAP = 0.5
-"""Share of a segment that it shares with the next: more adds nothing with a Hann window (Welch 1967)."""
-
 _FEWEST = 3  # two segments give no variance of a variance
 _SHORTEST = 8  # samples of a segment: shorter ones have no line apart from 0 Hz and its neighbour
 _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
+_HANN_SPREAD = 35.0 / 18.0  # mean of w^4 over that of w^2 squared: correlation of neighbouring lines
 _ROUNDS = 4  # of own and common noise in turn
 _FEW = 8  # averages below which the stated noise is rough: sd of the sd above 25 %
 _MOST_PERIODS = 50  # periods a block that are tried: more would need a clock better than 1e-3 of a sample
@@ -70,30 +68,19 @@ class Frf:
     notices: tuple[Notice, ...] = ()
 
 
-def effective_averages(taper: Array, hop: int, segments: int) -> float:
-    """Return how many independent averages overlapping segments are worth.
-
-    Parameters
-    ----------
-    taper : ndarray, (segment,)
+def effective_averages(segments: int) -> float:
+    """Return how many independent averages so many Hann segments are worth that overlap by half.
 
     Notes
     -----
-    n / (1 + 2 sum_m (1 - m/n) rho_m) with rho_m = (sum_t w_t w_{t + m hop} / sum_t w_t^2)^2; Welch 1967.
+    n / (1 + 2 (1 - 1/n) rho) with rho = (sum w_t w_{t + half} / sum w_t^2)^2 = 1/36; Welch 1967.
     """
-    total, power = 1.0, float(taper @ taper)
-    for step in range(1, segments):
-        shift = step * hop
-        if shift >= len(taper):
-            break
-        total += 2.0 * (1.0 - step / segments) * (float(taper[:-shift] @ taper[shift:]) / power) ** 2
-    return segments / total
+    return segments / (1.0 + (1.0 - 1.0 / segments) / 18.0)
 
 
 def segment_for(samples: int, averages: int) -> int:
-    """Return the longest even segment of which so many fit into a record."""
-    length = int(samples / (1.0 + (averages - 1) * (1.0 - OVERLAP)))
-    return length - length % 2
+    """Return the longest even segment of which so many, overlapping by half, fit into a record."""
+    return 2 * (samples // (averages + 1))
 
 
 def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str = "") -> Frf:
@@ -102,7 +89,7 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     Parameters
     ----------
     segment : int
-        Samples of a segment: the resolution is the sampling rate over it.
+        Samples of a segment, even: the resolution is the sampling rate over it.
     where : str
         Place for messages.
 
@@ -116,28 +103,21 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     With G the averaged spectra and n the effective averages H1 = Gxy / Gxx, low by 1 / (1 + noise over signal
     in the reference). Conditional on the reference E|dH1|^2 = Gyy (1 - g2) / ((n - 1) Gxx), g2 the coherence
     (Bendat and Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real
-    part has half of it. Below a hundred averages the noise power is averaged over neighbouring lines. Spectra
-    of white signals at lines m apart have the correlation R_m = DFT(w^2)_m / DFT(w^2)_0; the line spread is
-    the sum of R_m^2.
+    part has half of it. Below a hundred averages the noise power is averaged over neighbouring lines.
     """
-    from scipy.signal import get_window, stft
+    from scipy.signal import stft
 
     _check_reference(records, where)
-    hop = max(1, round(segment * (1.0 - OVERLAP)))
-    counts = [1 + (len(x) - segment) // hop if len(x) >= segment else 0 for x, _ in records]
+    counts = [max(0, 2 * len(x) // segment - 1) if segment else 0 for x, _ in records]
     if sum(counts) < _FEWEST or segment < _SHORTEST:
         want, got = f"{_FEWEST} segments of {_SHORTEST} samples or longer", f"{sum(counts)} of {segment}"
         step = "Ask for fewer averages, or record longer"
         raise StapeskitError.of("the records", want, got, where, step)
-    taper = np.asarray(get_window("hann", segment), dtype=float)
 
     def spectra(signal: Array) -> ComplexArray:
         """Return the lines of every segment (..., line, segment), without 0 Hz and its neighbour."""
-        lines = stft(
-            signal, window=taper, nperseg=segment, noverlap=segment - hop, detrend="constant", boundary=None,
-            padded=False, return_onesided=True,
-        )[2]  # fmt: skip
-        return np.asarray(lines[..., 2 : (segment + 1) // 2, :])
+        lines = stft(signal, nperseg=segment, detrend="constant", boundary=None, padded=False)[2]
+        return np.asarray(lines[..., 2 : segment // 2, :])
 
     blocks = [(spectra(x), spectra(y)) for (x, y), count in zip(records, counts, strict=True) if count]
     power, cross, coherence = _sums(blocks)
@@ -150,16 +130,15 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
             channel -= response[:, None] * x
     parts = [y for _, y in blocks]
     own, common = split_noise(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), value)
-    averages = sum(effective_averages(taper, hop, count) for count in counts if count)
-    spread = float(segment * np.sum(taper**4) / np.sum(taper**2) ** 2)
+    averages = sum(effective_averages(count) for count in counts if count)
     scale = averages / max(averages - 1.0, 1e-3)
     width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
     mean_power = power / sum(counts)
-    own = smoothed(own / mean_power, width, (averages - 1.0) / spread)
-    common_sd = np.sqrt(smoothed(common[None], width)[0] * scale / (2.0 * averages * mean_power))
-    freq = np.arange(2, (segment + 1) // 2) * sample_rate_hz / segment
+    own = smoothed(own / mean_power, width, (averages - 1.0) / _HANN_SPREAD)
+    common_sd = np.sqrt(smoothed(common / mean_power, width) * scale / (2.0 * averages))
+    freq = np.arange(2, segment // 2) * sample_rate_hz / segment
     sd = np.sqrt(own * scale / (2.0 * averages))
-    return Frf(freq, value, sd, coherence, averages, common_sd, spread, _notices(common_sd, averages))
+    return Frf(freq, value, sd, coherence, averages, common_sd, _HANN_SPREAD, _notices(common_sd, averages))
 
 
 def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where: str = "") -> Frf:
@@ -201,10 +180,9 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     freedom = float(sum(counts) - len(counts))
     scale, width = sum(counts) / freedom, max(1, int(np.ceil(60.0 / freedom)))  # sd known to 9 %
     own, common = split_noise(np.concatenate(deviations, axis=-1), value)
-    own, common = smoothed(own * scale, width, freedom), smoothed(common[None] * scale, width)[0]
-    common_sd = np.sqrt(common / (2.0 * power))
-    freq = (lines + 1) * sample_rate_hz / samples
-    sd, notices = np.sqrt(own / (2.0 * power)), _notices(common_sd, freedom)
+    sd = np.sqrt(smoothed(own * scale, width, freedom) / (2.0 * power))
+    common_sd = np.sqrt(smoothed(common * scale, width) / (2.0 * power))
+    freq, notices = (lines + 1) * sample_rate_hz / samples, _notices(common_sd, freedom)
     return Frf(freq, value, sd, _sums(stacks)[2], float(sum(counts)), common_sd, 1.0, notices)
 
 
@@ -219,9 +197,8 @@ def _excited_lines(references: Sequence[ComplexArray], where: str) -> NDArray[np
     """Return the lines at which every reference (line, block) rises above its noise and is no leakage."""
     good = np.ones(references[0].shape[0], dtype=bool)
     for x in references:
-        count, size = x.shape[-1], np.abs(x.mean(axis=-1))
-        noise = np.sum(np.abs(x - x.mean(axis=-1, keepdims=True)) ** 2, axis=-1) / (count - 1) / count
-        noise = np.maximum(smoothed(noise[None], 41)[0], noise)
+        size, noise = np.abs(x.mean(axis=-1)), np.var(x, axis=-1, ddof=1) / x.shape[-1]
+        noise = np.maximum(smoothed(noise, 41), noise)
         good &= (size > _LEAST_REFERENCE * np.max(size, initial=0.0)) & (size**2 > 25.0 * noise)
     if not np.any(good):
         step = "Check the period and the reference; random excitation has no period"
@@ -288,18 +265,16 @@ def split_noise(residuals: ComplexArray, response: ComplexArray) -> tuple[Array,
 
 
 def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
-    """Average a noise spectrum (channel, freq) over neighbouring lines, fewer towards the ends.
+    """Average a noise spectrum (..., freq) over neighbouring lines, reflected at the ends.
 
     ``freedom`` are the complex degrees of freedom of each value: what is made of m of them is raised by m /
     (m - 1), the mean of one over a chi2 variable, so that chi2 of later fits keeps its mean.
     """
-    lines = spectrum.shape[1]
-    place = np.arange(lines)
-    half = np.minimum(max(width, 1) // 2, np.maximum(np.minimum(place, place[::-1]), 2 if width > 1 else 0))
-    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, lines)
-    total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
-    mean = (total[:, stop] - total[:, start]) / (stop - start)
-    return np.asarray(mean / (1.0 - 1.0 / np.maximum(freedom * (stop - start), 2.0)))
+    from scipy.ndimage import uniform_filter1d
+
+    width = max(1, min(width, spectrum.shape[-1]))
+    mean = uniform_filter1d(spectrum, width, axis=-1)
+    return np.asarray(mean / (1.0 - 1.0 / max(freedom * width, 2.0)))
 
 
 def _check_reference(records: Records, where: str) -> None:

@@ -18,9 +18,9 @@ from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 
 OFFSETS = 32
-"""Frequencies on each side of the line at which the noise is read, from the third bin on."""
+"""Bins on each side of the line in which the noise is read."""
 
-_GAP = 3
+_GAP = 2.5  # bins to the line and its harmonics, which a Hann window keeps apart
 _HARMONICS = 3
 _FEWEST_CYCLES, _FEWEST_SAMPLES = 4.0, 16
 
@@ -128,13 +128,11 @@ def _noise(rest: Array, sample_rate_hz: float, freq_hz: float) -> Array:
     A Hann window keeps other frequencies out; sum w^2 / (sum w)^2 of it takes the place of 1 / n.
     """
     count = rest.shape[1]
-    bins = np.concatenate([-np.arange(_GAP, _GAP + OFFSETS), np.arange(_GAP, _GAP + OFFSETS)])
-    places = freq_hz + bins * sample_rate_hz / count
-    apart = np.abs(places - np.round(places / freq_hz) * freq_hz) * count / sample_rate_hz
-    places = places[(places > 2.0 * sample_rate_hz / count) & (places < 0.5 * sample_rate_hz) & (apart > 2.5)]
     window = np.hanning(count)
-    if not len(places):
+    power = np.abs(np.fft.rfft(rest * window, axis=1)) ** 2
+    bins, line = np.arange(power.shape[1]), freq_hz * count / sample_rate_hz
+    away, off_harmonics = np.abs(bins - line), np.abs(bins - np.round(bins / line) * line)
+    near = (bins > 2) & (away > _GAP) & (away < _GAP + OFFSETS) & (off_harmonics > _GAP)
+    if not np.any(near):
         return np.asarray(np.std(rest, axis=1) * np.sqrt(2.0 / count))
-    angle = -2j * np.pi / sample_rate_hz * np.arange(count)
-    power = np.mean([np.abs((rest * window) @ np.exp(angle * place)) ** 2 for place in places], axis=0)
-    return np.asarray(np.sqrt(2.0 * power / (count * np.sum(window**2))))
+    return np.asarray(np.sqrt(2.0 * power[:, near].mean(axis=1) / (count * np.sum(window**2))))

@@ -12,6 +12,14 @@ from stapeskit.warnings import Notice
 
 _STILL = 8  # equal samples in a row in the midst of motion: a decoder that holds its last value
 _BESIDE = 16  # samples before and behind such a stretch that must move
+_CLIPPED_WORDS = (
+    "neighbouring samples lie at the largest or smallest value again and again. The responses are too small "
+    "there: lower the level or take a wider range"
+)
+_STILL_WORDS = (
+    f"constant for {_STILL} samples or more in the midst of motion, as when a decoder holds its last value. "
+    "Such responses are too small: measure these points again"
+)
 _CLIPPED = 3  # neighbouring samples at the extreme: a smooth signal touches it once
 
 
@@ -23,28 +31,17 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], file: str) -> list[N
     channels : mapping of str to iterable of ndarray (sample,)
         Records of every channel.
     """
-    clipped: list[str] = []
-    still: list[str] = []
+    found: dict[str, list[str]] = {_CLIPPED_WORDS: [], _STILL_WORDS: []}
     for name, rows in channels.items():
         moving = [row for row in rows if len(row) >= 4 * _STILL and np.ptp(row) > 0.0]
         if any(is_clipped(row) for row in moving):
-            clipped.append(name)
+            found[_CLIPPED_WORDS].append(name)
         elif any(is_still(row) for row in moving):
-            still.append(name)
-    texts = (
-        (
-            clipped,
-            "neighbouring samples lie at the largest or smallest value again and again. The responses are "
-            "too small there: lower the level or take a wider range",
-        ),
-        (
-            still,
-            f"constant for {_STILL} samples or more in the midst of motion, as when a decoder holds its last "
-            "value. Such responses are too small: measure these points again",
-        ),
-    )
+            found[_STILL_WORDS].append(name)
     return [
-        Notice("samples_stuck", f"{', '.join(names)} of {file}: {text}.") for names, text in texts if names
+        Notice("samples_stuck", f"{', '.join(names)} of {file}: {text}.")
+        for text, names in found.items()
+        if names
     ]
 
 

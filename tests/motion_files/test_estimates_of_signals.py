@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import stft
 
 from kinematics.signals.frf import effective_averages, periodic_frf, smoothed, split_noise, welch_frf
 from kinematics.signals.lock_in import Step, fit_sine, stepped_frf
@@ -12,12 +13,13 @@ RATE = 8000.0
 
 
 def test_overlap_of_half_a_hann_window_is_worth_what_welch_says():
-    """rho = (1/6)^2 for hann at half overlap: n / (1 + 2 (1 - 1/n) / 36) averages."""
-    taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(1024) / 1024)
-    for count in (2, 10, 100):
-        assert effective_averages(taper, 512, count) == pytest.approx(
-            count / (1 + 2 * (1 - 1 / count) / 36), rel=1e-3
-        )
+    """The variance of a mean of spectra of white noise is that of so many independent ones."""
+    rng = np.random.default_rng(3)
+    for count in (2, 10):
+        samples = rng.normal(size=(4000, 32 * (count + 1)))
+        power = np.abs(stft(samples, nperseg=64, boundary=None, padded=False)[2][:, 2:-2]) ** 2
+        relative = np.var(power.mean(axis=-1)) / np.mean(power) ** 2
+        assert 1.0 / relative == pytest.approx(effective_averages(count), rel=0.03)
 
 
 def random_record(rng, noise, samples=32_768):
