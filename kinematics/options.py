@@ -67,9 +67,6 @@ FileOrNone = Annotated[
 ]
 Rules = Annotated[tuple[str, ...], Kind(_rules, "NAME=ITEMS", "NAME=ITEMS")]
 Texts = Annotated[tuple[str, ...], Kind(_texts, "BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
-Share = Annotated[
-    float, Kind(number_where(lambda value: 0.0 <= value <= 0.9), "a number from 0 to 0.9", "SHARE")
-]
 Small = Annotated[
     float, Kind(number_where(lambda value: 0.0 <= value <= 1000.0), "a number from 0 to 1000", "NUMBER")
 ]
@@ -217,7 +214,6 @@ class MotionOptions(Options):
     period_s: Annotated[
         Positive | None, Opt("period of a periodic excitation, s", _SERIES, 0.2, name="period")
     ] = None
-    settle: Annotated[Share, Opt("share of each step of a stepped sine left out at its start", _SERIES)] = 0.2
 
     @property
     def points_file(self) -> Path | None:

@@ -43,7 +43,6 @@ class FileFacts:
     channels: Path | None = None
     averages: int = 30
     period_s: float | None = None
-    settle: float = 0.2
 
     @cached_property
     def direction(self) -> Array | None:

@@ -292,7 +292,7 @@ def _estimate(
             for a, b in pairwise(edges)
             if set_hz[a] > 0.0
         ]
-        return stepped_frf(steps, rate, facts.settle, file)
+        return stepped_frf(steps, rate, file)
     if lead is None:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
         raise StapeskitError.of("the table of channels", "with a reference", "none", file, step)

@@ -22,6 +22,7 @@ OFFSETS = 32
 
 _GAP = 2.5  # bins to the line and its harmonics, which a Hann window keeps apart
 _HARMONICS = 3
+_SETTLING = 0.2  # share of every step left out at its start
 _FEWEST_CYCLES, _FEWEST_SAMPLES = 4.0, 16
 
 
@@ -34,13 +35,8 @@ class Step:
     responses: Array
 
 
-def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, where: str = "") -> Frf:
+def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, where: str = "") -> Frf:
     """Return responses per unit of the reference, or amplitudes where the steps have none.
-
-    Parameters
-    ----------
-    settle : float
-        Share of every step left out at its start.
 
     Raises
     ------
@@ -56,7 +52,7 @@ def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, whe
             if found and np.isclose(step.freq_hz, found[-1][0], rtol=1e-9):
                 want, advice = "of another frequency than the others", "Give repeats as records of their own"
                 raise StapeskitError.of("a step", want, "it again", place, advice)
-            found.append((step.freq_hz, *_response(step, sample_rate_hz, settle, place)))
+            found.append((step.freq_hz, *_response(step, sample_rate_hz, place)))
     raise_all(faults)
     if not found:
         raise StapeskitError.of("the steps", "at least one", "none", where)
@@ -64,11 +60,9 @@ def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, settle: float, whe
     return Frf(freq, values.T, spreads.T, None, float("nan"), common)
 
 
-def _response(
-    step: Step, sample_rate_hz: float, settle: float, where: str
-) -> tuple[ComplexArray, Array, float]:
+def _response(step: Step, sample_rate_hz: float, where: str) -> tuple[ComplexArray, Array, float]:
     """Return responses (channel,), their sd (channel,) and the relative sd of the reference."""
-    begin = round(settle * step.responses.shape[1])
+    begin = round(_SETTLING * step.responses.shape[1])
     signals = step.responses[:, begin:]
     if step.reference is None:
         return *fit_sine(signals, sample_rate_hz, step.freq_hz, where), 0.0
@@ -108,10 +102,10 @@ def fit_sine(
     count = signals.shape[1]
     if not 0.0 < freq_hz < 0.49 * sample_rate_hz:
         want, got = f"above 0 and below half the sampling rate ({sample_rate_hz:g} Hz)", f"{freq_hz:g} Hz"
-        raise StapeskitError.of("the frequency of a step", want, got, where, "Correct the table of steps")
+        raise StapeskitError.of("the frequency of a step", want, got, where, "Correct the column freq_hz")
     cycles = count * freq_hz / sample_rate_hz
     if cycles < _FEWEST_CYCLES or count < _FEWEST_SAMPLES:
-        got, step = f"{cycles:.3g} cycles, {count} samples", "Record longer steps or let less settle"
+        got, step = f"{cycles:.3g} cycles, {count} samples", "Record longer steps"
         raise StapeskitError.of("a step", "four cycles and 16 samples long", got, where, step)
     angle = 2.0 * np.pi * freq_hz / sample_rate_hz * np.arange(count)
     orders = max(1, min(_HARMONICS, int(0.49 * sample_rate_hz / freq_hz)))

@@ -73,12 +73,12 @@ def test_steps_are_sorted_and_checked_together():
     steps = [
         Step(f, np.cos(2 * np.pi * f * time), np.sin(2 * np.pi * f * time)[None]) for f in (500.0, 300.0)
     ]
-    frf = stepped_frf(steps, RATE, 0.1)
+    frf = stepped_frf(steps, RATE)
     assert np.allclose(frf.freq_hz, [300.0, 500.0])
     assert np.allclose(frf.value, -1j, atol=1e-9)
     bad = [*steps, Step(3990.0, steps[0].reference, steps[0].responses), Step(1.0, None, np.zeros((1, 2000)))]
     with pytest.raises(StapeskitError) as caught:
-        stepped_frf(bad, RATE, 0.1)
+        stepped_frf(bad, RATE)
     assert len(caught.value.faults) == 2
 
 
