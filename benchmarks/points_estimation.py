@@ -20,7 +20,7 @@ from benchmarks._table import Before, arguments, print_table
 from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.reference import per_reference
 from kinematics.fit.rigid_fit import LineFit, fit_lines
-from kinematics.measurement import from_arrays
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.place.errors import estimate_errors, stated_errors
 from kinematics.place.placement import Placement
 from kinematics.place.shared_errors import shared_errors
@@ -174,18 +174,18 @@ def squared_distance(replicates: int, stated: bool) -> float:
         rows = point_rows(places @ turn.T + error[:3], data.beams @ turn.T)
         value = rows @ data.q.T + data.sd * unit_noise(rng, data.sd.shape)
         parts = {
-            "points": names, "positions_m": data.places_mm * 1e-3, "directions": data.beams, "value": value,
-            "sd": data.sd, "position_sd_m": POSITION_SD_M,
+            "points": tuple(names), "positions_m": data.places_mm * 1e-3, "directions": data.beams,
+            "value": value[None], "sd": data.sd[None], "position_sd_m": np.full(len(names), POSITION_SD_M),
         }  # fmt: skip
-        placed = from_arrays({"body": parts}, freq_hz, quantity="displacement")
+        placed = Measurement("footplate", ("1",), freq_hz, (BodyChannels("body", **parts),), "displacement")
         fit = data.fit(value, data.sd)
         covariance = np.zeros((18, 18))
         for line in range(3):
             covariance[6 * line : 6 * line + 6, 6 * line : 6 * line + 6] = fit.covariance[line] / 2.0
         covariance = np.kron(np.eye(2), covariance)
         if stated:
-            stated = estimate_errors(placed, stated_errors(placed, {}), {})
-            shared = shared_errors(placed, {(0, 0): fit}, placement, stated)
+            positions = estimate_errors(placed, stated_errors(placed, {}), {})
+            shared = shared_errors(placed, {(0, 0): fit}, placement, positions)
             assert shared is not None
             slopes = shared.derivatives[:, 0, 0].reshape(len(shared.names), -1)
             both = np.hstack([slopes.real, slopes.imag])

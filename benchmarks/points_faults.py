@@ -24,7 +24,7 @@ from kinematics.faults.diagnose import diagnose
 from kinematics.faults.verdicts import channel_verdicts
 from kinematics.fit.beams import beam_set
 from kinematics.fit.noise import fit_with_noise
-from kinematics.measurement import from_arrays
+from kinematics.measurement import BodyChannels, Measurement
 from simulate import (
     Experiment,
     MeasurementFault,
@@ -107,7 +107,7 @@ def record(geometry: Geometry, fault: tuple[str, float | None] | None, seed: int
 def accused(recording: Recording, stated: bool) -> dict[int, str] | None:
     """Return the verdict of every channel that is not in order; None where the file is refused."""
     parts = {
-        "points": recording.point,
+        "points": tuple(recording.point),
         "positions_m": recording.position_mm * 1e-3,
         "directions": recording.direction,
         "value": recording.velocity_m_s,
@@ -116,8 +116,8 @@ def accused(recording: Recording, stated: bool) -> dict[int, str] | None:
     one_laser = recording.laser.max() == 0
     dof = ("y", "alpha", "gamma") if one_laser else DOF_NAMES
     try:
-        placed = from_arrays({"stapes": parts}, recording.freq_hz)
-        body = placed.bodies[0]
+        body = BodyChannels("stapes", **parts)
+        placed = Measurement("footplate", ("1",), recording.freq_hz, (body,))
         zeros = {int(channel): "zeros" for channel in np.flatnonzero(np.all(body.value[0] == 0.0, axis=1))}
         body.value[:, list(zeros)] = np.nan
         beams = beam_set("stapes", body.arms_m, body.directions, dof)

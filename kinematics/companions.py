@@ -9,21 +9,10 @@ from typing import Any
 from kinematics.options import NONE, MotionOptions
 from stapeskit.faults import StapeskitError
 
-POINTS, FIDUCIALS, MASS = "points.csv", "fiducials.csv", "mass.json"
-MASS_FOLDERS = "*_mass"
-
 
 @dataclass(frozen=True)
 class Found:
-    """The options with what was found beside the measurement.
-
-    Attributes
-    ----------
-    options : MotionOptions
-    mass : Path or None
-    taken : dict of str to Path
-        By role: the files that were not given but found.
-    """
+    """Options and mass with what was found beside the measurement; ``taken`` holds what was, by role."""
 
     options: MotionOptions
     mass: Path | None
@@ -48,28 +37,23 @@ def with_companions(options: MotionOptions, mass: Path | str | None = None) -> F
     Fiducials are not looked for where a frame is given. A file that is itself given as measurement is none.
     """
     folder = options.file[0].absolute().parent
-    given = {path.absolute() for path in options.file}
+    measured = {path.absolute() for path in options.file}
+    given: dict[str, Any] = {
+        "points": options.points,
+        "fiducials": options.fiducials or options.frame,
+        "mass": mass,
+    }
     taken: dict[str, Path] = {}
-    for role, name in (("points", POINTS), ("fiducials", FIDUCIALS)):
-        path = folder / name
-        wanted = getattr(options, role) is None and not (role == "fiducials" and options.frame)
-        if wanted and path.is_file() and path not in given:
-            taken[role] = path
-    found = None if mass in (None, NONE) else Path(mass)
-    if mass is None:
-        found = _mass_beside(folder)
-        taken |= {} if found is None else {"mass": found}
+    for role, name in {"points": "points.csv", "fiducials": "fiducials.csv", "mass": "mass.json"}.items():
+        found = [folder / name] if (folder / name).is_file() else []
+        if role == "mass" and not found:
+            found = sorted(folder.glob(f"*_mass/{name}"))
+        if given[role] is None and len(found) > 1:
+            got = ", ".join(str(path.relative_to(folder)) for path in found)
+            step = "Choose one with --mass FILE, or none with --mass none"
+            raise StapeskitError.of("the mass.json beside the measurement", "a single one", got, "", step)
+        if given[role] is None and found and found[0] not in measured:
+            taken[role] = found[0]
     update: dict[str, Any] = {role: path for role, path in taken.items() if role != "mass"}
-    return Found(replace(options, **update), found, taken)
-
-
-def _mass_beside(folder: Path) -> Path | None:
-    own = folder / MASS
-    if own.is_file():
-        return own
-    found = sorted(folder.glob(f"{MASS_FOLDERS}/{MASS}"))
-    if len(found) > 1:
-        got = ", ".join(str(path.relative_to(folder)) for path in found)
-        step = "Choose one with --mass FILE, or none with --mass none"
-        raise StapeskitError.of("the mass.json beside the measurement", "a single one", got, "", step)
-    return found[0] if found else None
+    chosen = None if mass in (None, NONE) else Path(mass)
+    return Found(replace(options, **update), taken.get("mass", chosen), taken)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from kinematics.fit.reference import parse_reference
-from kinematics.leave_out import without_channels
-from kinematics.measurement import Measurement
+from kinematics.measurement import LeftOut, Measurement
 from kinematics.options import MotionOptions
 from kinematics.place.fiducials import Fiducials, read_fiducials
 from kinematics.place.placement import check_frame, fit_fiducials
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
-from stapeskit.faults import Fault, collect_faults, raise_all
+from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.records.measured_mass import MeasuredMass
 
 _MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
@@ -62,6 +62,36 @@ def _read_channels(options: MotionOptions) -> Measurement:
     facts = file_facts(options)
     measurement = read_measurement(options.file, options.points_file, options.source_frame, facts)
     return without_channels(measurement, options.leave_out)
+
+
+def without_channels(measurement: Measurement, names: Sequence[str]) -> Measurement:
+    """Return the measurement without the channels BODY:POINT:BEAM, or points BODY:POINT, of these names.
+
+    Raises
+    ------
+    StapeskitError
+        A name is that of no channel, or no channel of a body is left.
+    """
+    wanted = {name.replace(" ", "") for name in names}
+    known: dict[str, None] = {}
+    faults: list[Fault] = []
+    bodies, left_out = [], [*measurement.left_out]
+    for body in measurement.bodies:
+        keys = [body.channel_key(channel) for channel in range(len(body.points))]
+        points = [key.rpartition(":")[0] for key in keys]
+        known |= dict.fromkeys([*points, *keys])
+        kept = [k for k in range(len(keys)) if keys[k] not in wanted and points[k] not in wanted]
+        gone = sorted({*range(len(keys))} - {*kept})
+        left_out += [LeftOut(body.body, body.points[k], body.file_directions[k]) for k in gone]
+        if not kept:
+            faults.append(Fault(f"--leave-out of body {body.body}", "some of its channels", "all of them"))
+        bodies.append(body.part(kept) if gone else body)
+    for name in sorted(wanted - {*known}):
+        near = [key for key in known if key.startswith(name.split(":")[0] + ":")] or known
+        want = f"BODY:POINT or BODY:POINT:BEAM, as {list_some(near, 12)}"
+        faults.append(Fault(f"--leave-out {name}", want, name))
+    raise_all(faults)
+    return replace(measurement, bodies=tuple(bodies), left_out=tuple(left_out))
 
 
 def check_inputs(options: MotionOptions) -> None:

@@ -108,6 +108,11 @@ class BodyChannels:
         """Return ``body point (direction)`` for messages."""
         return f"{self.body} {self.points[channel]} ({direction_name(self.file_directions[channel])})"
 
+    def channel_key(self, channel: int) -> str:
+        """Return ``BODY:POINT:BEAM`` without blanks, as channels are named in options."""
+        beam = direction_name(self.file_directions[channel])
+        return f"{self.body}:{self.points[channel]}:{beam}".replace(" ", "")
+
     def channels_of(self, point: str) -> list[int]:
         """Return the channels of a point."""
         return [channel for channel, name in enumerate(self.points) if name == point]
@@ -267,47 +272,3 @@ class Measurement:
             for body in self.bodies
         )
         return replace(self, bodies=bodies)
-
-
-def from_arrays(
-    bodies: Mapping[str, Mapping[str, object]],
-    freq_hz: Array,
-    *,
-    frame: str = "footplate",
-    quantity: str = "velocity",
-    runs: tuple[str, ...] = ("1",),
-) -> Measurement:
-    """Build a measurement from arrays, without a copy of complex values.
-
-    Parameters
-    ----------
-    bodies : mapping
-        By name: ``points``, ``positions_m`` (c, 3), ``directions`` (c, 3), ``value`` (r, c, L) or (c, L), and
-        optionally ``sd`` of the same shape or broadcastable to it, and ``position_sd_m``.
-    freq_hz : ndarray, (L,)
-    frame, quantity, runs
-        As in Measurement.
-
-    Raises
-    ------
-    StapeskitError
-        As Measurement and BodyChannels.
-    """
-    channels = []
-    for name, parts in bodies.items():
-        value = np.asarray(parts["value"], dtype=complex)
-        value = value[None] if value.ndim == 2 else value
-        sd = parts.get("sd")
-        position_sd = np.asarray(parts.get("position_sd_m", np.nan), dtype=float)
-        channels.append(
-            BodyChannels(
-                name,
-                tuple(parts["points"]),  # type: ignore[arg-type]
-                np.asarray(parts["positions_m"], dtype=float),
-                np.asarray(parts["directions"], dtype=float),
-                value,
-                None if sd is None else np.broadcast_to(np.asarray(sd, dtype=float), value.shape),
-                position_sd_m=np.broadcast_to(position_sd, (value.shape[1],)).copy(),
-            )
-        )
-    return Measurement(frame, runs, np.asarray(freq_hz, dtype=float), tuple(channels), quantity)

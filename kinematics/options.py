@@ -122,7 +122,7 @@ class MotionOptions(Options):
     leave_out: Annotated[
         Texts,
         Opt(
-            "leave a point out, or one of its beams (x, -z ... or X,Y,Z); once for each",
+            "leave a point out, or one of its beams (x, -z ... or X,Y,Z as the page names it); once for each",
             example=["stapes:3", "base:7:z"],
             repeats=True,
         ),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinematics.faults.checks import check_measurement, empty_faults, screen_zeros
-from kinematics.measurement import BodyChannels, Measurement, from_arrays
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import phase_notices
 from simulate import Ear, Experiment, simulate_recording, simulate_truth
 from stapeskit.faults import StapeskitError
@@ -24,13 +24,14 @@ def ear():
     for name in ("stapes", "base"):
         own = recording.channels(name)
         bodies[name] = {
-            "points": [recording.point[c] for c in own],
+            "points": tuple(recording.point[c] for c in own),
             "positions_m": 1e-3 * recording.position_mm[own],
             "directions": recording.direction[own],
             "value": recording.velocity_m_s[:, own],
             "sd": recording.sd_m_s[:, own],
         }
-    return from_arrays(bodies, recording.freq_hz)
+    channels = tuple(BodyChannels(name, **parts) for name, parts in bodies.items())
+    return Measurement("footplate", ("1",), recording.freq_hz, channels)
 
 
 def with_values(measurement, change, **other):

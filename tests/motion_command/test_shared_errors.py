@@ -10,7 +10,7 @@ import pytest
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.joint.tangents import BEAM_U, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
-from kinematics.measurement import Measurement, from_arrays
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.place import shared_errors as shared
 from kinematics.place.errors import estimate_errors, lasers_of, stated_errors
 from kinematics.place.placement import Placement
@@ -28,15 +28,15 @@ def measurement(seed=0, points=6, lines=20, position_sd=1e-5) -> Measurement:
     motion = resonant_motion(rng, experiment.freq_hz)[None]
     told = measure_motion({"stapes": motion}, {"stapes": scattered_points(rng, points)}, experiment)
     parts = {
-        "points": told.point,
+        "points": tuple(told.point),
         "positions_m": 1e-3 * told.position_mm,
         "directions": told.direction,
         "value": told.velocity_m_s,
         "sd": np.full(told.velocity_m_s.shape, 1e-6)
         * np.random.default_rng(seed + 1).uniform(0.5, 2.0, (1, len(told.point), 1)),
-        "position_sd_m": position_sd,
+        "position_sd_m": np.full(len(told.point), position_sd),
     }
-    return from_arrays({"stapes": parts}, told.freq_hz)
+    return Measurement("footplate", ("1",), told.freq_hz, (BodyChannels("stapes", **parts),))
 
 
 def fitted(placed: Measurement, dof=DOF_NAMES):
