@@ -35,7 +35,7 @@ MUTATIONS: tuple[tuple[str, str, str, str], ...] = (
     ("ct_inertia/frames/gap.py", "(2.0 * level_sd_mm)", "(3.0 * level_sd_mm)", "bodies"),
     ("kinematics/joint/tangents.py", "1.0 + sums[GAIN] +", "1.02 + sums[GAIN] +", "motion"),
     ("kinematics/joint/tangents.py", "np.exp(-1j * sums[DELAY]", "np.exp(1j * sums[DELAY]", "motion"),
-    ("kinematics/signals/frf.py", "scale / (2.0 * averages))", "scale / (2.4 * averages))", "motion_files"),
+    ("kinematics/signals/frf.py", "1.0 / (2.0 * max(averages", "1.0 / (2.4 * max(averages", "motion_files"),
     ("kinematics/fit/noise.py", "2.0 * np.log(2.0) * share", "2.4 * np.log(2.0) * share", "motion"),
     ("fitting/derived.py", "imag, eigen.imag) / (2.0", "imag, eigen.imag) / (2.2", "fit"),
     ("fitting/textbook.py", "own = 0.5 * np.einsum", "own = 0.6 * np.einsum", "fit"),

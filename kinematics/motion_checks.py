@@ -10,15 +10,12 @@ import numpy as np
 from kinematics.fit.neglected import neglected_notice
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
-from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.rigid_motion import RigidMotion
-from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.spatial import dof_indices
 from stapeskit.warnings import Notice
 
-_LEVER_M = 1.5e-3  # half a footplate, which makes rotations comparable with translations
-_RISE, _ALIKE = 0.75 * np.pi, 0.7  # rise of the phase that no response shows; likeness of neighbouring lines
 _LEAST_LINES = 8
 _SURE = 6.0  # standard deviations by which the power has the wrong sign
 _LEAST_LEAD = 0.02  # sine of a lead, twice the phase error of a laser
@@ -77,7 +74,7 @@ def fit_notices(placed: Measurement, fits: Mapping[tuple[int, int], LineFit]) ->
 def phase_notices(
     motion: RigidMotion, mass: MassRecord | None = None, structure: str = "stapes", base: str = "base"
 ) -> list[Notice]:
-    """Warn of amplitudes of e^{-iwt}: the structure leads its base, or the phase of a single body rises.
+    """Warn of amplitudes of e^{-iwt}: the structure leads its base.
 
     Notes
     -----
@@ -85,12 +82,8 @@ def phase_notices(
     the power of the base, in proportion to -Im(b^H M q), is positive at every line whatever stiffness and
     damping are. Without a mass matrix the piston motion alone is looked at.
     """
-    if structure in motion.bodies and base in motion.bodies:
-        return _lead(motion, mass, structure, base)
-    return _rise(motion) if len(motion.bodies) == 1 else []
-
-
-def _lead(motion: RigidMotion, mass: MassRecord | None, structure: str, base: str) -> list[Notice]:
+    if structure not in motion.bodies or base not in motion.bodies:
+        return []
     first, second = motion.body(structure), motion.body(base)
     places = dof_indices(motion.dof)
     inertia = np.diag([float(name == "y") for name in motion.dof])
@@ -116,40 +109,5 @@ def _lead(motion: RigidMotion, mass: MassRecord | None, structure: str, base: st
         f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / size, 1.0))):.2g} degrees in the "
         "mean, where a passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate "
         "them), or the two bodies are exchanged."
-    )
-    return [Notice("phase_convention", text)]
-
-
-def _even(motion: RigidMotion, run: int, body: int) -> tuple[ComplexArray, Array]:
-    """Return the motion of a body and its sd as lengths, (L, n)."""
-    lever = np.array([1.0 if name in DOF_NAMES[:3] else _LEVER_M for name in motion.dof])
-    return motion.q[run, body] * lever, motion.standard_deviation[run, body] * lever
-
-
-def _rise(motion: RigidMotion) -> list[Notice]:
-    """Warn when the phase of a single body rises over the band, which a response to its reference does
-    not."""
-    turns, sure = [], []
-    for run in range(len(motion.runs)):
-        q, sd = _even(motion, run, 0)
-        good = np.all(np.isfinite(q) & np.isfinite(sd), axis=1)
-        if np.sum(good) < _LEAST_LINES:
-            return []
-        q, sd = q[good], sd[good]
-        size = np.sqrt(np.mean(np.abs(q) ** 2, axis=0))
-        places = np.flatnonzero(size > 3.0 * np.sqrt(2.0 * np.mean(sd**2, axis=0)))
-        if not places.size:
-            return []
-        even = q[:, places]
-        steps = np.sum(even[:-1].conj() * even[1:], axis=1)
-        turns.append(float(np.sum(np.angle(steps))))
-        power = np.maximum(np.sum(np.abs(even) ** 2, axis=1), 1e-300)
-        sure.append(float(np.quantile(np.abs(steps) / np.sqrt(power[1:] * power[:-1]), 0.1)))
-    if min(turns) < _RISE or min(sure) < _ALIKE:
-        return []
-    text = (
-        f"the phase of body {motion.bodies[0]} rises by {np.rad2deg(np.mean(turns)):.0f} degrees over the "
-        "band, where a response lags its reference more and more: either these are amplitudes of e^{-iwt} "
-        "(conjugate them), or the reference signal comes late."
     )
     return [Notice("phase_convention", text)]

@@ -59,12 +59,6 @@ class Registration:
         """Root mean square length of the residuals, mm (the fiducial registration error)."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_mm**2, axis=1))))
 
-    def target_covariance(self, points_mm: ArrayLike) -> Array:
-        """Return the covariance (n, 3, 3), m2, in target axes, of mapped points (n, 3), source mm."""
-        points = np.atleast_2d(np.asarray(points_mm, dtype=float)) * 1e-3
-        jacobian = self.transform.rotation @ pose_rows(points)
-        return np.asarray(jacobian @ self.covariance_si @ jacobian.transpose(0, 2, 1))
-
     def target_registration_error(self, points_mm: ArrayLike) -> Array:
         """Return the expected root mean square error (n,), mm, of mapped points (n, 3) given in source mm.
 
@@ -72,8 +66,8 @@ class Registration:
         -----
         Fitzpatrick, West and Maurer 1998 (doi:10.1109/42.736021) give the same to first order for equal sd.
         """
-        variance = np.trace(self.target_covariance(points_mm), axis1=1, axis2=2)
-        return np.asarray(np.sqrt(variance) * 1e3)
+        rows = pose_rows(1e-3 * np.atleast_2d(np.asarray(points_mm, dtype=float)))
+        return 1e3 * np.sqrt(np.einsum("nij,jk,nik->n", rows, self.covariance_si, rows))
 
 
 def fit_rigid(

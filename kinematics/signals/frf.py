@@ -24,6 +24,9 @@ from stapeskit.warnings import Notice
 Records = Sequence[tuple[Array, Array]]
 """Reference (sample,) and responses (channel, sample) of every record."""
 
+Blocks = Sequence[tuple[ComplexArray, ComplexArray]]
+"""Spectra of the reference (line, block) and of the responses (channel, line, block) of every record."""
+
 _FEWEST = 3  # two segments give no variance of a variance
 _SHORTEST = 8  # samples of a segment: shorter ones have no line apart from 0 Hz and its neighbour
 _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
@@ -120,25 +123,13 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
         return np.asarray(lines[..., 2 : segment // 2, :])
 
     blocks = [(spectra(x), spectra(y)) for (x, y), count in zip(records, counts, strict=True) if count]
-    power, cross, coherence = _sums(blocks)
+    power, cross, _ = _sums(blocks)
     if not np.all(power > 0.0):
         step = "Restrict the band to where the reference has power"
         raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
-    value = np.asarray(cross / power)
-    for x, y in blocks:
-        for channel, response in zip(y, value, strict=True):  # in place: records may fill half of the memory
-            channel -= response[:, None] * x
-    parts = [y for _, y in blocks]
-    own, common = split_noise(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), value)
     averages = sum(effective_averages(count) for count in counts if count)
-    scale = averages / max(averages - 1.0, 1e-3)
-    width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
-    mean_power = power / sum(counts)
-    own = smoothed(own / mean_power, width, (averages - 1.0) / _HANN_SPREAD)
-    common_sd = np.sqrt(smoothed(common / mean_power, width) * scale / (2.0 * averages))
     freq = np.arange(2, segment // 2) * sample_rate_hz / segment
-    sd = np.sqrt(own * scale / (2.0 * averages))
-    return Frf(freq, value, sd, coherence, averages, common_sd, _HANN_SPREAD, _notices(common_sd, averages))
+    return _estimate(freq, blocks, cross / power, power / sum(counts), averages, _HANN_SPREAD)
 
 
 def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where: str = "") -> Frf:
@@ -151,10 +142,10 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
 
     Notes
     -----
-    With X_p, Y_p the discrete Fourier transforms of the periods H = sum X* Y / sum |X|^2 over the means of
-    the records, and E|dH|^2 = mean |V|^2 / sum |X|^2 with V_p = (Y_p - Ym) - H (X_p - Xm): noise in both
-    signals and its correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is
-    averaged over lines.
+    With X_p, Y_p the discrete Fourier transforms of n periods H = sum X* Y / sum |X|^2 over the means of the
+    records, and E|dH|^2 = mean |V|^2 / ((n - 1) mean |X|^2) with V_p = Y_p - H X_p: noise in both signals and
+    its correlation are in it (Pintelon and Schoukens 2012, sec. 2.5). With few periods it is averaged over
+    lines.
     """
     _check_reference(records, where)
     blocks = period_s * sample_rate_hz * np.arange(1, _MOST_PERIODS + 1)
@@ -173,17 +164,35 @@ def periodic_frf(records: Records, sample_rate_hz: float, period_s: float, where
     means = [(x.mean(axis=-1, keepdims=True), y.mean(axis=-1, keepdims=True)) for x, y in stacks]
     weighted = [(np.sqrt(n) * x, np.sqrt(n) * y) for n, (x, y) in zip(counts, means, strict=True)]
     power, cross, _ = _sums(weighted)
-    value = np.asarray(cross / power)
-    deviations = [
-        (y - ym) - value[:, :, None] * (x - xm) for (x, y), (xm, ym) in zip(stacks, means, strict=True)
-    ]
-    freedom = float(sum(counts) - len(counts))
-    scale, width = sum(counts) / freedom, max(1, int(np.ceil(60.0 / freedom)))  # sd known to 9 %
-    own, common = split_noise(np.concatenate(deviations, axis=-1), value)
-    sd = np.sqrt(smoothed(own * scale, width, freedom) / (2.0 * power))
-    common_sd = np.sqrt(smoothed(common * scale, width) / (2.0 * power))
-    freq, notices = (lines + 1) * sample_rate_hz / samples, _notices(common_sd, freedom)
-    return Frf(freq, value, sd, _sums(stacks)[2], float(sum(counts)), common_sd, 1.0, notices)
+    freq = (lines + 1) * sample_rate_hz / samples
+    return _estimate(freq, stacks, cross / power, power / sum(counts), float(sum(counts)), 1.0)
+
+
+def _estimate(
+    freq_hz: Array, blocks: Blocks, value: ComplexArray, power: Array, averages: float, line_spread: float
+) -> Frf:
+    """Return responses with the noise that differs from block to block.
+
+    Parameters
+    ----------
+    value : ndarray, (channel, freq), complex
+    power : ndarray, (freq,)
+        Mean square of the reference.
+    averages, line_spread : float
+        As in Frf.
+    """
+    coherence = _sums(blocks)[2]
+    for x, y in blocks:
+        for channel, response in zip(y, value, strict=True):  # in place: records may fill half of the memory
+            channel -= response[:, None] * x
+    parts = [y for _, y in blocks]
+    own, common = split_noise(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), value)
+    width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
+    share = 1.0 / (2.0 * max(averages - 1.0, 1e-3) * power)
+    sd = np.sqrt(smoothed(own, width, (averages - 1.0) / line_spread) * share)
+    common_sd = np.sqrt(smoothed(common, width) * share)
+    notices = _notices(common_sd, averages)
+    return Frf(freq_hz, value, sd, coherence, averages, common_sd, line_spread, notices)
 
 
 def _periods(signal: Array, samples: int) -> ComplexArray:
@@ -206,7 +215,7 @@ def _excited_lines(references: Sequence[ComplexArray], where: str) -> NDArray[np
     return np.flatnonzero(good)
 
 
-def _sums(blocks: Sequence[tuple[ComplexArray, ComplexArray]]) -> tuple[Array, ComplexArray, Array]:
+def _sums(blocks: Blocks) -> tuple[Array, ComplexArray, Array]:
     """Return sums over blocks of references (line, block) and responses (channel, line, block).
 
     Power of the reference (line,), cross spectrum (channel, line) and coherence (channel, line).
