@@ -20,15 +20,17 @@ from kinematics.place.errors import ErrorEstimate, body_starts
 from kinematics.place.placement import Placement, block_diagonal
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.rigid_motion import SharedErrors
-from stapeskit.spatial import cross, dof_indices, point_rows
+from stapeskit.spatial import cross, dof_indices
 
 Fits = Mapping[tuple[int, int], LineFit]
 """By (run, body)."""
 
 _MOST_BYTES = 2**26  # of derivatives by name; beyond, positions are patterns
-_MOST_OPERATIONS = 2e9  # of maps of each line; beyond, those of some lines stand for all
+_MOST_OPERATIONS = 5e8  # of maps of each line, half a second; beyond, the mean of some stands for all
+_SOME_LINES = 64
 _ALIKE = 1e-2  # share of the effect of an error by which its maps may differ between runs
 _FEW_LINES = 100  # for which one product a line takes less memory
+_FACTORS = {GAIN: 1.0, PHASE: 1j, DELAY: -1.0, GAIN_DRIFT: 1.0, PHASE_DRIFT: 1j}  # by which rows change
 _LEFT_OUT = 1e-4  # share of the variance that the patterns of positions leave out
 
 
@@ -83,8 +85,8 @@ def shared_errors(
     if estimate is not None:
         prefix = "calibration." if estimate.calibrated else ""
         named = effects(placed, estimate.errors, prefix), estimate.covariance
-        many = _bytes(placed, fits, len(named[0])) > _MOST_BYTES
-        blocks.append(_patterns(fits, estimate.errors, *named) if many else named)
+        size = 16 * len(named[0]) * len(fits) * fits[0, 0].q.size
+        blocks.append(_patterns(fits, estimate.errors, *named) if size > _MOST_BYTES else named)
     blocks += [(effects(placed, errors, "correction."), spread) for errors, spread in corrections]
     parameters = [parameter for block, _ in blocks for parameter in block]
     if not parameters:
@@ -161,9 +163,8 @@ def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, Complex
     good = np.flatnonzero(fit.solution.good)
     derivatives = np.zeros((len(rows), *fit.q.shape), dtype=complex)
     mean = np.zeros((len(rows), size, size), dtype=complex)
-    cost = len(rows) * len(beams.basis) * size**2 * len(good)
-    if len(good) and (_alike(fit) or cost > _MOST_OPERATIONS):
-        some = good[np.unique(np.linspace(0, len(good) - 1, 1 if _alike(fit) else 64).astype(int))]
+    if len(good) and len(rows) * len(beams.basis) * size**2 * len(good) > _MOST_OPERATIONS:
+        some = good[np.unique(np.linspace(0, len(good) - 1, _SOME_LINES).astype(int))]
         mean = _maps(fit, inside, some).mean(axis=0)
         derivatives = np.einsum("pij,lj->pli", mean, z) @ beams.to_dof.T
     elif len(good):
@@ -173,16 +174,6 @@ def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, Complex
             derivatives[:, part] = np.einsum("lpij,lj->pli", own, z[part]) @ beams.to_dof.T
     derivatives[:, ~fit.solution.good] = np.nan
     return derivatives, beams.to_dof @ mean @ to_basis
-
-
-def _alike(fit: LineFit) -> bool:
-    """Return whether all lines share their weights but for a factor."""
-    if not fit.complete or fit.robust != "none":
-        return False
-    sd = fit.sd
-    return not (sd.strides[0] and sd.strides[1]) or bool(
-        np.all(np.abs(sd - sd[:, :1] / sd[0, 0] * sd[0]) <= 1e-9 * sd)
-    )
 
 
 def _maps(fit: LineFit, inside: NDArray[Any], lines: NDArray[Any]) -> ComplexArray:
@@ -220,13 +211,10 @@ def _pose_parameters(placed: Measurement, placement: Placement) -> list[Paramete
 
 def tangent_rows(body: BodyChannels, own: Sequence[int], tangent: int) -> ComplexArray | Array:
     """Return d(reading) / d(parameter), (c, 6), of a tangent of channels; a delay still times i omega."""
-    rows = point_rows(body.arms_m, body.directions)
-    factor = {GAIN: 1.0, PHASE: 1j, DELAY: -1.0, GAIN_DRIFT: 1.0, PHASE_DRIFT: 1j}
-    geometry = Geometry(body.arms_m, body.directions, np.ones((1, len(rows)), dtype=complex))
-    change = factor[tangent] * rows if tangent in factor else geometry.row_tangents(tangent)
-    mask = np.zeros((len(rows), 1))
-    mask[list(own)] = 1.0
-    return np.asarray(mask * change)
+    count = len(body.points)
+    geometry = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
+    change = geometry.rows() * _FACTORS[tangent] if tangent in _FACTORS else geometry.row_tangents(tangent)
+    return np.asarray(np.isin(np.arange(count), own)[:, None] * change)
 
 
 def effects(placed: Measurement, errors: Sequence[ChannelError], prefix: str = "") -> list[Parameter]:
@@ -252,11 +240,6 @@ def _combined(parameters: Sequence[Parameter], weights: Array) -> dict[int, NDAr
         for body, rows in parameter.rows.items():
             sums[body] = sums.get(body, 0.0) + weight * rows
     return sums
-
-
-def _bytes(placed: Measurement, fits: Fits, count: int) -> int:
-    """Return the size of the derivatives by so many parameters."""
-    return 16 * count * len(placed.runs) * len(placed.bodies) * fits[0, 0].q.size
 
 
 def _patterns(
