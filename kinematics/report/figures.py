@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +35,6 @@ _TWO_SIDED_95 = 1.96
 _MOST_LINES = 400  # of all curves of a panel together, so that the figure stays a vector drawing
 _COLUMNS = 240  # of the map of residuals
 _MOST_ROWS = 90  # channels of a map; the worst of more
-_TICKED_ROWS = 45
 
 
 @style()
@@ -103,79 +103,49 @@ def _curve(
 
 @style()
 def residual_figure(result: MotionResult, run: int = 0) -> Figure:
-    """Draw the residual of every channel over frequency in units of its noise, and its mean as bars."""
-    bodies = result.measurement.bodies
-    rows = [min(len(body.points), _MOST_ROWS) for body in bodies]
-    drawing, axes = panels(len(bodies), 2, height=1.0, margins=(1.15, 0.9, 0.34, 0.46), gaps=(0.16, 0.5))
-    total = drawing.get_size_inches()[0]
-    heights = [max(0.9, 0.085 * count) for count in rows]
-    tall = sum(heights) + 0.62 * (len(bodies) - 1) + 0.86
-    drawing.set_size_inches(total, tall)
-    top = 1.0 - 0.4 / tall
-    image = None
-    for number, body in enumerate(bodies):
-        grid, bars = axes[number]
-        share = heights[number] / tall
-        grid.set_position((0.11, top - share, 0.66, share))
-        bars.set_position((0.785, top - share, 0.12, share))
-        top -= share + 0.62 / tall
-        size, edges, rms = _residual_map(result.fits[run, number], result.motion.freq_hz)
-        order = np.arange(len(body.points))
-        if len(order) > _MOST_ROWS:
-            order = np.sort(np.argsort(-rms)[:_MOST_ROWS])
-        verdicts = [
-            one for one in result.channels if one.body == body.body and one.run == result.motion.runs[run]
-        ]
-        image = grid.pcolormesh(
-            edges / 1e3,
-            np.arange(len(order) + 1),
-            size[order],
-            vmin=0.0,
-            vmax=4.0,
-            cmap="magma_r",
-            rasterized=True,
-        )
-        colours = [VERDICT_COLOURS[verdicts[channel].verdict] for channel in order]
-        bars.barh(np.arange(len(order)) + 0.5, np.nan_to_num(rms[order]), height=0.8, color=colours)
-        bars.axvline(1.0, color="#56636f", lw=0.7)
-        bars.set_xlim(0.0, max(1.6, min(6.0, 1.1 * float(np.nanmax(rms, initial=1.0)))))
-        step = max(1, int(np.ceil(len(order) / _TICKED_ROWS)))
-        ticks = np.arange(0, len(order), step)
-        labels = [shorten_name(body.points[order[tick]], 10) for tick in ticks]
-        labels = ["" if k and labels[k - 1] == label else plain(label) for k, label in enumerate(labels)]
-        grid.set_yticks(ticks + 0.5, labels, fontsize=7)
-        bars.set_yticks([])
-        for view in (grid, bars):
-            view.set_ylim(len(order), 0)
-            view.grid(False)
-        frequency_axis(grid, result.motion.freq_hz, label=number == len(bodies) - 1)
-        grid.set_title(plain(f"{body.body}: |residual| / sd, every point and beam"))
-        bars.set_title("rms")
-    if image is not None:
-        scale = drawing.colorbar(image, cax=drawing.add_axes((0.925, 1.0 - 0.4 / tall - share, 0.012, share)))
-        scale.outline.set_visible(False)
+    """Draw the residual of every channel over frequency in units of its noise; verdicts colour the names."""
+    bodies, freq_hz = result.measurement.bodies, result.motion.freq_hz
+    parts = np.array_split(np.arange(len(freq_hz)), min(_COLUMNS, len(freq_hz)))
+    size = np.vstack([_residual_sizes(result.fits[run, number], parts) for number in range(len(bodies))])
+    points = [(body.body, point) for body in bodies for point in body.points]
+    verdicts = [one.verdict for one in result.channels if one.run == result.motion.runs[run]]
+    worst = np.argsort(-np.nansum(size**2, axis=1), kind="stable")
+    order = np.sort(worst[:_MOST_ROWS])
+    inches = max(1.0, 0.085 * len(order))
+    drawing, axes = panels(height=inches + 0.62, margins=(1.15, 0.9, 0.34, 0.46))
+    grid = axes[0, 0]
+    first = np.array([freq_hz[lines[0]] for lines in parts]) / 1e3
+    middle = np.sqrt(first[1:] * first[:-1]) if log_spaced(freq_hz) else 0.5 * (first[1:] + first[:-1])
+    ends = (first[0], freq_hz[-1] / 1e3) if len(freq_hz) > 1 else (0.99 * first[0], 1.01 * first[0])
+    image = grid.pcolormesh(
+        np.concatenate([ends[:1], middle, ends[1:]]), np.arange(len(order) + 1), size[order], vmin=0.0,
+        vmax=4.0, cmap="magma_r", rasterized=True,
+    )  # fmt: skip
+    ticks, labels, colours = [], [], []
+    for row, channel in enumerate(order.tolist()):
+        fine = verdicts[channel] == "ok"
+        if not fine or points[channel] != points[channel - 1]:  # else it has the name of the row above
+            ticks.append(row + 0.5)
+            labels.append(plain(shorten_name(" ".join(points[channel]), 14)))
+            colours.append("#1d2733" if fine else VERDICT_COLOURS[verdicts[channel]])
+    grid.set_yticks(ticks, labels, fontsize=6)
+    for text, colour in zip(grid.get_yticklabels(), colours, strict=True):
+        text.set_color(colour)
+    grid.set_ylim(len(order), 0)
+    grid.grid(False)
+    frequency_axis(grid, freq_hz)
+    grid.set_title("|residual| / sd, every point and beam")
+    scale = drawing.colorbar(image, cax=drawing.add_axes((0.925, 0.46 / (inches + 0.8), 0.012, 0.5)))
+    scale.outline.set_visible(False)
     return drawing
 
 
-def _residual_map(fit: LineFit, freq_hz: Array) -> tuple[Array, Array, Array]:
-    """Return sizes of residuals over noise (c, columns), edges of columns (Hz), and their rms (c,)."""
-    parts = np.array_split(np.arange(len(freq_hz)), min(_COLUMNS, len(freq_hz)))
+def _residual_sizes(fit: LineFit, parts: Sequence[Array]) -> Array:
+    """Return the root mean square of residuals over noise in groups of lines, (c, groups)."""
     size = np.empty((len(fit.beams.rows), len(parts)))
-    squares, counts = np.zeros(len(size)), np.zeros(len(size))
     for column, lines in enumerate(parts):
-        with np.errstate(invalid="ignore"):
-            own = np.abs(fit.residual(lines)) ** 2 / (2.0 * fit.sd_m(lines) ** 2)
-        known = np.isfinite(own)
-        total, number = np.where(known, own, 0.0).sum(axis=1), known.sum(axis=1)
-        squares, counts = squares + total, counts + number
         with np.errstate(invalid="ignore", divide="ignore"):
-            size[:, column] = np.sqrt(total / number)
-    first = np.array([freq_hz[lines[0]] for lines in parts])
-    last = float(freq_hz[-1])
-    if len(first) > 1:
-        middle = np.sqrt(first[1:] * first[:-1]) if log_spaced(freq_hz) else 0.5 * (first[1:] + first[:-1])
-        edges = np.concatenate([[first[0]], middle, [last]])
-    else:
-        edges = np.array([0.99 * first[0], 1.01 * last])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return size, edges, np.sqrt(squares / counts)
+            own = np.abs(fit.residual(lines)) ** 2 / (2.0 * fit.sd_m(lines) ** 2)
+            known = np.isfinite(own)
+            size[:, column] = np.sqrt(np.where(known, own, 0.0).sum(axis=1) / known.sum(axis=1))
+    return size

@@ -127,7 +127,7 @@ def _channels(result: MotionResult) -> list[Markup]:
 def _residuals(result: MotionResult) -> list[Markup]:
     blocks = []
     shown = f" of run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
-    caption = f"Residuals{shown} over their noise: 1 is noise alone. Bars have the colour of the verdict."
+    caption = f"Residuals{shown} over their noise: 1 is noise alone. Names have the colour of the verdict."
     blocks.append(
         page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals")
     )
