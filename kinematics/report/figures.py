@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
 from stapeskit.arrays import Array, ComplexArray
@@ -140,7 +141,7 @@ def residual_figure(result: MotionResult, run: int = 0) -> Figure:
     return drawing
 
 
-def _residual_sizes(fit: LineFit, parts: Sequence[Array]) -> Array:
+def _residual_sizes(fit: LineFit, parts: Sequence[NDArray[np.intp]]) -> Array:
     """Return the root mean square of residuals over noise in groups of lines, (c, groups)."""
     size = np.empty((len(fit.beams.rows), len(parts)))
     for column, lines in enumerate(parts):
