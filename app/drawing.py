@@ -6,12 +6,12 @@ view of the other (numpy), so that nothing is resampled and an untouched label s
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from nibabel.orientations import apply_orientation, inv_ornt_aff, io_orientation
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
@@ -31,24 +31,10 @@ Box = tuple[slice, ...]
 Stroke = list[tuple[Box, Labels]]  # places, and what was there before
 
 
-def ras_axes(direction: Array) -> tuple[tuple[int, ...], tuple[bool, ...]]:
-    """Return, for right, anterior and superior, the nearest axis x, y, z of a grid and whether it runs back.
-
-    Parameters
-    ----------
-    direction : ndarray, (3, 3)
-        Columns: directions of the grid's axes in scan coordinates (LPS).
-    """
-    turned = RAS[:, None] * np.asarray(direction)
-    best = max(itertools.permutations(range(3)), key=lambda p: sum(abs(turned[a, p[a]]) for a in range(3)))
-    return best, tuple(bool(turned[a, best[a]] < 0.0) for a in range(3))
-
-
-def ras_view(array: NDArray[np.generic], direction: Array) -> NDArray[np.generic]:
+def ras_view(array: NDArray[np.generic], scan_from_index: Array) -> NDArray[np.generic]:
     """Return a view [s, a, r] of an array [z, y, x]: superior, anterior and right, each ascending."""
-    axes, back = ras_axes(direction)
-    turned = array.T.transpose(axes)
-    return turned[tuple(slice(None, None, -1 if one else 1) for one in back)].T
+    turned: NDArray[np.generic] = apply_orientation(array.T, _orientation(scan_from_index))
+    return turned.T
 
 
 def ras_affine(scan_from_index: Array, shape: Sequence[int], step: int = 1) -> Array:
@@ -63,15 +49,15 @@ def ras_affine(scan_from_index: Array, shape: Sequence[int], step: int = 1) -> A
     step : int
         Voxels of the grid per voxel of the picture.
     """
-    direction = scan_from_index[:3, :3] / np.linalg.norm(scan_from_index[:3, :3], axis=0)
-    axes, back = ras_axes(direction)
-    index_from_view = np.zeros((4, 4))
-    index_from_view[3, 3] = 1.0
-    for place, (axis, reverse) in enumerate(zip(axes, back, strict=True)):
-        index_from_view[axis, place] = -step if reverse else step
-        middle = 0.5 * (step - 1)
-        index_from_view[axis, 3] = shape[2 - axis] - 1 - middle if reverse else middle
-    return np.diag([*RAS, 1.0]) @ scan_from_index @ index_from_view
+    index_from_view = inv_ornt_aff(_orientation(scan_from_index), tuple(shape[::-1]))
+    view_from_picture = np.diag([step, step, step, 1.0])
+    view_from_picture[:3, 3] = 0.5 * (step - 1)
+    return np.asarray(np.diag([*RAS, 1.0]) @ scan_from_index @ index_from_view @ view_from_picture)
+
+
+def _orientation(scan_from_index: Array) -> Array:
+    """Return, as nibabel does, which axis of the picture each axis of a grid is nearest to, and its sense."""
+    return np.asarray(io_orientation(np.diag([*RAS, 1.0]) @ scan_from_index))
 
 
 @dataclass
@@ -98,7 +84,7 @@ class Drawing:
         self.labels = np.ascontiguousarray(self.labels)
         spacing = np.linalg.norm(self.scan_from_index[:3, :3], axis=0)
         self.box, self.step = shown_part(self.labels, spacing)
-        part = ras_view(self.labels[self.box], self.scan_from_index[:3, :3] / spacing)
+        part = ras_view(self.labels[self.box], self.scan_from_index)
         n, k = np.array(part.shape) // self.step, self.step
         split = part.reshape(n[0], k, n[1], k, n[2], k)
         # [s, a, r, step, step, step], a view: the brush changes every voxel beneath one of the picture

@@ -58,7 +58,7 @@ def _eight_bits(scan: Scan, box: Box | None = None) -> NDArray[np.uint8]:
     for first, slab in scan.slabs(8, box):
         shown = (slab.astype(np.float32) - np.float32(dark)) * np.float32(factor)
         grey[first : first + len(slab)] = np.clip(shown, 0.0, 255.0)
-    return np.ascontiguousarray(ras_view(grey, scan.direction)).astype(np.uint8, copy=False)
+    return np.ascontiguousarray(ras_view(grey, scan.scan_from_index)).astype(np.uint8, copy=False)
 
 
 def write_nifti(path: Path, array: NDArray[np.uint8], affine: Array) -> Path:

@@ -150,7 +150,7 @@ def test_views_and_affines_of_all_axis_orders_agree():
     array = np.arange(np.prod(SHAPE)).reshape(SHAPE)
     for axes in itertools.permutations(range(3)):
         turn = np.eye(3)[:, axes] * np.array([1.0, -1.0, 1.0])
-        view, affine = ras_view(array, turn), ras_affine(grid(turn), SHAPE)
+        view, affine = ras_view(array, grid(turn)), ras_affine(grid(turn), SHAPE)
         s, a, r = 3, 5, 7
         index = np.linalg.inv(grid(turn)) @ (affine @ [r, a, s, 1] * [-1.0, -1.0, 1.0, 1.0])
         x, y, z = np.rint(index[:3]).astype(int)
