@@ -31,7 +31,7 @@ from stapeskit.options import Opt, Options, Rule
 
 if TYPE_CHECKING:
     from ct_inertia.grey.media import Coat
-    from ct_inertia.scan.opened import RawLayout
+    from ct_inertia.scan.raw import RawLayout
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 EXPORTS = ("stl", "obj", "glb", "mat", "crop")
@@ -306,7 +306,7 @@ class MassOptions(Options):
         """How raw voxels lie in a scan without a header."""
         if self.shape is None or self.dtype is None:
             return None
-        from ct_inertia.scan.opened import RawLayout
+        from ct_inertia.scan.raw import RawLayout
 
         return RawLayout(self.shape, self.dtype, self.byte_order or "little", self.header_bytes or 0)
 

@@ -41,7 +41,6 @@ class Found:
 def look(folder: Path) -> Found:
     """Recognise the files of a folder by their names and first bytes."""
     from ct_inertia.scan.formats import format_of as scan_format
-    from ct_inertia.scan.opened import ReadOptions
     from kinematics.readers.formats import format_of as measurement_format
 
     found = Found()
@@ -63,7 +62,7 @@ def look(folder: Path) -> Found:
             found.others["landmarks"] = path
         elif path.is_dir() and not _holds_slices(path) and not _is_volume(path):
             continue
-        elif _is(partial(scan_format, path, ReadOptions())) and not lower.endswith((".csv", ".txt")):
+        elif _is(partial(scan_format, path)) and not lower.endswith((".csv", ".txt")):
             found.scans.append(path)
         elif path.is_file() and _holds_values(path) and _is(partial(measurement_format, path)):
             found.measurements.append(path)

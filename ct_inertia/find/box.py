@@ -77,7 +77,7 @@ def read_box(
             slice(int(a + n // 2), int(b), int(n))
             for a, b, n in zip(first[::-1], last[::-1], block[::-1], strict=True)
         ]
-        grey, _ = block_means(scan, [int(n) for n in block], (z, y, x))
+        grey = block_means(scan, [int(n) for n in block], (z, y, x))
         box = Box(**vars(grid), grey=grey, single=scan.read((middle[0], middle[1], middle[2])))
     return box if overview is None else _with_measured(box, overview)
 

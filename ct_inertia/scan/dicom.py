@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
-from ct_inertia.scan.opened import Opened, ReadOptions, several_values, wrong_header
-from ct_inertia.scan.streams import by_planes
+from ct_inertia.scan.header import Header, planewise, several_values, wrong_header
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
@@ -51,12 +50,13 @@ class _Frame:
     groups: tuple[Any, ...] = ()
 
     def get(self, name: str, default: Any = None) -> Any:
-        """Return a field, or the default where it is nowhere."""
+        """Return a field, or the default where it is nowhere or empty."""
         for group in self.groups:
             for element in group:
                 if element.VR == "SQ" and len(element.value) and name in element.value[0]:
                     return element.value[0].get(name)
-        return self.head.get(name, default)
+        value = self.head.get(name)
+        return default if value in (None, "") else value
 
     def numbers(self, name: str, count: int) -> Array:
         """Return a field of so many numbers; NaN where the header does not have them."""
@@ -68,46 +68,52 @@ class _Frame:
 
     def rescaling(self) -> tuple[float, float]:
         """Return slope and intercept from stored pixels to grey values."""
-        pair = []
-        for name, default in (("RescaleSlope", 1.0), ("RescaleIntercept", 0.0)):
-            value = self.get(name)
-            pair.append(default if value in (None, "") else float(value))
-        return pair[0], pair[1]
+        return float(self.get("RescaleSlope", 1.0)), float(self.get("RescaleIntercept", 0.0))
 
 
-def open_file(path: Path, options: ReadOptions) -> Opened:
+def open_dicom(path: Path) -> Header:
     """Open the DICOM series of a folder, or a file of several frames.
 
     Raises
     ------
     StapeskitError
-        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or
-        colours.
+        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, no
+        image, or colours.
     """
-    heads, notices = ({path: _head(path)}, []) if not path.is_dir() else _one_series(path)
+    heads, others = ({path: _head(path)}, 0) if not path.is_dir() else _only_series(path)
     frames = [frame for file, head in heads.items() for frame in _frames(file, head)]
+    first = frames[0]
+    if "Rows" not in first.head:
+        kind = getattr(first.head.get("SOPClassUID"), "name", "another kind of DICOM file")
+        step = "Give the folder of the slices"
+        raise StapeskitError.of(
+            "the DICOM file", "one of images", f"{kind}, without an image", path.name, step
+        )
     if len(frames) < 2:
         step = "Give the folder of the whole series"
         raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", path.name, step)
-    first = frames[0]
     for frame in frames:
         _check_alike(frame, first)
-    shape = (len(frames), int(first.head.Rows), int(first.head.Columns))
-    opened = Opened(shape, np.dtype(np.uint8), notices=notices)
-    order = _placed(opened, frames, path)
+    header = Header((len(frames), int(first.head.Rows), int(first.head.Columns)), np.dtype(np.uint8))
+    if others:
+        header.note(
+            f"{others} single pictures of other series in {path.name}, such as scouts, were left out."
+        )
+    order = _placed(header, frames, path)
     if order is None:
-        opened.known = f"the {'slices' if len(heads) > 1 else 'frames'} have no positions"
         order = np.argsort([int(frame.head.get("InstanceNumber") or 0) for frame in frames], kind="stable")
         if len(heads) == 1:
-            _place_plain_frames(opened, first)
-        elif options.spacing_mm is not None:
+            _place_plain_frames(header, first)
+        else:
             text = f"The slices in {path.name} have no positions: the order of their numbers was taken."
-            opened.notices.append(Notice("slice_positions_missing", text))
-    return _with_pixels(opened, [frames[k] for k in order], path)
+            header.notices.append(Notice("slice_positions_missing", text))
+            header.known = "the slices have no positions"
+    _add_pixels(header, [frames[k] for k in order], path)
+    return header
 
 
-def _one_series(folder: Path) -> tuple[dict[Path, Any], list[Notice]]:
-    """Return the headers of the only series of a folder; single pictures beside it are left out."""
+def _only_series(folder: Path) -> tuple[dict[Path, Any], int]:
+    """Return the headers of the only series of a folder, and the number of single pictures beside it."""
     heads, series = {}, defaultdict(list)
     for file in sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")):
         if has_preamble(file) or file.suffix.lower() in DICOM_SUFFIXES:
@@ -118,24 +124,17 @@ def _one_series(folder: Path) -> tuple[dict[Path, Any], list[Notice]]:
     stacks = [files for files in series.values() if len(files) > 1] if len(series) > 1 else [*series.values()]
     if len(stacks) != 1:
         titles = [f"{_title(heads[files[0]])} ({len(files)} files)" for files in series.values()]
-        listed = list_some(titles, 6)
-        got = f"{len(series)} series{': ' if listed else ''}{listed}"
+        got = f"{len(series)} series{': ' if titles else ''}{list_some(titles, 6)}"
         raise StapeskitError.of("the folder", "one DICOM series", got, folder.name, _APART)
-    others = len(heads) - len(stacks[0])
-    text = f"{others} single pictures of other series in {folder.name}, such as scouts, were left out."
-    return {file: heads[file] for file in stacks[0]}, [Notice("file_read", text)] if others else []
+    return {file: heads[file] for file in stacks[0]}, len(heads) - len(stacks[0])
 
 
 def _head(file: Path) -> Any:
     import pydicom
 
-    try:
-        head = pydicom.dcmread(file, stop_before_pixels=True, force=not has_preamble(file))
-        if "Rows" in head and not (int(head.Rows) > 0 and int(head.Columns) > 0):
-            raise ValueError("no pixels")
-        head.get("SeriesInstanceUID")
-    except Exception as fault:
-        raise wrong_header(file, "DICOM file", "one that pydicom cannot read") from fault
+    head = pydicom.dcmread(file, stop_before_pixels=True, force=not has_preamble(file))
+    if len(head) == 0 or ("Rows" in head and not (int(head.Rows) > 0 and int(head.Columns) > 0)):
+        raise wrong_header(file, "DICOM file", "one without fields or pixels")
     return head
 
 
@@ -159,17 +158,20 @@ def _check_alike(frame: _Frame, first: _Frame) -> None:
         one, two = frame.numbers(name, count), first.numbers(name, count)
         same = same and np.allclose(one, two, rtol=0.0, atol=rounding, equal_nan=True)
     if not same:
-        raise StapeskitError.of(
-            f"slice {frame.file.name}",
-            f"of the size, pixel spacing and orientation of {first.file.name}",
-            f"{size[0]} x {size[1]} at {frame.numbers('PixelSpacing', 2)[1]:.6g} mm",
-            frame.file.parent.name,
-            _APART,
-        )
+        wanted = f"of the size, pixel spacing and orientation of {first.file.name}"
+        got = f"{size[0]} x {size[1]} at {frame.numbers('PixelSpacing', 2)[1]:.6g} mm"
+        raise StapeskitError.of(f"slice {frame.file.name}", wanted, got, frame.file.parent.name, _APART)
 
 
-def _placed(opened: Opened, frames: Sequence[_Frame], path: Path) -> NDArray[np.intp] | None:
-    """Set the place of frames with positions, and return their order; None where they have none."""
+def _placed(header: Header, frames: Sequence[_Frame], path: Path) -> NDArray[np.intp] | None:
+    """Set the place of frames with positions, and return their order; None where they have none.
+
+    Raises
+    ------
+    StapeskitError
+        Their distances are uneven, or they lie beside each other, as a tilted gantry makes them: their voxels
+        are no boxes.
+    """
     places = np.array([frame.numbers("ImagePositionPatient", 3) for frame in frames])
     axes = frames[0].numbers("ImageOrientationPatient", 6)
     direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
@@ -177,30 +179,7 @@ def _placed(opened: Opened, frames: Sequence[_Frame], path: Path) -> NDArray[np.
     if not np.all(np.isfinite(heights)) or not np.ptp(heights) > 0.0:
         return None
     order = np.argsort(heights, kind="stable")
-    y, x = frames[0].numbers("PixelSpacing", 2)
-    opened.spacing_mm = np.array([x, y, _even_step(heights[order], path)])
-    opened.origin_mm, opened.direction, opened.anatomical = places[order[0]], direction, True
-    _check_square(places[order] @ direction[:, :2], opened.spacing_mm[:2], path)
-    return order
-
-
-def _place_plain_frames(opened: Opened, first: _Frame) -> None:
-    """Place frames without positions of their own by the position of the first and the distance of frames."""
-    y, x = first.numbers("PixelSpacing", 2)
-    step = float(first.numbers("SpacingBetweenSlices", 1)[0])
-    offsets = first.numbers("GridFrameOffsetVector", opened.shape[0])
-    if np.all(np.isfinite(offsets)):
-        step = float(np.mean(np.diff(offsets)))
-    opened.spacing_mm = np.array([x, y, abs(step)])
-    axes, place = first.numbers("ImageOrientationPatient", 6), first.numbers("ImagePositionPatient", 3)
-    if np.all(np.isfinite(axes)) and np.all(np.isfinite(place)):
-        normal = np.cross(axes[:3], axes[3:]) * (-1.0 if step < 0.0 else 1.0)
-        opened.direction, opened.origin_mm = np.column_stack([axes[:3], axes[3:], normal]), place
-        opened.anatomical = bool(np.isfinite(step))
-
-
-def _even_step(heights: Array, path: Path) -> float:
-    steps = np.diff(heights)
+    steps = np.diff(heights[order])
     middle = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - middle)))
     if not middle > 0.0 or abs(steps[worst] - middle) > _UNEVEN * middle:
@@ -208,20 +187,33 @@ def _even_step(heights: Array, path: Path) -> float:
         step = "Slices are missing, or several stacks are mixed: export the series again"
         thing, wanted = "the distance of DICOM slices", f"even ({middle:.6g} mm)"
         raise StapeskitError.of(thing, wanted, got, path.name, step)
-    return float(np.mean(steps))
-
-
-def _check_square(aside: Array, spacing: Array, path: Path) -> None:
-    """Refuse slices that lie beside each other, as a tilted gantry makes them: their voxels are no boxes."""
-    shift = aside - aside[0]
-    worst = int(np.argmax(np.max(np.abs(shift), axis=1)))
-    if np.any(np.abs(shift[worst]) > _ASIDE * spacing):
-        got = f"slice {worst + 1} {np.linalg.norm(shift[worst]):.3g} mm beside the first one (tilted gantry)"
+    y, x = frames[0].numbers("PixelSpacing", 2)
+    aside = np.abs((places[order] - places[order[0]]) @ direction[:, :2])
+    if np.any(aside > _ASIDE * np.array([x, y])):
+        got = f"slices up to {aside.max():.3g} mm beside the first one (tilted gantry)"
         step = "Resample the series to a grid of right angles, and export that"
         raise StapeskitError.of("the slices", "one behind the other along their normal", got, path.name, step)
+    header.spacing_mm = np.array([x, y, np.mean(steps)])
+    header.origin_mm, header.direction, header.anatomical = places[order[0]], direction, True
+    return order
 
 
-def _with_pixels(opened: Opened, frames: Sequence[_Frame], path: Path) -> Opened:
+def _place_plain_frames(header: Header, first: _Frame) -> None:
+    """Place frames without positions of their own by the position of the first and the distance of frames."""
+    y, x = first.numbers("PixelSpacing", 2)
+    offsets = first.numbers("GridFrameOffsetVector", header.shape[0])
+    step = float(np.mean(np.diff(offsets)))
+    if np.isnan(step):
+        step = float(first.numbers("SpacingBetweenSlices", 1)[0])
+    header.spacing_mm, header.known = np.array([x, y, abs(step)]), "the frames have no positions"
+    axes, place = first.numbers("ImageOrientationPatient", 6), first.numbers("ImagePositionPatient", 3)
+    if np.all(np.isfinite([*axes, *place, step])):
+        normal = np.cross(axes[:3], axes[3:]) * np.sign(step)
+        header.direction, header.origin_mm = np.column_stack([axes[:3], axes[3:], normal]), place
+        header.anatomical = True
+
+
+def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
     """Set how the pixels of frames are read and rescaled.
 
     Raises
@@ -231,27 +223,21 @@ def _with_pixels(opened: Opened, frames: Sequence[_Frame], path: Path) -> Opened
     """
     first = frames[0]
     shown = str(first.get("PhotometricInterpretation"))
-    if int(first.get("SamplesPerPixel") or 1) > 1 or shown == "PALETTE COLOR":
+    if int(first.get("SamplesPerPixel", 1)) > 1 or shown == "PALETTE COLOR":
         raise several_values(first.file, "a colour image")
-    kinds = {_stored_type(frame.head) for frame in frames}
-    if len(kinds) != 1 or None in kinds:
-        bits = sorted({str(frame.head.get("BitsAllocated")) for frame in frames})
-        got, step = f"pixels of {', '.join(bits)} bits", "Export grey values of one type"
+    kinds = {(int(one.get("BitsAllocated", 0)), int(one.get("PixelRepresentation", 0))) for one in frames}
+    ((bits, signed), *more) = kinds
+    if more or bits not in (8, 16, 32):
+        got, step = f"pixels of {bits} bits, {len(kinds)} types", "Export grey values of one type"
         raise StapeskitError.of("the DICOM pixels", "of 8, 16 or 32 bits, all alike", got, path.name, step)
-    opened.dtype = np.dtype(kinds.pop())
-    opened.white_is_zero = shown == "MONOCHROME1"
-    opened.slope, opened.intercept = np.transpose([frame.rescaling() for frame in frames])
-    if not np.all(np.isfinite(opened.slope * opened.intercept)) or np.any(opened.slope == 0.0):
+    header.dtype = np.dtype(f"{'i' if signed else 'u'}{bits // 8}")
+    header.white_is_zero = shown == "MONOCHROME1"
+    header.slope, header.intercept = np.transpose([frame.rescaling() for frame in frames])
+    if not np.all(np.isfinite(header.slope * header.intercept)) or np.any(header.slope == 0.0):
         got, step = "a slope of 0 or no number", "Export the series again"
         raise StapeskitError.of("the rescaling", "finite numbers", got, path.name, step)
     held: dict[Path, NDArray[Any]] = {}
-    opened.read = by_planes(frames, lambda frame: _stored(frame, opened.dtype, held))
-    return opened
-
-
-def _stored_type(head: Any) -> str | None:
-    letter = "i" if int(head.get("PixelRepresentation") or 0) else "u"
-    return {8: f"{letter}1", 16: f"{letter}2", 32: f"{letter}4"}.get(int(head.get("BitsAllocated") or 0))
+    header.read = planewise(frames, lambda frame: _stored(frame, header.dtype, held))
 
 
 def _stored(frame: _Frame, dtype: np.dtype[Any], held: dict[Path, NDArray[Any]]) -> NDArray[Any]:
@@ -294,8 +280,6 @@ def _unmasked(values: NDArray[Any], head: Any) -> NDArray[Any]:
 def _unpacked(frame: _Frame, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the stored pixels [frame, y, x] of a packed file.
 
-    Notes
-    -----
     SimpleITK applies the rescaling of the file, or that of the first frame; it is undone here, so that every
     frame is rescaled by its own.
     """
@@ -310,11 +294,7 @@ def _unpacked(frame: _Frame, dtype: np.dtype[Any]) -> NDArray[Any]:
     stored = np.rint((values - intercept) / slope)
     limits = np.iinfo(dtype)
     if stored.min() < limits.min or stored.max() > limits.max:
-        raise StapeskitError.of(
-            "the rescaled grey values",
-            "those of the stored pixels",
-            "others, which SimpleITK gives for this packing",
-            frame.file.name,
-            "Export the series unpacked, or convert it to NRRD",
-        )
+        thing, wanted = "the rescaled grey values", "those of the stored pixels"
+        step = "Export the series unpacked, or convert it to NRRD"
+        raise StapeskitError.of(thing, wanted, "others, as SimpleITK unpacks them", frame.file.name, step)
     return stored.astype(dtype)

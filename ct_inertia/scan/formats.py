@@ -10,9 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ct_inertia.scan.opened import Opened, ReadOptions
+from ct_inertia.scan.header import Header
 from stapeskit.faults import StapeskitError
+
+if TYPE_CHECKING:
+    from ct_inertia.scan.raw import RawLayout
 
 
 @dataclass(frozen=True)
@@ -24,36 +28,38 @@ class Format:
     title : str
         For people.
     module : str
-        In ``ct_inertia.scan``; its function ``open_file(path, options)`` returns `Opened`.
+        In ``ct_inertia.scan``.
+    function : str
+        In ``module``: takes a path and returns `Header`.
     reads : str
         What is read of it, for docs/formats.md.
     suffixes : tuple of str
         Of files, lower case.
     libraries : tuple of str
-        Modules that read it; the reading then runs in a child process. Empty: own code of a few header
-        fields.
+        Modules that read it.
     matches : callable or None
         Recognises a file or folder by its content, where no suffix decides.
     carries_place : bool
         Other programs read spacing, origin and direction of the format as they are read here.
-    function : str
-        Name of the function in ``module``.
     """
 
     title: str
     module: str
+    function: str
     reads: str
     suffixes: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
     matches: Callable[[Path], bool] | None = None
     carries_place: bool = False
-    function: str = "open_file"
 
-    def open_file(self, path: Path, options: ReadOptions) -> Opened:
-        """Read the header of a scan."""
+    def open_file(self, path: Path, *layout: RawLayout | None) -> Header:
+        """Read the header of a scan; that of raw voxels is their layout."""
         module = import_module(f"ct_inertia.scan.{self.module}")
-        opened: Opened = getattr(module, self.function)(path, options)
-        return opened
+        header: Header = getattr(module, self.function)(path, *layout)
+        return header
+
+
+DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")
 
 
 def _is_zarr(path: Path) -> bool:
@@ -76,11 +82,10 @@ def has_preamble(path: Path) -> bool:
         return False
 
 
-DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")
-
 RAW = Format(
     "raw voxels",
     "raw",
+    "open_raw",
     "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of "
     "`[scan]`), or as a header in their folder says",
     (".raw", ".vol", ".bin", ".dat", ".img"),
@@ -90,6 +95,7 @@ FORMATS = (
     Format(
         "TIFF",
         "tiff",
+        "open_tiff",
         "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any "
         "packing that tifffile knows; one that says 0 is white is inverted, with a notice",
         (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
@@ -98,24 +104,25 @@ FORMATS = (
     Format(
         "NRRD",
         "itk",
+        "open_nrrd",
         "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2",
         (".nrrd", ".nhdr"),
         ("SimpleITK",),
         carries_place=True,
-        function="open_nrrd",
     ),
     Format(
         "MHA, MHD",
         "itk",
+        "open_metaimage",
         "origin, direction and units, attached or detached; raw or packed",
         (".mha", ".mhd"),
         ("SimpleITK",),
         carries_place=True,
-        function="open_metaimage",
     ),
     Format(
         "NIfTI",
         "nifti",
+        "open_nifti",
         "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
         (".nii", ".nii.gz", ".hdr"),
         ("nibabel",),
@@ -124,30 +131,31 @@ FORMATS = (
     Format(
         "Scanco ISQ",
         "scanners",
+        "open_isq",
         "spacing; its density line is shown for `--calibration`",
         (".isq", ".rsq", ".rad"),
-        function="open_isq",
     ),
     Format(
         "Scanco AIM",
         "scanners",
+        "open_aim",
         "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`",
         (".aim",),
-        function="open_aim",
     ),
-    Format("VGStudio", "scanners", "a .vgi with its .vol files: spacing", (".vgi",), function="open_vgi"),
+    Format("VGStudio", "scanners", "open_vgi", "a .vgi with its .vol file: spacing", (".vgi",)),
     Format(
         "Amira",
         "scanners",
+        "open_amira",
         "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials",
         (".am",),
-        function="open_amira",
     ),
     RAW,
-    Format("OME-Zarr", "zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
+    Format("OME-Zarr", "zarr", "open_zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
     Format(
         "DICOM",
         "dicom",
+        "open_dicom",
         "series and multi-frame: order by position, rescaling of every slice; several series are listed",
         DICOM_SUFFIXES,
         ("pydicom", "SimpleITK"),
@@ -157,18 +165,19 @@ FORMATS = (
     Format(
         "a folder of slices",
         "slices",
+        "open_slices",
         "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
         "reconstruction log",
         (),
-        ("tifffile", "imageio.v3", "PIL.Image"),
+        ("tifffile", "PIL.Image"),
         Path.is_dir,
     ),
 )
 """In this order a file or folder is recognised by its content; the last entry takes every other folder."""
 
 
-def format_of(path: Path, options: ReadOptions) -> Format:
-    """Return the format of a file or folder: raw where a layout is given, by suffix, or by content.
+def format_of(path: Path) -> Format:
+    """Return the format of a file or folder, by suffix or by content.
 
     Raises
     ------
@@ -176,8 +185,6 @@ def format_of(path: Path, options: ReadOptions) -> Format:
         No format of the table.
     """
     if not path.is_dir():
-        if options.raw is not None:
-            return RAW
         # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
         name = path.name.lower().split(";")[0]
         for entry in FORMATS:

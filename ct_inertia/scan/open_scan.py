@@ -1,11 +1,10 @@
-"""Open a scan or a label volume of any format, in a child process where a library reads it."""
+"""Open a scan or a label volume of any format: the header, and packed voxels, in a child process."""
 
 from __future__ import annotations
 
 import os
 import stat
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,16 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.opened import Opened, RawLayout, ReadOptions, looks_like, wrong_header
-from ct_inertia.scan.place import place_scan, without_inversion
-from ct_inertia.scan.raw import header_beside, plane_reader
+from ct_inertia.scan.header import Header, wrong_header
+from ct_inertia.scan.place import place_scan
+from ct_inertia.scan.raw import RawLayout, header_beside, plane_reader
 from ct_inertia.scan.scan import Fetch, Scan
 from stapeskit.faults import StapeskitError
-from stapeskit.sandbox import Session, memory_limit, processor_limit_s
+from stapeskit.sandbox import Answer, Session, memory_limit, processor_limit_s
 
 Result = TypeVar("Result")
 
 _LEAST_LIMIT_S = 20.0  # processor time of a request: a small packed file can hold gigabytes of one value
+
+_BEGINNINGS = {
+    b"\x1f\x8b": "a gzip file",
+    b"PK\x03\x04": "a ZIP archive",
+    b"\x89HDF": "an HDF5 file",
+    b"NRRD": "an NRRD file",
+    b"II*\0": "a TIFF file",
+    b"MM\0*": "a TIFF file",
+    b"version http": "a pointer of Git LFS",
+    b"<": "a web page or XML",
+}
+"""First bytes of files that are given another name."""
 
 
 def open_scan(
@@ -56,10 +67,17 @@ def open_scan(
     ------
     StapeskitError
         The file is missing, of an unknown kind, damaged or truncated, has no spacing, or is no
-        three-dimensional picture of grey values.
+        three-dimensional picture of differing grey values.
     """
-    scan = _opened(Path(path), ReadOptions(spacing_mm, mirror, nan_as_air, raw))
-    check_differs(scan)
+    path = _existing(Path(path))
+    header, fetch, entry = _opened(path, raw)
+    facts = {"nan_as_air": nan_as_air, "carries_place": entry.carries_place}
+    scan = place_scan(header, fetch, path, spacing_mm, mirror, **facts)
+    middle = scan.shape[0] // 2
+    plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
+    first = plane.flat[0]
+    if np.all(plane == first) and all(np.all(slab == first) for _, slab in scan.slabs()):
+        raise _constant(scan, first)
     return scan
 
 
@@ -88,32 +106,23 @@ def open_labels(
     StapeskitError
         As `open_scan`; also values that are not whole numbers.
     """
-    scan = without_inversion(_opened(Path(path), ReadOptions(spacing_mm, mirror), own_spacing=True))
-    labels = scan.read()
+    path = _existing(Path(path))
+    header, fetch, entry = _opened(path)
+    header.white_is_zero = False  # numbers that name bodies are neither bright nor dark
+    own = header.spacing_mm is not None and np.all(np.isfinite(header.spacing_mm))
+    grid = place_scan(
+        header, fetch, path, None if own else spacing_mm, mirror, carries_place=entry.carries_place
+    )
+    labels = grid.read()
     if labels.dtype.kind == "f":
         whole = np.rint(labels)
         if np.any(whole != labels) or np.abs(whole).max() > np.iinfo(np.int32).max:
             step = "Export labels, not grey values"
-            raise StapeskitError.of("the label volume", "whole numbers", "fractions", scan.name, step)
+            raise StapeskitError.of("the label volume", "whole numbers", "fractions", grid.name, step)
         labels = whole.astype(np.int32)
     if labels.min() == labels.max():
-        raise _constant(scan, labels.flat[0])
-    return labels, scan
-
-
-def check_differs(scan: Scan) -> None:
-    """Refuse a volume with one value in every voxel.
-
-    Raises
-    ------
-    StapeskitError
-        All voxels are equal.
-    """
-    middle = scan.shape[0] // 2
-    plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
-    first = plane.flat[0]
-    if np.all(plane == first) and all(np.all(slab == first) for _, slab in scan.slabs()):
-        raise _constant(scan, first)
+        raise _constant(grid, labels.flat[0])
+    return labels, grid
 
 
 def _constant(scan: Scan, value: object) -> StapeskitError:
@@ -122,45 +131,27 @@ def _constant(scan: Scan, value: object) -> StapeskitError:
     return StapeskitError.of("the volume", wanted, got, scan.name, step)
 
 
-def _opened(path: Path, options: ReadOptions, own_spacing: bool = False) -> Scan:
-    path = _existing(path)
-    entry = format_of(path, options)
-    source = path
-    if entry is RAW and options.raw is None and (header := header_beside(path)) is not None:
-        source, entry = header, format_of(header, options)
-    opened, fetch = _read_header(entry, source, options)
-    opened.files = tuple(dict.fromkeys((path, source, *opened.files)))
-    if own_spacing and opened.spacing_mm is not None and np.all(np.isfinite(opened.spacing_mm)):
-        options = replace(options, spacing_mm=None)
-    return place_scan(opened, fetch, path, options, entry.carries_place)
+def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Header, Fetch, Format]:
+    """Read the header in a child process, which stays where it decodes voxels."""
+    source, entry = path, format_of(path) if layout is None or path.is_dir() else RAW
+    if entry is RAW and layout is None and (beside := header_beside(path)) is not None:
+        source, entry = beside, format_of(beside)
 
+    def open_source() -> tuple[Header, Answer]:
+        given = (layout,) if entry is RAW else ()
+        header = _plainly(entry, source, lambda: entry.open_file(source, *given))
+        read, header.read = header.read, None
+        return header, lambda box: _plainly(entry, source, lambda: read(box) if read else None)
 
-def _read_header(entry: Format, path: Path, options: ReadOptions) -> tuple[Opened, Fetch]:
-    """Read the header, in a child process where a library does it, and return how voxels are read."""
-    if not entry.libraries:
-        opened = _plainly(entry, path, lambda: entry.open_file(path, options))
-        return opened, _fetch_of(opened)
-
-    def open_source() -> tuple[Opened, Fetch]:
-        found = _plainly(entry, path, lambda: entry.open_file(path, options))
-        if found.read is None:
-            return found, _fetch_of(found)
-        read, found.read = found.read, None
-        return found, lambda box: _plainly(entry, path, lambda: read(box))
-
-    session = Session(
-        open_source,
-        path,
-        f"the {entry.title} scan",
-        max(_LEAST_LIMIT_S, processor_limit_s(path)),
-        max(memory_limit(path), _half_of_memory()),
-        entry.libraries,
-    )
-    opened = session.opened
-    if opened.planes is not None:
-        session.close()
-        return opened, _fetch_of(opened)
-    return opened, lambda box: session.ask(box)
+    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(source))
+    memory = max(memory_limit(source), _half_of_memory())
+    session = Session(open_source, source, f"the {entry.title} scan", limit_s, memory, entry.libraries)
+    header = session.opened
+    header.files = (path, source, *header.files)
+    if header.planes is None:
+        return header, session.ask, entry
+    session.close()
+    return header, plane_reader(header.planes, header.shape, header.dtype), entry
 
 
 def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
@@ -170,15 +161,14 @@ def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
     except (StapeskitError, MemoryError):
         raise
     except Exception as fault:
-        library = entry.libraries[0].split(".")[0] if entry.libraries else "its reader"
-        got = f"one that {library} cannot read{looks_like(path, entry.title)}"
+        got = "a damaged or truncated one"
+        if path.is_file():
+            with path.open("rb") as stream:
+                start = stream.read(12)
+            other = [name for begin, name in _BEGINNINGS.items() if start.startswith(begin)]
+            if other and entry.title not in other[0]:
+                got = f"one that begins as {other[0]}, whatever its name says"
         raise wrong_header(path, f"{entry.title} file", got) from fault
-
-
-def _fetch_of(opened: Opened) -> Fetch:
-    if opened.planes is None:
-        raise StapeskitError.of("the scan", "one with voxels", "a header alone")
-    return plane_reader(opened.planes, opened.shape, opened.dtype)
 
 
 def _half_of_memory() -> int:
@@ -197,23 +187,22 @@ def _existing(path: Path) -> Path:
     StapeskitError
         Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
     """
+    wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
     try:
         status = path.stat()
         if path.is_file():
             path.open("rb").close()
         elif path.is_dir():
             next(path.iterdir(), None)
+        else:
+            got, step = "a pipe or a device", "Save it as a file"
     except (FileNotFoundError, NotADirectoryError):
-        raise StapeskitError.of(
-            "the scan", "an existing file or folder", path, next_step="Check the path"
-        ) from None
+        wanted, got, step = "an existing file or folder", str(path), "Check the path"
     except (OSError, ValueError) as fault:
-        why, step = getattr(fault, "strerror", None) or str(fault), "Check its permissions"
-        raise StapeskitError.of("the scan", "a file that can be read", why, path.name, step) from None
-    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
-        step = "Save it as a file"
-        raise StapeskitError.of("the scan", "a file or folder", "a pipe or a device", path.name, step)
-    if stat.S_ISREG(status.st_mode) and status.st_size == 0:
-        step = "Copy it again"
-        raise StapeskitError.of("the scan", "a file with content", "an empty file", path.name, step)
+        got = getattr(fault, "strerror", None) or str(fault)
+    else:
+        if stat.S_ISREG(status.st_mode) and status.st_size == 0:
+            got, step = "an empty file", "Copy it again"
+    if got:
+        raise StapeskitError.of("the scan", wanted, got, path.name if got != str(path) else "", step)
     return path if path.name else path.resolve()

@@ -8,14 +8,13 @@ place; ``--mirror`` then reverses the voxels inside the box of the scan, whose p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.opened import Opened, ReadOptions
+from ct_inertia.scan.header import Header
 from ct_inertia.scan.scan import Box, Fetch, Scan, check_grey_values
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -37,7 +36,7 @@ _PRINTER_DPI = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 1200.
 
 _NOTED_CHANGE = 1e-3  # relative difference of two voxel sizes that is more than rounding
 _UNSET_RATIO = 4.0  # a slice distance of exactly 1 is not believed so far from the pixel size
-_AXES = "xyz"
+_AXES = ("x", "y", "z")
 
 
 def mm_per_unit(unit: object) -> float | None:
@@ -67,13 +66,13 @@ def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
     str
         What the file says, for the message; empty where it is believed.
     """
-    x, _, z = spacing
+    x, y, z = spacing
     if z == 1.0 and np.isfinite(x) and x > 0.0 and not 1.0 / _UNSET_RATIO <= x <= _UNSET_RATIO:
         text = (
             f"the file says {x * unit_mm:.6g} mm in a slice and slices exactly 1 unit ({unit_mm:g} mm) "
             f"apart, which programs write where nobody entered a distance"
         )
-        return np.array([spacing[0], spacing[1], np.nan]) * unit_mm, text
+        return np.array([x, y, np.nan]) * unit_mm, text
     return spacing * unit_mm, ""
 
 
@@ -99,10 +98,9 @@ def choose_spacing(
     """
     stated = np.full(3, np.nan) if from_file is None else np.asarray(from_file, dtype=float)
     stated, unset = believed_spacing(stated, 1.0)
-    known = unset or known
     if from_user is None:
         if not np.all(stated > 0.0):
-            known = known if np.any(np.isnan(stated)) else _times(stated)
+            known = unset or known if np.any(np.isnan(stated)) else _times(stated)
             wanted, got = "in the file or given", f"none{': ' + known if known else ''}"
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
             raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
@@ -113,28 +111,37 @@ def choose_spacing(
         step = "Give it in mm, for example --spacing 0.018"
         raise StapeskitError.of("--spacing", wanted, values.tolist(), next_step=step)
     spacing = np.broadcast_to(values, 3).copy()
-    known_axes = np.isfinite(stated) & (stated != 0.0)
-    if not np.any(np.abs(spacing[known_axes] / stated[known_axes] - 1.0) > _NOTED_CHANGE):
+    with np.errstate(divide="ignore"):
+        differ = np.abs(spacing / stated - 1.0) > _NOTED_CHANGE  # never where the file's is NaN
+    if not np.any(differ):
         return spacing, []
-    along = "" if np.all(known_axes) else " along " + " and ".join(np.array(list(_AXES))[known_axes])
-    held, given = _times(stated[known_axes]), _times(spacing)
-    text = f"{name} has voxels of {held} mm{along}; the given {given} mm were used."
+    text = f"{name} has voxels of {_times(stated)} mm; the given {_times(spacing)} mm were used."
     return spacing, [Notice("file_read", text)]
 
 
-def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, carries_place: bool) -> Scan:
+def place_scan(
+    header: Header,
+    fetch: Fetch,
+    path: Path,
+    spacing_mm: float | Sequence[float] | None = None,
+    mirror: str | None = None,
+    **attributes: Any,
+) -> Scan:
     """Return the scan behind a header, on a right-handed grid.
 
     Parameters
     ----------
-    opened : Opened
+    header : Header
     fetch : callable
         Reads a box of stored values.
     path : Path
         The file or folder that was given.
-    options : ReadOptions
-    carries_place : bool
-        See `Scan`.
+    spacing_mm : float or sequence of 3 float, optional
+        Of the user.
+    mirror : str, optional
+        ``x``, ``y`` or ``z``: reverse the voxels along that axis.
+    **attributes
+        Further attributes of the scan.
 
     Raises
     ------
@@ -142,92 +149,76 @@ def place_scan(opened: Opened, fetch: Fetch, path: Path, options: ReadOptions, c
         No three-dimensional grey values, no spacing, sheared directions, or ``--mirror`` names no axis.
     """
     name = path.name
-    check_grey_values(tuple(opened.shape), opened.dtype, name)
-    shape = (int(opened.shape[0]), int(opened.shape[1]), int(opened.shape[2]))
-    if options.mirror is not None and options.mirror not in tuple(_AXES):
-        raise StapeskitError.of(
-            "--mirror", "x, y or z", options.mirror, next_step="Name one of the three axes"
+    check_grey_values(header.shape, header.dtype, name)
+    z, y, x = (int(n) for n in header.shape)
+    shape = (z, y, x)
+    if mirror is not None and mirror not in _AXES:
+        raise StapeskitError.of("--mirror", "x, y or z", mirror, next_step="Name one of the three axes")
+    spacing, notices = choose_spacing(header.spacing_mm, spacing_mm, name, header.known)
+    fetch, dtype = _as_grey_values(header, fetch)
+    if header.white_is_zero:
+        text = (
+            f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
+            f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 "
+            f"less it; floats change sign). If bone was bright as stored, correct the tag in its program."
         )
-    spacing, notices = choose_spacing(opened.spacing_mm, options.spacing_mm, name, opened.known)
-    notices = [*opened.notices, *notices]
-    fetch, dtype = rescaled(opened, fetch)
-    origin, direction = np.asarray(opened.origin_mm, dtype=float), np.asarray(opened.direction, dtype=float)
-    if opened.white_is_zero:
-        fetch = _inverted(fetch, dtype)
-        notices.append(_white_is_zero(name))
+        notices.append(Notice("file_read", text))
+    origin, direction = np.asarray(header.origin_mm, dtype=float), np.array(header.direction, dtype=float)
     if direction.shape == (3, 3) and np.linalg.det(direction) < 0.0:
         axis = int(np.argmin(np.diag(direction)))
         fetch = _reversed(fetch, shape, axis)
         origin = origin + direction[:, axis] * spacing[axis] * (shape[2 - axis] - 1)
-        direction = direction.copy()
-        direction[:, axis] = -direction[:, axis]
+        direction[:, axis] *= -1.0
         text = (
             f"The axes of {name} are left-handed: its {_AXES[axis]} axis was read in reverse, and every "
             f"voxel kept its place."
         )
         notices.append(Notice("file_read", text))
-    if options.mirror is not None:
-        fetch = _reversed(fetch, shape, _AXES.index(options.mirror))
-    elif not opened.anatomical:
+    if mirror is not None:
+        fetch = _reversed(fetch, shape, _AXES.index(mirror))
+    elif not header.anatomical:
         text = (
             f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the "
             f"ear is a mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it."
         )
         notices.append(Notice("handedness_unconfirmed", text))
     return Scan(
-        shape=shape,
-        dtype=dtype,
-        spacing_mm=spacing,
-        fetch=fetch,
-        origin_mm=origin,
-        direction=direction,
+        shape,
+        dtype,
+        spacing,
+        fetch,
+        origin,
+        direction,
         source=path,
-        files=opened.files or (path,),
-        notices=tuple(notices),
-        segment_names=dict(opened.names),
-        handedness_confirmed=opened.anatomical,
-        carries_place=carries_place,
-        nan_as_air=options.nan_as_air,
-        inverted=opened.white_is_zero,
-        chunk_planes=opened.depth,
+        files=tuple(dict.fromkeys((path, *header.files))),
+        notices=(*header.notices, *notices),
+        segment_names=dict(header.names),
+        handedness_confirmed=header.anatomical,
+        chunk_planes=header.depth,
+        **attributes,
     )
 
 
-def rescaled(opened: Opened, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
-    """Apply slope and intercept, of the scan or of every plane; float32 where they change anything."""
-    dtype = opened.dtype.newbyteorder("=")
-    slope, intercept = np.asarray(opened.slope, dtype=float), np.asarray(opened.intercept, dtype=float)
-    if np.all(slope == 1.0) and np.all(intercept == 0.0):
+def _as_grey_values(header: Header, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
+    """Apply slope and intercept, to float32 where they change anything, and exchange bright and dark."""
+    dtype = header.dtype.newbyteorder("=")
+    slope, intercept = (
+        np.broadcast_to(np.asarray(values, dtype=float), header.shape[0])[:, None, None]
+        for values in (header.slope, header.intercept)
+    )
+    scaled = bool(np.any(slope != 1.0) or np.any(intercept != 0.0))
+    if not scaled and not header.white_is_zero:
         return fetch, dtype
-    slopes, intercepts = (np.broadcast_to(one, opened.shape[0])[:, None, None] for one in (slope, intercept))
 
-    def scaled(box: Box) -> NDArray[np.float32]:
-        return np.asarray(fetch(box) * slopes[box[0]] + intercepts[box[0]], dtype=np.float32)
+    def read(box: Box) -> NDArray[Any]:
+        values = fetch(box)
+        if scaled:
+            values = np.asarray(values * slope[box[0]] + intercept[box[0]], dtype=np.float32)
+        if header.white_is_zero:
+            values = -values if values.dtype.kind == "f" else np.invert(values)
+        return values
 
-    return scaled, np.dtype(np.float32)
-
-
-def without_inversion(scan: Scan) -> Scan:
-    """Undo the exchange of bright and dark: numbers that name bodies are neither."""
-    if not scan.inverted:
-        return scan
-    kept = tuple(notice for notice in scan.notices if notice != _white_is_zero(scan.name))
-    return replace(scan, fetch=_inverted(scan.fetch, scan.dtype), notices=kept, inverted=False)
-
-
-def _inverted(fetch: Fetch, dtype: np.dtype[Any]) -> Fetch:
-    if dtype.kind == "f":
-        return lambda box: -fetch(box)
-    return lambda box: np.invert(fetch(box))
-
-
-def _white_is_zero(name: str) -> Notice:
-    text = (
-        f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
-        f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 less "
-        f"it; floats change sign). If bone was bright as stored, correct the tag where the scan was exported."
-    )
-    return Notice("file_read", text)
+    return read, np.dtype(np.float32) if scaled else dtype
 
 
 def _reversed(fetch: Fetch, shape: tuple[int, int, int], axis: int) -> Fetch:
@@ -238,14 +229,12 @@ def _reversed(fetch: Fetch, shape: tuple[int, int, int], axis: int) -> Fetch:
         asked = range(shape[k])[box[k]]
         if not len(asked):
             return fetch(box)
-        first = shape[k] - 1 - asked[-1]
         turned = list(box)
-        turned[k] = slice(first, shape[k] - asked[0], asked.step)
-        values = fetch((turned[0], turned[1], turned[2]))
-        return np.ascontiguousarray(np.flip(values, axis=k))
+        turned[k] = slice(shape[k] - 1 - asked[-1], shape[k] - asked[0], asked.step)
+        return np.ascontiguousarray(np.flip(fetch((turned[0], turned[1], turned[2])), axis=k))
 
     return reversed_fetch
 
 
 def _times(values: Array) -> str:
-    return " x ".join(f"{value:.6g}" for value in values)
+    return " x ".join("?" if np.isnan(value) else f"{value:.6g}" for value in values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -60,8 +60,6 @@ class Scan:
         Other programs read spacing, origin and direction of this format as they are read here.
     nan_as_air : bool
         Voxels that are not finite are read as `fill`; otherwise they are refused.
-    inverted : bool
-        Bright and dark were exchanged, because the file says that 0 is white.
     chunk_planes : int
         Planes that are unpacked together: reading so many at a time unpacks every voxel once.
 
@@ -85,22 +83,21 @@ class Scan:
     handedness_confirmed: bool = False
     carries_place: bool = False
     nan_as_air: bool = False
-    inverted: bool = False
     chunk_planes: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
         object.__setattr__(self, "dtype", np.dtype(self.dtype).newbyteorder("="))
         check_grey_values(self.shape, self.dtype, self.name)
-        spacing = np.array(self.spacing_mm, dtype=float)
-        if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
-            wanted, step = "three positive numbers in mm", "Give it with --spacing"
-            raise StapeskitError.of("the voxel spacing", wanted, spacing, self.name, step)
-        origin = np.array(self.origin_mm, dtype=float)
-        if origin.shape != (3,) or not np.all(np.isfinite(origin)):
-            wanted, step = "three finite numbers in mm", "Export it again"
-            raise StapeskitError.of("the origin of the scan", wanted, origin, self.name, step)
-        direction = nearest_rotation(np.array(self.direction, dtype=float), self.name)
+        spacing, origin = np.array(self.spacing_mm, dtype=float), np.array(self.origin_mm, dtype=float)
+        for thing, values, good in (
+            ("the voxel spacing", spacing, np.all(spacing > 0.0)),
+            ("the origin of the scan", origin, True),
+        ):
+            if values.shape != (3,) or not np.all(np.isfinite(values)) or not good:
+                step = "Correct the header, or give --spacing"
+                raise StapeskitError.of(thing, "three proper numbers in mm", values, self.name, step)
+        direction = _nearest_rotation(np.array(self.direction, dtype=float), self.name)
         for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -108,15 +105,9 @@ class Scan:
     @classmethod
     def from_array(cls, array: NDArray[Any], spacing_mm: ArrayLike, **fields: Any) -> Self:
         """Return a scan of an array [z, y, x] in memory; ``fields`` are further attributes of the scan."""
-        spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=float), 3)
         native = array.dtype.newbyteorder("=")
-        return cls(
-            shape=array.shape,
-            dtype=native,
-            spacing_mm=spacing,
-            fetch=lambda box: array[box].astype(native, order="C", copy=True),
-            **fields,
-        )
+        spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=float), 3)
+        return cls(array.shape, native, spacing, lambda box: array[box].astype(native, order="C"), **fields)
 
     @property
     def name(self) -> str:
@@ -170,9 +161,7 @@ class Scan:
             The file is damaged or too short there, or a voxel is not finite (unless ``nan_as_air``) or too
             large to be squared.
         """
-        whole = box or (slice(None), slice(None), slice(None))
-        bounds = [part.indices(n) for part, n in zip(whole, self.shape, strict=True)]
-        values = self.fetch(tuple(slice(*bound) for bound in bounds))  # type: ignore[arg-type]
+        values = self._fetch(self._ranges(box))
         return self._finite(values) if self.dtype.kind == "f" else values
 
     def slabs(self, planes: int = 1, box: Box | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -191,12 +180,10 @@ class Scan:
             Position of the slab's first plane among the planes of the box.
         ndarray, [z, y, x]
         """
-        whole = box or (slice(None), slice(None), slice(None))
-        every = range(self.shape[0])[whole[0]]
+        every, *rest = self._ranges(box)
         together = planes * -(-self.chunk_planes // planes)
         for first in range(0, len(every), together):
-            some = every[first : first + together]
-            values = self.read((slice(some[0], some[-1] + 1, every.step), whole[1], whole[2]))
+            values = self.read(_slices([every[first : first + together], *rest]))
             for k in range(0, len(values), planes):
                 yield first + k, values[k : k + planes]
 
@@ -215,50 +202,50 @@ class Scan:
         high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size)
         if np.any(high - low < 2):
             ends = self.scan_points(np.array([[0, 0, 0], self.size - 1]))
-            raise StapeskitError.of(
-                "--box",
-                f"a box that overlaps the scan ({_numbers(ends[0])} to {_numbers(ends[1])} mm)",
-                f"{_numbers(corners[0])} to {_numbers(corners[1])} mm",
-                self.name,
-                "Give two corners in scan coordinates, mm",
+            given, held = (
+                " to ".join(", ".join(f"{value:.6g}" for value in end) for end in pair)
+                for pair in (corners, ends)
             )
+            wanted, step = f"a box in the scan ({held} mm)", "Give two corners in scan coordinates, mm"
+            raise StapeskitError.of("--box", wanted, f"{given} mm", self.name, step)
         x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
         return z, y, x
 
     def part(self, box: Box) -> Scan:
         """Return a box of the scan as a scan of its own, at its place; slices with steps make it coarser."""
-        ranges = [range(n)[along] for along, n in zip(box, self.shape, strict=True)]
-        first = np.array([along[0] for along in ranges[::-1]])
-        step = np.array([along.step for along in ranges[::-1]])
+        ranges = self._ranges(box)
+        z, y, x = (len(along) for along in ranges)
 
         def fetch(inner: Box) -> NDArray[Any]:
-            outer = []
-            for along, asked in zip(ranges, inner, strict=True):
-                some = along[asked]
-                outer.append(slice(some.start, some.stop, some.step))
-            return self.fetch(tuple(outer))  # type: ignore[arg-type]
+            return self._fetch([along[asked] for along, asked in zip(ranges, inner, strict=True)])
 
-        shape = tuple(len(along) for along in ranges)
         return replace(
             self,
-            shape=shape,  # type: ignore[arg-type]
-            spacing_mm=self.spacing_mm * step,
-            origin_mm=self.scan_points(first),
+            shape=(z, y, x),
+            spacing_mm=self.spacing_mm * [along.step for along in ranges[::-1]],
+            origin_mm=self.scan_points([along[0] for along in ranges[::-1]]),
             fetch=fetch,
         )
 
     @cached_property
     def fill(self) -> float:
         """Grey value that non-finite voxels are read as: the median of a subsample of the finite ones."""
-        steps = tuple(slice(n // (2 * (n // 40 + 1)), None, n // 40 + 1) for n in self.shape)
-        bounds = [part.indices(n) for part, n in zip(steps, self.shape, strict=True)]
-        values = self.fetch(tuple(slice(*bound) for bound in bounds))  # type: ignore[arg-type]
+        steps = [n // 40 + 1 for n in self.shape]
+        ranges = [range(n // (2 * step), n, step) for n, step in zip(self.shape, steps, strict=True)]
+        values = self._fetch(ranges)
         finite = values[np.isfinite(values)]
         return float(np.median(finite)) if finite.size else 0.0
 
+    def _ranges(self, box: Box | None) -> list[range]:
+        """Return the indices of a box along z, y, x, clipped to the scan."""
+        return [range(n)[along] for along, n in zip(box or (slice(None),) * 3, self.shape, strict=True)]
+
+    def _fetch(self, ranges: Sequence[range]) -> NDArray[Any]:
+        return self.fetch(_slices(ranges))
+
     def _finite(self, values: NDArray[Any]) -> NDArray[Any]:
-        # The sum of squares is finite only where every voxel is: one pass without a mask in the usual case.
-        with np.errstate(over="ignore", invalid="ignore"):
+        """Return values as they are where all are proper numbers, which their extremes tell."""
+        with np.errstate(invalid="ignore"):
             low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
         if low >= -LARGEST_GREY and high <= LARGEST_GREY:
             return values
@@ -275,7 +262,12 @@ class Scan:
         return values
 
 
-def check_grey_values(shape: tuple[int, ...], dtype: np.dtype[Any], name: str) -> None:
+def _slices(ranges: Sequence[range]) -> Box:
+    z, y, x = (slice(along.start, along.stop, along.step) for along in ranges)
+    return z, y, x
+
+
+def check_grey_values(shape: Sequence[int], dtype: np.dtype[Any], name: str) -> None:
     """Refuse what is no volume of real numbers.
 
     Raises
@@ -283,20 +275,19 @@ def check_grey_values(shape: tuple[int, ...], dtype: np.dtype[Any], name: str) -
     StapeskitError
         Not three-dimensional, or neither integers nor floating point numbers.
     """
-    thing, expected, got, step = "the volume", "", "", ""
     if dtype.kind == "c":
-        expected, got, step = "real grey values", "complex numbers", "Export the magnitude"
-    elif len(shape) != 3 or min(shape) < 2:
-        expected, got = "three-dimensional", f"an image of {' x '.join(str(n) for n in reversed(shape))}"
+        step = "Export the magnitude"
+        raise StapeskitError.of("the volume", "real grey values", "complex numbers", name, step)
+    if len(shape) != 3 or min(shape) < 2:
+        got = f"an image of {' x '.join(str(n) for n in reversed(shape))}"
         step = "Give the whole stack, or the folder of slices"
-    elif dtype.kind not in "uif" or dtype.itemsize > 8:
-        thing, expected, got = "the grey values", "integers or floating point numbers", str(dtype)
-        step = "Export it as grey values"
-    if expected:
-        raise StapeskitError.of(thing, expected, got, name, step)
+        raise StapeskitError.of("the volume", "three-dimensional", got, name, step)
+    if dtype.kind not in "uif" or dtype.itemsize > 8:
+        wanted, step = "integers or floating point numbers", "Export it as grey values"
+        raise StapeskitError.of("the grey values", wanted, str(dtype), name, step)
 
 
-def nearest_rotation(direction: Array, name: str) -> Array:
+def _nearest_rotation(direction: Array, name: str) -> Array:
     """Return the rotation next to a direction matrix (3, 3), which headers round to a few digits.
 
     Raises
@@ -316,7 +307,3 @@ def nearest_rotation(direction: Array, name: str) -> Array:
         raise StapeskitError.of("the direction matrix", expected, got, name, step)
     left, _, right = np.linalg.svd(direction)
     return np.asarray(left @ right)
-
-
-def _numbers(values: ArrayLike) -> str:
-    return ", ".join(f"{value:.6g}" for value in np.asarray(values, dtype=float))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.scan.opened import HEADER_BYTES, Opened, ReadOptions, planes_in, several_values, wrong_header
+from ct_inertia.scan.header import HEADER_BYTES, Header, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.arrays import Array
@@ -35,7 +35,7 @@ _AMIRA_TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float
 _BRACKET = re.compile(r'("[^"]{0,200}"|[\w.-]{1,200})?\s{0,20}([{}])')
 
 
-def open_isq(path: Path, _: ReadOptions) -> Opened:
+def open_isq(path: Path) -> Header:
     """Open a Scanco ISQ volume.
 
     Raises
@@ -54,32 +54,31 @@ def open_isq(path: Path, _: ReadOptions) -> Opened:
     (blocks,) = struct.unpack_from("<i", head, 508)
     if not head.startswith(b"CTDATA-HEADER_V1") or blocks < 0:
         raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}, data at block {blocks}")
-    opened = _raw(path, size, "<i2", (blocks + 1) * _BLOCK)
-    opened.spacing_mm = _positive(extent / np.array(size))
-    opened.notices = _isq_density(head[: (blocks + 1) * _BLOCK], path.name)
-    return opened
+    header = _raw(path, size, "<i2", (blocks + 1) * _BLOCK)
+    header.spacing_mm = extent / np.array(size)
+    _note_isq_density(header, head[: (blocks + 1) * _BLOCK], path.name)
+    return header
 
 
-def _isq_density(head: bytes, name: str) -> list[Notice]:
-    """Return the line from grey value to density in the extended header."""
+def _note_isq_density(header: Header, head: bytes, name: str) -> None:
+    """Report the line from grey value to density in the extended header."""
     if len(head) < 4 * _BLOCK:
-        return []
+        return
     scaling = struct.unpack_from("<i", head, 88)[0]
     at, skipped = _BLOCK, 1
     if head[at + 8 : at + 24] == b"MultiHeader     ":
         at, skipped = at + _BLOCK, 2
-    for entry in range(4):
-        place = at + entry * 128
+    for place in range(at, at + 4 * 128, 128):
         (blocks,) = struct.unpack_from("<i", head, place + 24)
         if blocks < 0 or (1 + skipped + blocks) * _BLOCK > len(head):
-            break
+            return
         if head[place + 8 : place + 24] == b"Calibration     " and blocks >= 2:
             block = head[(1 + skipped) * _BLOCK :]
             unit = block[648:664].split(b"\0")[0].decode("latin-1").strip()
             slope, intercept = _vax_double(block[664:672]), _vax_double(block[672:680])
-            return _density_notice(name, float(scaling), slope, intercept, unit)
+            _note_density(header, name, float(scaling), slope, intercept, unit)
+            return
         skipped += blocks
-    return []
 
 
 def _vax_double(eight: bytes) -> float:
@@ -98,7 +97,7 @@ def _vax_float(four: bytes) -> float:
     return float(struct.unpack("<f", four[2:] + four[:2])[0]) / 4.0
 
 
-def open_aim(path: Path, _: ReadOptions) -> Opened:
+def open_aim(path: Path) -> Header:
     """Open a Scanco AIM volume of version 020 or 030; its place in the original scan gives the origin.
 
     Raises
@@ -129,89 +128,80 @@ def open_aim(path: Path, _: ReadOptions) -> Opened:
         wanted = "8-bit, 16-bit, 32-bit or float voxels, not packed"
         step = "Export it unpacked, or as ISQ or MHA"
         raise StapeskitError.of("the AIM data", wanted, f"type {kind:#x}", path.name, step)
-    opened = _raw(path, values[3:], _AIM_TYPES[kind], data)
-    opened.spacing_mm = _positive(cell)
-    if opened.spacing_mm is not None:
-        opened.origin_mm = np.array(values[:3], dtype=float) * cell
-    opened.notices = _aim_density(head[log:data].decode("latin-1"), path.name)
-    return opened
+    header = _raw(path, values[3:], _AIM_TYPES[kind], data)
+    header.spacing_mm, header.origin_mm = cell, np.nan_to_num(np.array(values[:3], dtype=float) * cell)
+    _note_aim_density(header, head[log:data].decode("latin-1"), path.name)
+    return header
 
 
-def _aim_density(log: str, name: str) -> list[Notice]:
-    """Return the line from grey value to density in the processing log."""
+def _note_aim_density(header: Header, log: str, name: str) -> None:
+    """Report the line from grey value to density in the processing log."""
     entries = {}
     for line in log.splitlines():
         key, _, value = line.partition("  ")
         entries[key.strip()] = value.strip()
     try:
-        words = [entries[key] for key in ("Mu_Scaling", "Density: slope", "Density: intercept")]
-        scaling, slope, intercept = (float(word) for word in words)
+        scaling, slope, intercept = (
+            float(entries[key]) for key in ("Mu_Scaling", "Density: slope", "Density: intercept")
+        )
     except (KeyError, ValueError):
-        return []
-    return _density_notice(name, scaling, slope, intercept, entries.get("Density: unit", ""))
+        return
+    _note_density(header, name, scaling, slope, intercept, entries.get("Density: unit", ""))
 
 
-def _density_notice(name: str, scaling: float, slope: float, intercept: float, unit: str) -> list[Notice]:
-    """Return the notice with the density line of a header, as two points for a calibration file."""
+def _note_density(
+    header: Header, name: str, scaling: float, slope: float, intercept: float, unit: str
+) -> None:
+    """Report the density line of a header, as two points for a calibration file."""
     if not (scaling > 0.0 and slope > 0.0 and np.isfinite(intercept) and np.isfinite(slope * scaling)):
-        return []
+        return
     points = ", ".join(
         f"[{grey:.0f}, {slope * grey / scaling + intercept:.6g}]" for grey in (0.0, 2.0 * scaling)
     )
-    text = (
+    header.note(
         f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
         f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
         f"file of --calibration."
     )
-    return [Notice("file_read", text)]
 
 
-def open_vgi(path: Path, _: ReadOptions) -> Opened:
+def open_vgi(path: Path) -> Header:
     """Open the volume that a VGStudio header describes.
 
     Raises
     ------
     StapeskitError
-        A key is missing, a data file is missing or too short, or packed.
+        A key is missing, the voxels are packed or in several files, or the file is missing or too short.
 
     Notes
     -----
-    Sections ``[file1]``, ... say how the voxels are stored, which need not be how ``[representation]`` shows
-    them. Several files hold the slices one after another. The place and rotation of the volume in the scene
-    of VGStudio are not scan coordinates: origin 0, identity.
+    The section ``[file1]`` says how the voxels are stored, which need not be how ``[representation]`` shows
+    them. The place and rotation of the volume in the scene of VGStudio are not scan coordinates: origin 0,
+    identity.
     """
     sections = _vgi_sections(_start(path).decode("utf-8", "replace"))
-    names = sorted((name for name in sections if re.fullmatch(r"file\d{0,9}", name)), key=_file_number)
+    stored = [name for name in sections if re.fullmatch(r"file\d{0,9}", name)]
     shown = sections.get("representation", {})
-    parts = [shown | sections[name] for name in names]
-    first = parts[0]
-    if any(part.get("fileformat", "raw").lower() != "raw" for part in parts):
-        step = "Export the volume as raw, unsigned integer or float"
-        raise StapeskitError.of("FileFormat", "raw", first.get("fileformat"), path.name, step)
-    sizes = [_shape([int(word) for word in part["size"].split()], path, least=1) for part in parts]
-    depths = [size[0] for size in sizes]
-    if {size[1:] for size in sizes} != {sizes[0][1:]} or {depths[0], *depths[:-1]} != {depths[0]}:
-        raise wrong_header(path, "VGI header", f"files of different sizes {sizes}")
-    shape = (sum(depths), *sizes[0][1:])
-    order = ">" if first.get("byteorder", "").lower().startswith("big") else "<"
-    dtype = np.dtype(f"{order}{_VGI_KINDS[first['datatype'].lower()]}{int(first['bitsperelement']) // 8}")
-    pieces = []
-    for part in parts:
-        named = part.get("name") or path.with_suffix(".vol").name
-        file = path.parent / named.replace("\\", "/").rsplit("/", 1)[-1]
-        pieces.append((file, int(part.get("skipheader", "0"))))
-    check_grey_values(shape, dtype, path.name)
-    opened = Opened(shape, dtype, planes_in(pieces, shape, dtype, path.name, depths[0]))
-    opened.files = tuple(file for file, _ in pieces)
-    opened.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
+    part = shown | sections[stored[0]]
+    if len(stored) > 1 or part.get("fileformat", "raw").lower() != "raw":
+        got = f"{len(stored)} files of format {part.get('fileformat', 'raw')}"
+        step = "Export the volume as one raw file, unsigned integer or float"
+        raise StapeskitError.of("the voxels", "in one raw file", got, path.name, step)
+    named = part.get("name") or path.with_suffix(".vol").name
+    file = path.parent / named.replace("\\", "/").rsplit("/", 1)[-1]
+    order = ">" if part.get("byteorder", "").lower().startswith("big") else "<"
+    kind = f"{order}{_VGI_KINDS[part['datatype'].lower()]}{int(part['bitsperelement']) // 8}"
+    size = [int(word) for word in part["size"].split()]
+    header = _raw(path, size, kind, int(part.get("skipheader", "0")), file)
+    header.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
     mirrored = shown.get("mirror", "0").split()
     if any(word not in ("0", "0.0") for word in mirrored):
         text = (
             f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were "
             f"read as they are stored. Use --mirror if the ear is a mirror image."
         )
-        opened.notices.append(Notice("handedness_unconfirmed", text))
-    return opened
+        header.notices.append(Notice("handedness_unconfirmed", text))
+    return header
 
 
 def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
@@ -229,24 +219,19 @@ def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
     return sections
 
 
-def _file_number(name: str) -> int:
-    return int(name.removeprefix("file") or 0)
-
-
 def _vgi_spacing(geometry: dict[str, str]) -> Array | None:
     """Return the voxel size from the resolution and its unit; None where one of them is missing."""
     unit = mm_per_unit(geometry.get("unit"))
-    try:
-        values = np.array([float(word) for word in geometry.get("resolution", "").split()])
-        scale = np.array([float(word) for word in geometry.get("scale", "1 1 1").split()])
-    except ValueError:
+    if unit is None or "resolution" not in geometry:
         return None
-    if unit is None or values.shape != (3,) or scale.shape != (3,):
-        return None
-    return _positive(values * scale * unit)
+    resolution, scale = (
+        np.array([float(word) for word in geometry.get(key, "1 1 1").split()])
+        for key in ("resolution", "scale")
+    )
+    return resolution * scale * unit
 
 
-def open_amira(path: Path, _: ReadOptions) -> Opened:
+def open_amira(path: Path) -> Header:
     """Open an Avizo or Amira lattice of binary voxels with its bounding box.
 
     Raises
@@ -276,22 +261,21 @@ def open_amira(path: Path, _: ReadOptions) -> Opened:
         raise StapeskitError.of("the lattice", "of binary voxels that are not packed", got, path.name, step)
     order = "<" if "LITTLE" in first.upper() else ">"
     size = [int(word) for word in lattice.groups()]
-    opened = _raw(path, size, order + _AMIRA_TYPES[field[1]], end.end())
-    opened.names = _materials(text)
-    opened.known = "the lattice has no unit of length"
+    header = _raw(path, size, order + _AMIRA_TYPES[field[1]], end.end())
+    header.names = _materials(text)
+    header.known = "the lattice has no unit of length"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
     if box is None:
-        return opened
+        return header
     unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
     factor = mm_per_unit(unit[1]) if unit else None
     ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
     steps = (ends[:, 1] - ends[:, 0]) / (np.array(size) - 1)
     if factor is None:
-        opened.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
-        return opened
-    opened.spacing_mm = _positive(steps * factor)
-    opened.origin_mm = ends[:, 0] * factor
-    return opened
+        header.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
+    else:
+        header.spacing_mm, header.origin_mm = steps * factor, ends[:, 0] * factor
+    return header
 
 
 def _materials(text: str) -> dict[int, str]:
@@ -313,24 +297,12 @@ def _start(path: Path) -> bytes:
         return stream.read(HEADER_BYTES)
 
 
-def _raw(path: Path, size: Sequence[int], kind: str, start: int) -> Opened:
-    """Return a volume of x, y, z voxels behind a header in the same file."""
-    shape, dtype = _shape(size, path), np.dtype(kind)
-    return Opened(shape, dtype, planes_in([(path, start)], shape, dtype, path.name))
-
-
-def _positive(spacing: Array) -> Array | None:
-    return spacing if np.all(np.isfinite(spacing)) and np.all(spacing > 0.0) else None
-
-
-def _shape(size: Sequence[int], path: Path, least: int = 2) -> tuple[int, int, int]:
-    """Return sizes x, y, z as a shape z, y, x."""
+def _raw(path: Path, size: Sequence[int], kind: str, start: int, file: Path | None = None) -> Header:
+    """Return a volume of x, y, z voxels behind a header in the same file, or in another one."""
     if len(size) != 3 or min(size) < 1:
         got = " x ".join(map(str, size))
-        raise StapeskitError.of(
-            "the size in the header", "three positive numbers", got, path.name, "Export it again"
-        )
-    if least > 1:
-        check_grey_values(tuple(reversed(size)), np.dtype(np.uint8), path.name)
-    x, y, z = size
-    return int(z), int(y), int(x)
+        raise wrong_header(path, "header", f"a size of {got}")
+    header = Header(tuple(reversed(size)), np.dtype(kind))
+    check_grey_values(header.shape, header.dtype, path.name)
+    header.lay(file or path, start, path)
+    return header

@@ -89,7 +89,6 @@ CASES = {
     "a30.aim": Case(aim30, ("i1", "u1", "i2", "u2", "i4", "f4"), entry="Scanco AIM"),
     "a.vgi": Case(vgi, ("u1", "u2", "i2", "f4"), entry="VGStudio"),
     "um.vgi": Case(vgi, ("u2",), {"unit": "um", "skip": 100}, entry="VGStudio"),
-    "parts.vgi": Case(vgi, ("u2",), {"parts": 3}, entry="VGStudio"),
     "a.am": Case(amira, ("u1", "i2", "u2", "i4", "f4", "f8"), entry="Amira"),
     "big.am": Case(amira, ("u2", "f4"), {"big": True}, entry="Amira"),
     "um.am": Case(amira, ("u2",), {"unit": "µm"}, entry="Amira"),
