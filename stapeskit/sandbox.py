@@ -153,7 +153,7 @@ class Session(Generic[Opened]):
                 self.close()
                 raise
         else:
-            self.opened, self._direct = self._attempt(open_source)
+            self.opened, self._direct = self._result(_outcome(open_source))
 
     def ask(self, request: Any) -> NDArray[Any]:
         """Return the array that answers a request.
@@ -165,14 +165,11 @@ class Session(Generic[Opened]):
         """
         with self._lock:
             if self._direct is not None:
-                answer = self._direct
-                return np.asarray(self._attempt(lambda: answer(request)))
+                return np.require(self._result(_outcome(partial(self._direct, request))), requirements="W")
             if not self._child:
                 raise self._error("a source whose reading ended before")
-            try:
+            with suppress(OSError):  # of a child that has ended, which the answer tells
                 self._pipe.send(request)
-            except OSError:
-                self._fail()
             return self._receive()
 
     def close(self) -> None:
@@ -197,97 +194,87 @@ class Session(Generic[Opened]):
             child = os.fork()
             if child == 0:
                 self._pipe.close()
-                self._serve(open_source, theirs)
+                _serve(open_source, theirs, self._limit_s, self._memory)
             theirs.close()
         self._child = child
 
-    def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], pipe: Connection) -> NoReturn:
-        """In the child process: open the source and answer requests until the parent ends."""
-        try:
-            _isolate(self._memory)
-            answer: Answer = _no_requests
-
-            def begin() -> Opened:
-                nonlocal answer
-                opened, answer = open_source()
-                return opened
-
-            work: Callable[[], Any] = begin
-            while True:
-                _limit_processor(self._limit_s)
-                _send(pipe, _outcome(work))
-                work = partial(answer, pipe.recv())
-        except EOFError:  # the parent has ended or closed the session
-            pass
-        finally:
-            os._exit(0)
-
     def _receive(self) -> Any:
-        """Return the next result of the child, or raise its fault."""
+        """Return the next result of the child; one that crashed or hangs is ended."""
         try:
             if not self._pipe.poll(CLOCK * self._limit_s):
-                self._fail()
+                raise EOFError
             head, sizes = self._pipe.recv()
             buffers = [np.empty(size, dtype=np.uint8) for size in sizes]
             for buffer in buffers:
                 rest = buffer.data
                 while rest:
-                    rest = rest[os.readv(self._pipe.fileno(), [rest]) or self._fail() :]
+                    count = os.readv(self._pipe.fileno(), [rest])
+                    if not count:
+                        raise EOFError
+                    rest = rest[count:]
         except (EOFError, OSError):
-            self._fail()
+            status = self._end()
+            late = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXCPU)
+            hangs = f"one that its library does not finish reading ({self._limit_s:.3g} s)"
+            raise self._error(hangs if late else "one that crashes its library") from None
         except BaseException:  # an interrupt: what the child sends later would answer another request
             self._end()
             raise
-        good, value = pickle.loads(head, buffers=buffers)
+        return self._result(pickle.loads(head, buffers=buffers))
+
+    def _result(self, outcome: tuple[bool, Any]) -> Any:
+        """Return the result of an outcome, or raise its failure."""
+        good, value = outcome
         if good:
             return value
-        raise self._error_of(value)
-
-    def _attempt(self, work: Callable[[], Result]) -> Result:
-        good, value = _outcome(work)
-        if good:
-            return value
-        raise self._error_of(value)
-
-    def _error_of(self, failure: tuple[tuple[Fault, ...], str, str]) -> StapeskitError:
-        faults, text, trace = failure
+        faults, text, trace = value
         if faults:
-            return StapeskitError(*faults)
+            raise StapeskitError(*faults)
         if text == "MemoryError":
             text = f"one that needs more than {self._memory / 1e6:.0f} MB of memory"
         error = self._error(text)
         error.add_note(trace)
-        return error
+        raise error
 
     def _error(self, got: str) -> StapeskitError:
         return StapeskitError(Fault(self._what, "readable", got, self._name, DAMAGED))
 
-    def _fail(self) -> NoReturn:
-        """End a child that crashed or hangs, and raise."""
-        status = self._end()
-        late = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXCPU)
-        hangs = f"one that its library does not finish reading ({self._limit_s:.3g} s)"
-        raise self._error(hangs if late else "one that crashes its library") from None
-
     def _end(self) -> int:
         """Kill the child, close the pipe to it, and return its exit status."""
-        if not self._child:
-            return 0
-        child, self._child = self._child, 0
-        with suppress(ProcessLookupError, ChildProcessError):
-            ended, status = os.waitpid(child, os.WNOHANG)
-            if not ended:
-                os.kill(child, signal.SIGKILL)
-                status = os.waitpid(child, 0)[1]
+        status, child, self._child = 0, self._child, 0
+        if child:
+            with suppress(ProcessLookupError, ChildProcessError):
+                ended, status = os.waitpid(child, os.WNOHANG)
+                if not ended:
+                    os.kill(child, signal.SIGKILL)
+                    status = os.waitpid(child, 0)[1]
             self._pipe.close()
-            return status
-        self._pipe.close()
-        return 0
+        return status
 
 
 def can_fork() -> bool:
     """Return whether a child process can be forked."""
     return hasattr(os, "fork") and sys.platform != "emscripten"
+
+
+def _serve(
+    open_source: Callable[[], tuple[Any, Answer]], pipe: Connection, limit_s: float, memory: int
+) -> NoReturn:
+    """In the child process: open the source and answer requests until the parent ends."""
+    try:
+        _isolate(memory)
+        _limit_processor(limit_s)
+        opened = _outcome(open_source)
+        good, found = opened
+        _send(pipe, (good, found[0]) if good else opened)
+        while good:
+            request = pipe.recv()
+            _limit_processor(limit_s)
+            _send(pipe, _outcome(partial(found[1], request)))
+    except EOFError:  # the parent has ended or closed the session
+        pass
+    finally:
+        os._exit(0)
 
 
 def _send(pipe: Connection, outcome: object) -> None:

@@ -102,12 +102,9 @@ def open_dicom(path: Path) -> Header:
     order = _placed(header, frames, path)
     if order is None:
         order = np.argsort([int(frame.head.get("InstanceNumber") or 0) for frame in frames], kind="stable")
-        if len(heads) == 1:
-            _place_plain_frames(header, first)
-        else:
-            text = f"The slices in {path.name} have no positions: the order of their numbers was taken."
-            header.notices.append(Notice("slice_positions_missing", text))
-            header.known = "the slices have no positions"
+        text = f"The slices in {path.name} have no positions: the order of their numbers was taken."
+        header.notices.append(Notice("slice_positions_missing", text))
+        header.known = "the slices have no positions"
     _add_pixels(header, [frames[k] for k in order], path)
     return header
 
@@ -198,21 +195,6 @@ def _placed(header: Header, frames: Sequence[_Frame], path: Path) -> NDArray[np.
     return order
 
 
-def _place_plain_frames(header: Header, first: _Frame) -> None:
-    """Place frames without positions of their own by the position of the first and the distance of frames."""
-    y, x = first.numbers("PixelSpacing", 2)
-    offsets = first.numbers("GridFrameOffsetVector", header.shape[0])
-    step = float(np.mean(np.diff(offsets)))
-    if np.isnan(step):
-        step = float(first.numbers("SpacingBetweenSlices", 1)[0])
-    header.spacing_mm, header.known = np.array([x, y, abs(step)]), "the frames have no positions"
-    axes, place = first.numbers("ImageOrientationPatient", 6), first.numbers("ImagePositionPatient", 3)
-    if np.all(np.isfinite([*axes, *place, step])):
-        normal = np.cross(axes[:3], axes[3:]) * np.sign(step)
-        header.direction, header.origin_mm = np.column_stack([axes[:3], axes[3:], normal]), place
-        header.anatomical = True
-
-
 def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
     """Set how the pixels of frames are read and rescaled.
 
@@ -230,71 +212,33 @@ def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
     if more or bits not in (8, 16, 32):
         got, step = f"pixels of {bits} bits, {len(kinds)} types", "Export grey values of one type"
         raise StapeskitError.of("the DICOM pixels", "of 8, 16 or 32 bits, all alike", got, path.name, step)
-    header.dtype = np.dtype(f"{'i' if signed else 'u'}{bits // 8}")
+    rescaling = {frame.file: frame.rescaling() for frame in frames}
+    if not np.all(np.isfinite([*rescaling.values()])) or any(
+        frame.rescaling() != rescaling[frame.file] for frame in frames
+    ):
+        got, step = "others in one file, or no numbers", "Export the series as single slices"
+        raise StapeskitError.of("the rescaling", "one slope and offset a file", got, path.name, step)
+    scaled = set(rescaling.values()) != {(1.0, 0.0)}
+    header.dtype = np.dtype(np.float32 if scaled else f"{'i' if signed else 'u'}{bits // 8}")
     header.white_is_zero = shown == "MONOCHROME1"
-    header.slope, header.intercept = np.transpose([frame.rescaling() for frame in frames])
-    if not np.all(np.isfinite(header.slope * header.intercept)) or np.any(header.slope == 0.0):
-        got, step = "a slope of 0 or no number", "Export the series again"
-        raise StapeskitError.of("the rescaling", "finite numbers", got, path.name, step)
     held: dict[Path, NDArray[Any]] = {}
-    header.read = planewise(frames, lambda frame: _stored(frame, header.dtype, held))
+
+    def decode(frame: _Frame) -> NDArray[Any]:
+        if frame.file not in held:
+            held.clear()  # the frames of the file that was read last
+            held[frame.file] = _pixels(frame.file, header)
+        return held[frame.file][frame.number]
+
+    header.read = planewise(frames, decode)
 
 
-def _stored(frame: _Frame, dtype: np.dtype[Any], held: dict[Path, NDArray[Any]]) -> NDArray[Any]:
-    """Return the stored pixels of a frame: by pydicom as they lie, packed ones by SimpleITK.
-
-    ``held`` keeps the frames of the packed file that was read last.
-    """
-    file, head = frame.file, frame.head
-    try:
-        syntax = head.file_meta.get("TransferSyntaxUID")
-        if syntax is None or not syntax.is_compressed:
-            from pydicom.pixels.utils import pixel_array
-
-            several = int(head.get("NumberOfFrames") or 1) > 1
-            values = pixel_array(file, index=frame.number if several else None, raw=True)
-            values = _unmasked(values.astype(dtype, copy=False), head)
-        else:
-            if file not in held:
-                held.clear()
-                held[file] = _unpacked(frame, dtype)
-            values = held[file][frame.number]
-        if values.shape != (int(head.Rows), int(head.Columns)):
-            raise ValueError(f"pixels of shape {values.shape}")
-    except StapeskitError:
-        raise
-    except Exception as fault:
-        raise wrong_header(file, "DICOM file", "one whose pixels cannot be read") from fault
-    return values
-
-
-def _unmasked(values: NDArray[Any], head: Any) -> NDArray[Any]:
-    """Return pixels of fewer bits than they are stored in, without the other bits (PS3.5, 8.1.1)."""
-    allocated, stored = int(head.BitsAllocated), int(head.get("BitsStored") or head.BitsAllocated)
-    above = allocated - 1 - int(head.get("HighBit", stored - 1))
-    if stored == allocated or not 0 <= above <= allocated - stored:
-        return values
-    return np.right_shift(np.left_shift(values, above), allocated - stored)
-
-
-def _unpacked(frame: _Frame, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the stored pixels [frame, y, x] of a packed file.
-
-    SimpleITK applies the rescaling of the file, or that of the first frame; it is undone here, so that every
-    frame is rescaled by its own.
-    """
+def _pixels(file: Path, header: Header) -> NDArray[Any]:
+    """Return the pixels [frame, y, x] of a file, rescaled by the slope and offset of the file."""
     import SimpleITK as sitk
 
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    values = sitk.GetArrayFromImage(sitk.ReadImage(str(frame.file)))
-    values = values.reshape(-1, *values.shape[-2:])
-    slope, intercept = _frames(frame.file, frame.head)[0].rescaling()
-    if (slope, intercept) == (1.0, 0.0):
-        return values.astype(dtype, copy=False)
-    stored = np.rint((values - intercept) / slope)
-    limits = np.iinfo(dtype)
-    if stored.min() < limits.min or stored.max() > limits.max:
-        thing, wanted = "the rescaled grey values", "those of the stored pixels"
-        step = "Export the series unpacked, or convert it to NRRD"
-        raise StapeskitError.of(thing, wanted, "others, as SimpleITK unpacks them", frame.file.name, step)
-    return stored.astype(dtype)
+    try:
+        values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        return values.reshape(-1, *header.shape[1:]).astype(header.dtype, casting="same_kind", copy=False)
+    except (RuntimeError, ValueError, TypeError) as fault:
+        raise wrong_header(file, "DICOM file", "one whose pixels cannot be read") from fault

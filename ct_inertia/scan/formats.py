@@ -27,10 +27,8 @@ class Format:
     ----------
     title : str
         For people.
-    module : str
-        In ``ct_inertia.scan``.
-    function : str
-        In ``module``: takes a path and returns `Header`.
+    opener : str
+        Module and function of ``ct_inertia.scan`` that takes a path and returns `Header`.
     reads : str
         What is read of it, for docs/formats.md.
     suffixes : tuple of str
@@ -44,8 +42,7 @@ class Format:
     """
 
     title: str
-    module: str
-    function: str
+    opener: str
     reads: str
     suffixes: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
@@ -54,8 +51,8 @@ class Format:
 
     def open_file(self, path: Path, *layout: RawLayout | None) -> Header:
         """Read the header of a scan; that of raw voxels is their layout."""
-        module = import_module(f"ct_inertia.scan.{self.module}")
-        header: Header = getattr(module, self.function)(path, *layout)
+        module, function = self.opener.split(".")
+        header: Header = getattr(import_module(f"ct_inertia.scan.{module}"), function)(path, *layout)
         return header
 
 
@@ -84,18 +81,15 @@ def has_preamble(path: Path) -> bool:
 
 RAW = Format(
     "raw voxels",
-    "raw",
-    "open_raw",
-    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of "
-    "`[scan]`), or as a header in their folder says",
+    "raw.open_raw",
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`)",
     (".raw", ".vol", ".bin", ".dat", ".img"),
 )
 
 FORMATS = (
     Format(
         "TIFF",
-        "tiff",
-        "open_tiff",
+        "tiff.open_tiff",
         "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any "
         "packing that tifffile knows; one that says 0 is white is inverted, with a notice",
         (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
@@ -103,8 +97,7 @@ FORMATS = (
     ),
     Format(
         "NRRD",
-        "itk",
-        "open_nrrd",
+        "itk.open_nrrd",
         "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2",
         (".nrrd", ".nhdr"),
         ("SimpleITK",),
@@ -112,8 +105,7 @@ FORMATS = (
     ),
     Format(
         "MHA, MHD",
-        "itk",
-        "open_metaimage",
+        "itk.open_metaimage",
         "origin, direction and units, attached or detached; raw or packed",
         (".mha", ".mhd"),
         ("SimpleITK",),
@@ -121,8 +113,7 @@ FORMATS = (
     ),
     Format(
         "NIfTI",
-        "nifti",
-        "open_nifti",
+        "nifti.open_nifti",
         "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
         (".nii", ".nii.gz", ".hdr"),
         ("nibabel",),
@@ -130,32 +121,28 @@ FORMATS = (
     ),
     Format(
         "Scanco ISQ",
-        "scanners",
-        "open_isq",
-        "spacing; its density line is shown for `--calibration`",
+        "scanners.open_isq",
+        "spacing",
         (".isq", ".rsq", ".rad"),
     ),
     Format(
         "Scanco AIM",
-        "scanners",
-        "open_aim",
+        "scanners.open_aim",
         "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`",
         (".aim",),
     ),
-    Format("VGStudio", "scanners", "open_vgi", "a .vgi with its .vol file: spacing", (".vgi",)),
+    Format("VGStudio", "scanners.open_vgi", "a .vgi with its .vol file: spacing", (".vgi",)),
     Format(
         "Amira",
-        "scanners",
-        "open_amira",
+        "scanners.open_amira",
         "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials",
         (".am",),
     ),
     RAW,
-    Format("OME-Zarr", "zarr", "open_zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
+    Format("OME-Zarr", "zarr.open_zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
     Format(
         "DICOM",
-        "dicom",
-        "open_dicom",
+        "dicom.open_dicom",
         "series and multi-frame: order by position, rescaling of every slice; several series are listed",
         DICOM_SUFFIXES,
         ("pydicom", "SimpleITK"),
@@ -164,8 +151,7 @@ FORMATS = (
     ),
     Format(
         "a folder of slices",
-        "slices",
-        "open_slices",
+        "slices.open_slices",
         "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
         "reconstruction log",
         (),

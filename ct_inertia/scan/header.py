@@ -1,4 +1,4 @@
-"""What the file of a format says about a scan, the size check of raw voxels, and faults that formats share."""
+"""What a file says about a scan, the size check of raw voxels, and faults that formats share."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _LONGEST_NAME = 255  # bytes of a file name in common file systems
 class Header:
     """A scan as its file describes it, before the rules of `place` are applied.
 
+    What is not listed is as in `Scan`.
+
     Attributes
     ----------
-    shape : tuple of int
-        Voxels along z, y, x.
     dtype : dtype
         Of a stored voxel, with its byte order.
     planes : sequence of (Path, int), or None
@@ -39,9 +39,8 @@ class Header:
         Planes that are decoded together.
     spacing_mm : ndarray, (3,), or None
         Along x, y, z; NaN along an axis, or None, where the file does not have it.
-    origin_mm : ndarray, (3,)
     direction : ndarray, (3, 3)
-        Columns: directions of the grid's x, y, z axes; may be left-handed.
+        As in `Scan`; may be left-handed.
     anatomical : bool
         The file ties its axes to the patient.
     slope, intercept : float or ndarray, (nz,)
@@ -50,7 +49,6 @@ class Header:
         Bright and dark are exchanged in the file.
     known : str
         What the file says of an incomplete spacing, for the message.
-    notices : list of Notice
     names : dict of int to str
         Names of labels.
     files : tuple of Path

@@ -105,7 +105,7 @@ def open_metaimage(path: Path) -> Header:
     if components > 1:
         raise several_values(path, f"{components} values (a colour or vector image)")
     header.anatomical = "?" not in fields.get("anatomicalorientation", "?")
-    named = fields["elementdatafile"]
+    named = fields.get("elementdatafile", "")
     if named.upper() in ("LOCAL", ""):
         return _with_voxels(header, path, path, end, 0, packed)
     start = _whole(fields, "headersize", path)
@@ -209,9 +209,8 @@ def _unpacked(
         with file.open("rb") as stream:
             stream.seek(start)
             content = stream.read()
-        begin = content[:2]
-        unpack = {b"\x1f\x8b": gzip.decompress, b"BZ": bz2.decompress}.get(begin, zlib.decompress)
-        content = unpack(content)
+        packing: Any = {b"\x1f\x8b": gzip, b"BZ": bz2}.get(content[:2], zlib)
+        content = packing.decompress(content)
     except (EOFError, zlib.error, OSError) as fault:
         raise wrong_header(file, "packed stream", "a damaged or truncated one") from fault
     needed, held = prod(shape) * dtype.itemsize, len(content) - max(skip, 0)

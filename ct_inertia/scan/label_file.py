@@ -33,13 +33,8 @@ def write_segmentation(
 
     Parameters
     ----------
-    path : Path
-    slabs : iterable of ndarray of uint8, [z, y, x]
-        Layers of the labels one behind the other.
-    shape : sequence of 3 int
-        Of all of them, z, y, x.
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of the labels to scan coordinates (LPS), mm.
+    path, slabs, shape, scan_from_index
+        As in `write_crop`.
     segments : mapping of int to (str, str)
         Name and colour of each number.
 
@@ -69,7 +64,7 @@ def write_segmentation(
         keys |= {f"Segment{number}_{key}": str(word) for key, word in entry.items()}
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
     with path.open("wb") as stream:
-        stream.write(nrrd_header("uint8", shape, scan_from_index, "gzip", keys))
+        stream.write(_header("uint8", shape, scan_from_index, "gzip", keys))
         for slab in slabs:
             stream.write(packer.compress(np.ascontiguousarray(slab, dtype=np.uint8).data))
         stream.write(packer.flush())
@@ -99,48 +94,27 @@ def write_crop(
     little = dtype.newbyteorder("<")
     kind = {"float32": "float", "float64": "double"}.get(little.name, little.name)
     with path.open("wb") as stream:
-        stream.write(nrrd_header(kind, shape, scan_from_index, "raw"))
+        stream.write(_header(kind, shape, scan_from_index, "raw", {}))
         for slab in slabs:
             stream.write(np.ascontiguousarray(slab, little).reshape(-1).view(np.uint8).data)
 
 
-def nrrd_header(
-    kind: str,
-    shape: Sequence[int],
-    scan_from_index: Array,
-    encoding: str,
-    keys: Mapping[str, str] | None = None,
+def _header(
+    kind: str, shape: Sequence[int], scan_from_index: Array, encoding: str, keys: Mapping[str, str]
 ) -> bytes:
-    """Return the header of an NRRD of little-endian voxels in scan coordinates (LPS).
-
-    Parameters
-    ----------
-    kind : str
-        Type of a voxel, as NRRD calls it: https://teem.sourceforge.net/nrrd/format.html
-    shape : sequence of 3 int
-        z, y, x.
-    scan_from_index : ndarray, (4, 4)
-    encoding : str
-        ``raw`` or ``gzip``.
-    keys : mapping of str to str, optional
-        Of other programs.
-    """
-    columns = [_vector(scan_from_index[:3, k]) for k in range(4)]
+    """Return an NRRD header in scan coordinates (LPS): https://teem.sourceforge.net/nrrd/format.html."""
+    *columns, origin = (f"({','.join(repr(float(v)) for v in column)})" for column in scan_from_index[:3].T)
     lines = [
         "NRRD0004",
         f"type: {kind}",
         "dimension: 3",
         "space: left-posterior-superior",
         f"sizes: {' '.join(str(int(n)) for n in reversed(shape))}",
-        f"space directions: {' '.join(columns[:3])}",
+        f"space directions: {' '.join(columns)}",
         "kinds: domain domain domain",
         "endian: little",
         f"encoding: {encoding}",
-        f"space origin: {columns[3]}",
-        *(f"{key}:={value}" for key, value in (keys or {}).items()),
+        f"space origin: {origin}",
+        *(f"{key}:={value}" for key, value in keys.items()),
     ]
     return ("\n".join(lines) + "\n\n").encode("ascii")
-
-
-def _vector(values: Array) -> str:
-    return f"({','.join(repr(float(value)) for value in values)})"

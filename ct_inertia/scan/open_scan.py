@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.header import Header, wrong_header
+from ct_inertia.scan.header import Header, planewise, wrong_header
 from ct_inertia.scan.place import place_scan
-from ct_inertia.scan.raw import RawLayout, header_beside, plane_reader
+from ct_inertia.scan.raw import RawLayout, plane_reader
 from ct_inertia.scan.scan import Fetch, Scan
 from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import Answer, Session, memory_limit, processor_limit_s
@@ -22,18 +21,6 @@ from stapeskit.sandbox import Answer, Session, memory_limit, processor_limit_s
 Result = TypeVar("Result")
 
 _LEAST_LIMIT_S = 20.0  # processor time of a request: a small packed file can hold gigabytes of one value
-
-_BEGINNINGS = {
-    b"\x1f\x8b": "a gzip file",
-    b"PK\x03\x04": "a ZIP archive",
-    b"\x89HDF": "an HDF5 file",
-    b"NRRD": "an NRRD file",
-    b"II*\0": "a TIFF file",
-    b"MM\0*": "a TIFF file",
-    b"version http": "a pointer of Git LFS",
-    b"<": "a web page or XML",
-}
-"""First bytes of files that are given another name."""
 
 
 def open_scan(
@@ -133,21 +120,18 @@ def _constant(scan: Scan, value: object) -> StapeskitError:
 
 def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Header, Fetch, Format]:
     """Read the header in a child process, which stays where it decodes voxels."""
-    source, entry = path, format_of(path) if layout is None or path.is_dir() else RAW
-    if entry is RAW and layout is None and (beside := header_beside(path)) is not None:
-        source, entry = beside, format_of(beside)
+    entry = format_of(path) if layout is None or path.is_dir() else RAW
 
     def open_source() -> tuple[Header, Answer]:
         given = (layout,) if entry is RAW else ()
-        header = _plainly(entry, source, lambda: entry.open_file(source, *given))
-        read, header.read = header.read, None
-        return header, lambda box: _plainly(entry, source, lambda: read(box) if read else None)
+        header = _plainly(entry, path, lambda: entry.open_file(path, *given))
+        read, header.read = header.read or planewise([], len), None
+        return header, lambda box: _plainly(entry, path, lambda: read(box))
 
-    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(source))
-    memory = max(memory_limit(source), _half_of_memory())
-    session = Session(open_source, source, f"the {entry.title} scan", limit_s, memory, entry.libraries)
+    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
+    memory = max(memory_limit(path), _half_of_memory())
+    session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
     header = session.opened
-    header.files = (path, source, *header.files)
     if header.planes is None:
         return header, session.ask, entry
     session.close()
@@ -161,13 +145,10 @@ def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
     except (StapeskitError, MemoryError):
         raise
     except Exception as fault:
-        got = "a damaged or truncated one"
+        got = "a damaged one, or of another kind"
         if path.is_file():
             with path.open("rb") as stream:
-                start = stream.read(12)
-            other = [name for begin, name in _BEGINNINGS.items() if start.startswith(begin)]
-            if other and entry.title not in other[0]:
-                got = f"one that begins as {other[0]}, whatever its name says"
+                got += f": it begins with {stream.read(12)!r}"
         raise wrong_header(path, f"{entry.title} file", got) from fault
 
 
@@ -189,20 +170,18 @@ def _existing(path: Path) -> Path:
     """
     wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
     try:
-        status = path.stat()
-        if path.is_file():
-            path.open("rb").close()
-        elif path.is_dir():
+        if path.is_dir():
             next(path.iterdir(), None)
-        else:
+        elif not path.exists():
+            wanted, got = "an existing file or folder", f"no {path}"
+        elif not path.is_file():
             got, step = "a pipe or a device", "Save it as a file"
-    except (FileNotFoundError, NotADirectoryError):
-        wanted, got, step = "an existing file or folder", str(path), "Check the path"
+        elif path.stat().st_size == 0:
+            got, step = "an empty file", "Copy it again"
+        else:
+            path.open("rb").close()
     except (OSError, ValueError) as fault:
         got = getattr(fault, "strerror", None) or str(fault)
-    else:
-        if stat.S_ISREG(status.st_mode) and status.st_size == 0:
-            got, step = "an empty file", "Copy it again"
     if got:
-        raise StapeskitError.of("the scan", wanted, got, path.name if got != str(path) else "", step)
+        raise StapeskitError.of("the scan", wanted, got, path.name, step)
     return path if path.name else path.resolve()

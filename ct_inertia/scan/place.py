@@ -94,7 +94,7 @@ def choose_spacing(
     Raises
     ------
     StapeskitError
-        There is none, or one that is not positive.
+        Neither has it.
     """
     stated = np.full(3, np.nan) if from_file is None else np.asarray(from_file, dtype=float)
     stated, unset = believed_spacing(stated, 1.0)
@@ -105,12 +105,7 @@ def choose_spacing(
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
             raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
         return stated, []
-    values = np.asarray(from_user, dtype=float).ravel()
-    if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
-        wanted = "one or three positive numbers in mm (H or DX,DY,DZ)"
-        step = "Give it in mm, for example --spacing 0.018"
-        raise StapeskitError.of("--spacing", wanted, values.tolist(), next_step=step)
-    spacing = np.broadcast_to(values, 3).copy()
+    spacing = np.broadcast_to(np.asarray(from_user, dtype=float), 3).copy()
     with np.errstate(divide="ignore"):
         differ = np.abs(spacing / stated - 1.0) > _NOTED_CHANGE  # never where the file's is NaN
     if not np.any(differ):
@@ -129,31 +124,18 @@ def place_scan(
 ) -> Scan:
     """Return the scan behind a header, on a right-handed grid.
 
-    Parameters
-    ----------
-    header : Header
-    fetch : callable
-        Reads a box of stored values.
-    path : Path
-        The file or folder that was given.
-    spacing_mm : float or sequence of 3 float, optional
-        Of the user.
-    mirror : str, optional
-        ``x``, ``y`` or ``z``: reverse the voxels along that axis.
-    **attributes
-        Further attributes of the scan.
+    ``fetch`` reads a box of stored values; ``spacing_mm`` and ``mirror`` are the user's, ``attributes``
+    further ones of the scan.
 
     Raises
     ------
     StapeskitError
-        No three-dimensional grey values, no spacing, sheared directions, or ``--mirror`` names no axis.
+        No three-dimensional grey values, no spacing, or sheared directions.
     """
     name = path.name
     check_grey_values(header.shape, header.dtype, name)
     z, y, x = (int(n) for n in header.shape)
     shape = (z, y, x)
-    if mirror is not None and mirror not in _AXES:
-        raise StapeskitError.of("--mirror", "x, y or z", mirror, next_step="Name one of the three axes")
     spacing, notices = choose_spacing(header.spacing_mm, spacing_mm, name, header.known)
     fetch, dtype = _as_grey_values(header, fetch)
     if header.white_is_zero:

@@ -1,4 +1,4 @@
-"""Raw voxels: read plane by plane where they lie, by the user's layout or a header beside them."""
+"""Raw voxels: read plane by plane where they lie; a file of them alone by the layout that the user gives."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ from ct_inertia.scan.header import Header
 from ct_inertia.scan.scan import Box, Fetch
 from stapeskit.faults import StapeskitError
 
-VOXEL_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
-
-HEADERS = (".mhd", ".nhdr", ".vgi")
-"""Endings of headers whose voxels lie in a raw file of the same name."""
-
 _PAGE = 4096  # bytes that the system reads at least: shorter rows are not read one by one
 _THREADS = 2
 _THREADS_FROM = 5  # planes; fewer are read sooner than a thread starts
@@ -35,7 +30,7 @@ class RawLayout:
     shape : tuple of 3 int
         Voxels along x, y, z; x runs fastest.
     dtype : str
-        One of `VOXEL_TYPES`.
+        As numpy calls it, ``uint16``.
     byte_order : str
         ``little`` or ``big``.
     header_bytes : int
@@ -54,21 +49,14 @@ def open_raw(path: Path, layout: RawLayout | None) -> Header:
     Raises
     ------
     StapeskitError
-        No layout, an impossible one, or a file that is not exactly as long as it says.
+        No layout, or a file that is not exactly as long as it says.
     """
     if layout is None:
-        wanted = f"in the folder of their header ({', '.join(HEADERS)}) or described by --shape and --dtype"
-        step = "Give --shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H"
-        raise StapeskitError.of("raw voxels", wanted, "neither", path.name, step)
-    sound = len(layout.shape) == 3 and min(layout.shape) >= 2
-    for option, good, wanted, got in (
-        ("--shape", sound, "three whole numbers NX,NY,NZ of at least 2, x fastest", layout.shape),
-        ("--dtype", layout.dtype in VOXEL_TYPES, f"one of {', '.join(VOXEL_TYPES)}", layout.dtype),
-        ("--byte-order", layout.byte_order in ("little", "big"), "little or big", layout.byte_order),
-        ("--header-bytes", layout.header_bytes >= 0, "0 or more", layout.header_bytes),
-    ):
-        if not good:
-            raise StapeskitError.of(option, wanted, got)
+        step = (
+            "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or "
+            "--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H"
+        )
+        raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", path.name, step)
     dtype = np.dtype(layout.dtype).newbyteorder("<" if layout.byte_order == "little" else ">")
     needed, size = dtype.itemsize * prod(layout.shape), path.stat().st_size
     if size - layout.header_bytes != needed:
@@ -76,7 +64,7 @@ def open_raw(path: Path, layout: RawLayout | None) -> Header:
         wanted = f"as long as {voxels} voxels of {layout.dtype} ({needed} bytes)"
         got = f"{size - layout.header_bytes} bytes after the header"
         step = "Check --shape, --dtype and --header-bytes"
-        if path.open("rb").read(2) == b"\x1f\x8b":
+        if path.suffix.lower() == ".gz":
             step = "The file is packed (gzip): unpack it first"
         elif size > needed:
             step += f"; --header-bytes {size - needed} would fit if the surplus is a header"
@@ -84,14 +72,6 @@ def open_raw(path: Path, layout: RawLayout | None) -> Header:
     header = Header(tuple(reversed(layout.shape)), dtype, known="raw voxels do not have it")
     header.lay(path, layout.header_bytes, path)
     return header
-
-
-def header_beside(path: Path) -> Path | None:
-    """Return the header of a raw file (``scan.mhd``, ``scan.raw.mhd``, ``scan.vgi``, ...), or None."""
-    names = [name for end in HEADERS for name in (path.with_suffix(end), path.with_name(path.name + end))]
-    if path.suffix.lower() == ".img":
-        names.append(path.with_suffix(".hdr"))
-    return next((name for name in names if name.is_file()), None)
 
 
 def plane_reader(planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], dtype: np.dtype[Any]) -> Fetch:

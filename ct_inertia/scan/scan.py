@@ -158,8 +158,8 @@ class Scan:
         Raises
         ------
         StapeskitError
-            The file is damaged or too short there, or a voxel is not finite (unless ``nan_as_air``) or too
-            large to be squared.
+            The file is damaged or too short there, or a voxel is not finite or too large to be squared
+            (unless ``nan_as_air``).
         """
         values = self._fetch(self._ranges(box))
         return self._finite(values) if self.dtype.kind == "f" else values
@@ -233,7 +233,7 @@ class Scan:
         steps = [n // 40 + 1 for n in self.shape]
         ranges = [range(n // (2 * step), n, step) for n, step in zip(self.shape, steps, strict=True)]
         values = self._fetch(ranges)
-        finite = values[np.isfinite(values)]
+        finite = values[np.abs(values) <= LARGEST_GREY]
         return float(np.median(finite)) if finite.size else 0.0
 
     def _ranges(self, box: Box | None) -> list[range]:
@@ -249,13 +249,9 @@ class Scan:
             low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
         if low >= -LARGEST_GREY and high <= LARGEST_GREY:
             return values
-        bad = ~np.isfinite(values)
-        largest = float(np.max(np.abs(values), where=~bad, initial=0.0))
-        if largest > LARGEST_GREY:
-            wanted, step = f"smaller than {LARGEST_GREY:g}", "Scale them where the volume is exported"
-            raise StapeskitError.of("the grey values", wanted, f"{largest:.3g}", self.name, step)
+        bad = ~(np.abs(values) <= LARGEST_GREY)
         if not self.nan_as_air:
-            got = f"{int(bad.sum())} voxels of NaN or infinity"
+            got = f"{int(bad.sum())} voxels of NaN or beyond {LARGEST_GREY:g}"
             step = "Replace them, or let them count as air with --nan-as-air"
             raise StapeskitError.of("the grey values", "finite", got, self.name, step)
         values[bad] = self.fill

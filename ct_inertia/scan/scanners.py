@@ -18,7 +18,6 @@ from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.warnings import Notice
 
 _BLOCK = 512  # bytes of a block of an ISQ header
 _AIM_TYPES = {
@@ -56,40 +55,7 @@ def open_isq(path: Path) -> Header:
         raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}, data at block {blocks}")
     header = _raw(path, size, "<i2", (blocks + 1) * _BLOCK)
     header.spacing_mm = extent / np.array(size)
-    _note_isq_density(header, head[: (blocks + 1) * _BLOCK], path.name)
     return header
-
-
-def _note_isq_density(header: Header, head: bytes, name: str) -> None:
-    """Report the line from grey value to density in the extended header."""
-    if len(head) < 4 * _BLOCK:
-        return
-    scaling = struct.unpack_from("<i", head, 88)[0]
-    at, skipped = _BLOCK, 1
-    if head[at + 8 : at + 24] == b"MultiHeader     ":
-        at, skipped = at + _BLOCK, 2
-    for place in range(at, at + 4 * 128, 128):
-        (blocks,) = struct.unpack_from("<i", head, place + 24)
-        if blocks < 0 or (1 + skipped + blocks) * _BLOCK > len(head):
-            return
-        if head[place + 8 : place + 24] == b"Calibration     " and blocks >= 2:
-            block = head[(1 + skipped) * _BLOCK :]
-            unit = block[648:664].split(b"\0")[0].decode("latin-1").strip()
-            slope, intercept = _vax_double(block[664:672]), _vax_double(block[672:680])
-            _note_density(header, name, float(scaling), slope, intercept, unit)
-            return
-        skipped += blocks
-
-
-def _vax_double(eight: bytes) -> float:
-    """Return a VAX D float: four 16-bit words, high word first, excess 128, 55 bits of fraction."""
-    words = struct.unpack("<4H", eight)
-    bits = (words[0] << 48) | (words[1] << 32) | (words[2] << 16) | words[3]
-    exponent = (bits >> 55) & 0xFF
-    if exponent == 0:
-        return 0.0
-    value = (1.0 + (bits & ((1 << 55) - 1)) / float(1 << 55)) * 2.0 ** (exponent - 129)
-    return -value if bits >> 63 else value
 
 
 def _vax_float(four: bytes) -> float:
@@ -181,8 +147,7 @@ def open_vgi(path: Path) -> Header:
     """
     sections = _vgi_sections(_start(path).decode("utf-8", "replace"))
     stored = [name for name in sections if re.fullmatch(r"file\d{0,9}", name)]
-    shown = sections.get("representation", {})
-    part = shown | sections[stored[0]]
+    part = sections.get("representation", {}) | sections[stored[0]]
     if len(stored) > 1 or part.get("fileformat", "raw").lower() != "raw":
         got = f"{len(stored)} files of format {part.get('fileformat', 'raw')}"
         step = "Export the volume as one raw file, unsigned integer or float"
@@ -194,13 +159,6 @@ def open_vgi(path: Path) -> Header:
     size = [int(word) for word in part["size"].split()]
     header = _raw(path, size, kind, int(part.get("skipheader", "0")), file)
     header.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
-    mirrored = shown.get("mirror", "0").split()
-    if any(word not in ("0", "0.0") for word in mirrored):
-        text = (
-            f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were "
-            f"read as they are stored. Use --mirror if the ear is a mirror image."
-        )
-        header.notices.append(Notice("handedness_unconfirmed", text))
     return header
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.scan.header import Header, planewise
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.tiff import check_palette, listening, plane_spacing, white_is_zero
+from ct_inertia.scan.tiff import listening, take_page
 from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
 
@@ -48,9 +48,7 @@ def open_slices(folder: Path) -> Header:
         import tifffile
 
         with listening(files[0]), tifffile.TiffFile(files[0]) as tif:
-            check_palette(tif.pages[0], files[0])
-            header.white_is_zero = white_is_zero(tif.pages[0])
-            header.spacing_mm, header.known = plane_spacing(tif.pages[0])
+            take_page(header, tif.pages[0], files[0])
     if logs or not header.known:
         header.spacing_mm = None
         _read_logs(header, logs)

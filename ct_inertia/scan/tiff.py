@@ -54,12 +54,10 @@ def open_tiff(path: Path) -> Header:
         shape = tuple(int(n) for n in series.shape if n > 1)
         dtype = np.dtype(page.parent.byteorder + ("u1" if series.dtype.kind == "b" else series.dtype.str[1:]))
         _check_kind(series, page, shape, dtype, path)
-        header = Header(shape, dtype, files=files, white_is_zero=white_is_zero(page))
-        placed = _ome_place(header, xml, list(tif.series).index(series), len(tif.series))
-        if not placed and meta:
+        header = Header(shape, dtype, files=files)
+        take_page(header, page, path)
+        if not _ome_place(header, xml, list(tif.series).index(series), len(tif.series)) and meta:
             _imagej_place(header, meta, _resolution(page))
-        elif not placed:
-            header.spacing_mm, header.known = plane_spacing(page)
         pages = _pages(series, shape, path)
         header.planes = _raw_planes(series, pages, page, shape, dtype)
         if len(tif.series) > 1 and not tif.series[0].is_pyramidal:
@@ -125,28 +123,35 @@ def _check_count(tif: Any, stated: int, path: Path) -> None:
         raise StapeskitError.of("the TIFF", wanted, f"{held} slices", path.name, step)
 
 
-def white_is_zero(page: Any) -> bool:
-    """Return whether a page says that its lowest grey value is shown white (WhiteIsZero of TIFF 6.0)."""
-    return page.photometric is not None and page.photometric.name == "MINISWHITE"
-
-
-def check_palette(page: Any, path: Path) -> None:
-    """Refuse a page with a colour palette, unless brightness grows with the number, as in lookup tables.
+def take_page(header: Header, page: Any, path: Path) -> None:
+    """Take the exchange of bright and dark, and spacing x, y from the resolution tags, from a page.
 
     Raises
     ------
     StapeskitError
-        It does not.
+        Its colours are a palette whose brightness does not grow with the number, as in lookup tables.
     """
-    if page.photometric is None or page.photometric.name != "PALETTE":
-        return
-    if np.any(np.diff(np.asarray(page.colormap, dtype=float).reshape(3, -1).sum(axis=0)) < 0.0):
-        got = "numbers of colours whose brightness does not grow with them"
-        raise StapeskitError.of("the volume", "grey values", got, path.name, "Export it as grey values")
+    photometric = "" if page.photometric is None else page.photometric.name
+    header.white_is_zero = photometric == "MINISWHITE"
+    if photometric == "PALETTE":
+        brightness = np.asarray(page.colormap, dtype=float).reshape(3, -1).sum(axis=0)
+        if np.any(np.diff(brightness) < 0.0):
+            got, step = "numbers of colours whose brightness does not grow with them", "Export grey values"
+            raise StapeskitError.of("the volume", "grey values", got, path.name, step)
+    tag = page.tags.get("ResolutionUnit")
+    unit = {2: 25.4, 3: 10.0}.get(int(tag.value) if tag is not None and tag.value else 0, np.nan)
+    x, y = _resolution(page) * unit
+    header.spacing_mm = None
+    if is_printer_resolution(x):
+        header.known = "the TIFF has the resolution of a screen or printer only"
+    elif np.isfinite(x + y):
+        header.spacing_mm = np.array([x, y, np.nan])
+        header.known = f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
+    else:
+        header.known = "the TIFF has no resolution with a unit"
 
 
 def _check_kind(series: Any, page: Any, shape: Sequence[int], dtype: np.dtype[Any], path: Path) -> None:
-    check_palette(page, path)
     axes = dict(zip(series.axes, series.shape, strict=True))
     colours = page.photometric is not None and page.photometric.name in ("RGB", "YCBCR", "CMYK")
     if colours or axes.get("S", 1) > 1:
@@ -198,20 +203,6 @@ def _raw_planes(
     return planes or None
 
 
-def plane_spacing(page: Any) -> tuple[Array | None, str]:
-    """Return spacing x, y and NaN, mm, that the resolution tags of a page state, and what they say of it."""
-    pixels = _resolution(page)
-    tag = page.tags.get("ResolutionUnit")
-    unit = {2: 25.4, 3: 10.0}.get(int(tag.value) if tag is not None and tag.value else 0)
-    if unit is None or not np.all(np.isfinite(pixels)):
-        return None, "the TIFF has no resolution with a unit"
-    x, y = pixels * unit
-    if is_printer_resolution(x):
-        return None, "the TIFF has the resolution of a screen or printer only"
-    known = f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
-    return np.array([x, y, np.nan]), known
-
-
 def _resolution(page: Any) -> Array:
     """Return units per pixel along x and y (2,); NaN where the tags of a page do not state them."""
     pixels = np.full(2, np.nan)
@@ -229,7 +220,7 @@ def _imagej_place(header: Header, meta: dict[str, Any], pixels: Array) -> None:
     """
     unit = mm_per_unit(str(meta.get("unit", "")))
     if unit is None:
-        header.known = f"the ImageJ unit is {meta.get('unit') or 'not set'}"
+        header.spacing_mm, header.known = None, f"the ImageJ unit is {meta.get('unit') or 'not set'}"
         return
     units = np.array([unit, *(mm_per_unit(str(meta.get(f"{axis}unit", ""))) or unit for axis in "yz")])
     depth = float(meta.get("spacing") or np.nan)
@@ -275,6 +266,7 @@ def _ome_place(header: Header, xml: str, number: int, count: int) -> bool:
         return False
     images = [element for element in root.iter() if element.tag.rsplit("}", 1)[-1] == "Pixels"]
     if len(images) not in (0, 1, count):  # readers leave out images without planes
+        header.spacing_mm = None
         header.known = f"the OME header has {len(images)} images, and which one this is is open"
         return True
     if not images:

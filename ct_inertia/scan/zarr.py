@@ -124,6 +124,6 @@ def _voxels(array: Any, names: Sequence[str], folder: Path) -> Header:
     if missing > 0:
         header.note(
             f"{missing} of {array.nchunks} chunks of {folder.name} are not stored and count as "
-            f"{float(array.fill_value or 0):g}: writers leave out empty chunks, but so does an incomplete copy."
+            f"{float(array.fill_value or 0):g}: writers leave out empty chunks, but so does a broken copy."
         )
     return header

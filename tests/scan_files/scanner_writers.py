@@ -69,22 +69,19 @@ unit = {unit}
 """
 
 
-def vgi(path, array, parts=1, unit="mm", skip=0):
-    """A header as VGStudio MAX writes it, with the voxels in one or several files."""
-    nx, ny, nz = array.shape[::-1]
+def vgi(path, array, unit="mm", skip=0):
+    """A header as VGStudio MAX writes it, with the voxels in a file beside it."""
+    size = " ".join(map(str, array.shape[::-1]))
     kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[array.dtype.kind]
-    depth, files = -(-nz // parts), ""
-    for part in range(parts):
-        piece = array[part * depth : (part + 1) * depth]
-        name = f"{path.stem}-{part}.vol"
-        (path.parent / name).write_bytes(bytes(skip) + piece.tobytes())
-        files += (
-            f"[file{part + 1}]\nSkipHeader = {skip}\nFileFormat = raw\nSize = {nx} {ny} {len(piece)}\n"
-            f"Name = C:\\scans\\{name}\nDatatype = {kind}\nBitsPerElement = {array.dtype.itemsize * 8}\n"
-        )
+    name = f"{path.stem}-0.vol"
+    (path.parent / name).write_bytes(bytes(skip) + array.tobytes())
+    files = (
+        f"[file1]\nSkipHeader = {skip}\nFileFormat = raw\nSize = {size}\n"
+        f"Name = C:\\scans\\{name}\nDatatype = {kind}\nBitsPerElement = {array.dtype.itemsize * 8}\n"
+    )
     factor = {"mm": 1.0, "um": 1e3, "": 1.0}[unit]
     steps = " ".join(f"{s * factor:g}" for s in SPACING)
-    text = VGI.format(size=f"{nx} {ny} {nz}", files=files, unit=unit, resolution=steps)
+    text = VGI.format(size=size, files=files, unit=unit, resolution=steps)
     path.write_text(text, newline="\r\n")
     return path
 

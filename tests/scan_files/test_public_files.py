@@ -43,9 +43,8 @@ SCANS: dict[tuple[str, str], tuple[int, ...] | str] = {
     ("nibabel", "minc2_4d.mnc"): "the scan",
     ("nibabel", "scaled+tlrc.BRIK"): "the scan",
     ("nibabel", "tinypet.v"): "the scan",
-    ("pydicom", "rtdose.dcm"): (15, 10, 10),
-    ("pydicom", "rtdose_expb.dcm"): (15, 10, 10),
-    ("pydicom", "rtdose_rle.dcm"): (15, 10, 10),
+    ("pydicom", "rtdose.dcm"): "the voxel spacing",
+    ("pydicom", "rtplan.dcm"): SINGLE,  # a plan, without an image
     ("pydicom", "CT_small.dcm"): SINGLE,
     ("pydicom", "MR_small_RLE.dcm"): SINGLE,
     ("pydicom", "MR_truncated.dcm"): SINGLE,
@@ -65,7 +64,6 @@ SCANS: dict[tuple[str, str], tuple[int, ...] | str] = {
 MEASURED: dict[tuple[str, str], float | str] = {
     ("nibabel", "standard.nii.gz"): "the scan",  # two levels, a random mask
     ("nibabel", "anatomical.nii"): "the scan",  # a head
-    ("pydicom", "rtdose.dcm"): "the scan",
     ("pyvista", "nut.ply"): "the mesh",  # 46 mm
     ("pyvista", "sphere.ply"): "the mesh",
     ("pyvista", "ant.ply"): "the mesh",  # 15 bodies

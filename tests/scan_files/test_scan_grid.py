@@ -97,7 +97,10 @@ def test_a_box_by_its_corners_holds_the_centres_between_them():
 @settings(max_examples=40, deadline=None)
 @given(st.tuples(*[st.integers(1, 4)] * 3), st.tuples(*[st.integers(0, 1)] * 3))
 def test_block_means_are_those_of_every_block(block, first):
-    ends = [start + (n - start) // size * size for start, n, size in zip(first, ARRAY.shape, block[::-1])]
+    ends = [
+        start + (n - start) // size * size
+        for start, n, size in zip(first, ARRAY.shape, block[::-1], strict=True)
+    ]
     box = tuple(slice(start, end) for start, end in zip(first, ends, strict=True))
     means = block_means(turned(), block, box)
     assert means.dtype == np.float32
