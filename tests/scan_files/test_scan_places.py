@@ -270,7 +270,7 @@ def test_every_dicom_slice_is_rescaled_by_its_own(tmp_path, packed):
     assert scan.spacing_mm == pytest.approx(SPACING)
     # The writer stores (value - offset) / slope, as a whole number.
     assert np.abs(scan.read() - picture("i2")).max() <= 1.0
-    w.dicom(tmp_path / "d", picture("i2")[:1], packed=packed, **{"0028|1052": "-7"})
+    w.dicom(tmp_path / "d", picture("i2")[:1], packed=packed, **{"0028|1052": "-7", "0028|1053": "1"})
     assert np.array_equal(open_scan(tmp_path / "d").read()[0], picture("i2")[0])
     scan = open_scan(w.enhanced(tmp_path / "e.dcm", picture(), rescaling=[(2.0, -10.0)] * 7))
     assert np.array_equal(scan.read(), picture() * 2.0 - 10.0)
