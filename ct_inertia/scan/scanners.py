@@ -16,7 +16,6 @@ import numpy as np
 from ct_inertia.scan.header import HEADER_BYTES, Header, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
-from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
 _BLOCK = 512  # bytes of a block of an ISQ header
@@ -58,11 +57,6 @@ def open_isq(path: Path) -> Header:
     return header
 
 
-def _vax_float(four: bytes) -> float:
-    """Return a VAX F float: its two halves swapped, four times the IEEE number of the same bits."""
-    return float(struct.unpack("<f", four[2:] + four[:2])[0]) / 4.0
-
-
 def open_aim(path: Path) -> Header:
     """Open a Scanco AIM volume of version 020 or 030; its place in the original scan gives the origin.
 
@@ -73,7 +67,8 @@ def open_aim(path: Path) -> Header:
 
     Notes
     -----
-    The voxel size is a VAX float in mm in version 020 and whole nanometres in version 030.
+    The voxel size is in mm as VAX F floats, whose halves are swapped, in version 020 and in whole nanometres
+    in version 030.
     """
     head = _start(path)
     newer = head.startswith(b"AIMDATA_V030")
@@ -89,7 +84,10 @@ def open_aim(path: Path) -> Header:
     if newer:
         cell = np.array(struct.unpack_from("<3q", head, place), dtype=float) * 1e-6
     else:
-        cell = np.array([_vax_float(head[place + 4 * k : place + 4 * k + 4]) for k in range(3)])
+        halves = np.frombuffer(head, "<u2", 6, place).reshape(
+            3, 2
+        )  # four times the IEEE number of the same bits
+        cell = halves[:, ::-1].copy().view("<f4")[:, 0].astype(float) / 4.0
     if kind not in _AIM_TYPES:
         wanted = "8-bit, 16-bit, 32-bit or float voxels, not packed"
         step = "Export it unpacked, or as ISQ or MHA"
@@ -101,33 +99,22 @@ def open_aim(path: Path) -> Header:
 
 
 def _note_aim_density(header: Header, log: str, name: str) -> None:
-    """Report the line from grey value to density in the processing log."""
-    entries = {}
-    for line in log.splitlines():
-        key, _, value = line.partition("  ")
-        entries[key.strip()] = value.strip()
+    """Report the line from grey value to density in the processing log, as points for a calibration file."""
+    entries = {
+        key.strip(): value.strip() for key, _, value in (line.partition("  ") for line in log.splitlines())
+    }
     try:
-        scaling, slope, intercept = (
-            float(entries[key]) for key in ("Mu_Scaling", "Density: slope", "Density: intercept")
-        )
+        words = [entries[key] for key in ("Mu_Scaling", "Density: slope", "Density: intercept")]
+        scaling, slope, intercept = (float(word) for word in words)
     except (KeyError, ValueError):
         return
-    _note_density(header, name, scaling, slope, intercept, entries.get("Density: unit", ""))
-
-
-def _note_density(
-    header: Header, name: str, scaling: float, slope: float, intercept: float, unit: str
-) -> None:
-    """Report the density line of a header, as two points for a calibration file."""
-    if not (scaling > 0.0 and slope > 0.0 and np.isfinite(intercept) and np.isfinite(slope * scaling)):
+    if not (scaling > 0.0 and slope > 0.0 and np.isfinite(slope * scaling + intercept)):
         return
-    points = ", ".join(
-        f"[{grey:.0f}, {slope * grey / scaling + intercept:.6g}]" for grey in (0.0, 2.0 * scaling)
-    )
     header.note(
         f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
-        f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
-        f"file of --calibration."
+        f"{entries.get('Density: unit') or 'mg HA/ccm'}. For a density of every voxel write "
+        f"points_mg_ha_cm3 = [[0, {intercept:.6g}], [{2.0 * scaling:.0f}, {2.0 * slope + intercept:.6g}]] "
+        f"into the file of --calibration."
     )
 
 
@@ -158,35 +145,23 @@ def open_vgi(path: Path) -> Header:
     kind = f"{order}{_VGI_KINDS[part['datatype'].lower()]}{int(part['bitsperelement']) // 8}"
     size = [int(word) for word in part["size"].split()]
     header = _raw(path, size, kind, int(part.get("skipheader", "0")), file)
-    header.spacing_mm = _vgi_spacing(sections.get("geometry", {}))
+    geometry = sections.get("geometry", {})
+    unit = mm_per_unit(geometry.get("unit"))
+    if unit is not None and "resolution" in geometry:
+        steps = (geometry["resolution"].split(), geometry.get("scale", "1 1 1").split())
+        header.spacing_mm = unit * np.prod(np.array(steps, dtype=float), axis=0)
     return header
 
 
 def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
-    """Return the sections of the first volume, names and keys in lower case."""
+    """Return the sections of the first volume, names and keys in lower case; of doubles the first counts."""
+    volume = re.split(r"^\s*\{volume2\}", text, flags=re.MULTILINE | re.IGNORECASE)[0]
+    parts = re.split(r"^\s*\[([^\]\r\n]*)\]", volume, flags=re.MULTILINE)
     sections: dict[str, dict[str, str]] = {}
-    name = ""
-    for line in map(str.strip, text.splitlines()):
-        if line.lower() == "{volume2}":
-            break
-        if line.startswith("["):
-            name = line.strip("[] ").lower()
-        key, equals, value = line.partition("=")
-        if equals and not line.startswith(("{", "[")):
-            sections.setdefault(name, {}).setdefault(key.strip().lower(), value.strip())
+    for name, body in zip(parts[1::2], parts[2::2], strict=True):
+        for key, value in re.findall(r"^[ \t]*(\w+)[ \t]*=[ \t]*([^\r\n]*)", body, re.MULTILINE):
+            sections.setdefault(name.strip().lower(), {}).setdefault(key.lower(), value.strip())
     return sections
-
-
-def _vgi_spacing(geometry: dict[str, str]) -> Array | None:
-    """Return the voxel size from the resolution and its unit; None where one of them is missing."""
-    unit = mm_per_unit(geometry.get("unit"))
-    if unit is None or "resolution" not in geometry:
-        return None
-    resolution, scale = (
-        np.array([float(word) for word in geometry.get(key, "1 1 1").split()])
-        for key in ("resolution", "scale")
-    )
-    return resolution * scale * unit
 
 
 def open_amira(path: Path) -> Header:
@@ -257,9 +232,6 @@ def _start(path: Path) -> bytes:
 
 def _raw(path: Path, size: Sequence[int], kind: str, start: int, file: Path | None = None) -> Header:
     """Return a volume of x, y, z voxels behind a header in the same file, or in another one."""
-    if len(size) != 3 or min(size) < 1:
-        got = " x ".join(map(str, size))
-        raise wrong_header(path, "header", f"a size of {got}")
     header = Header(tuple(reversed(size)), np.dtype(kind))
     check_grey_values(header.shape, header.dtype, path.name)
     header.lay(file or path, start, path)
