@@ -95,7 +95,7 @@ CASES = {
     "big.raw": Case(raw, ALL, {"big": True}, True, raw={"byte_order": "big"}, entry="raw voxels"),
     "dicom": Case(dicom, ("i2", "u2", "u1"), anatomical=True, entry="DICOM"),
     "dicom_jpeg": Case(dicom, ("u2", "u1"), {"packed": True}, anatomical=True, entry="DICOM"),
-    "frames.dcm": Case(itk, ("u1", "u2"), asks=True, entry="DICOM"),
+    "frames.dcm": Case(itk, ("u1", "u2"), anatomical=True, entry="DICOM"),
     "enhanced.dcm": Case(enhanced, anatomical=True, entry="DICOM"),
     "v04.zarr": Case(ome_zarr, ALL, entry="OME-Zarr"),
     "v04_mm.zarr": Case(ome_zarr, ("u2",), {"unit": "millimeter"}, entry="OME-Zarr"),

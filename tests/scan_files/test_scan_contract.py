@@ -44,7 +44,7 @@ def test_what_is_written_is_read(tmp_path, name, kind):
     check_corners(scan)
     assert scan.handedness_confirmed == CASES[name].anatomical
     codes = {notice.code for notice in scan.notices if "density =" not in notice.text}
-    assert codes - {"length_unit_assumed", "slice_positions_missing"} == (
+    assert codes - {"length_unit_assumed"} == (
         set() if CASES[name].anatomical else {"handedness_unconfirmed"}
     )
     assert all(file.exists() for file in scan.files)
