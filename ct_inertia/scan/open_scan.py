@@ -16,7 +16,7 @@ from ct_inertia.scan.place import place_scan
 from ct_inertia.scan.raw import RawLayout, plane_reader
 from ct_inertia.scan.scan import Fetch, Scan
 from stapeskit.faults import StapeskitError
-from stapeskit.sandbox import Answer, Session, memory_limit, processor_limit_s
+from stapeskit.sandbox import Answer, Session, can_fork, memory_limit, processor_limit_s
 
 Result = TypeVar("Result")
 
@@ -129,7 +129,8 @@ def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Header, Fetch,
         return header, lambda box: _plainly(entry, path, lambda: read(box))
 
     limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
-    memory = max(memory_limit(path), _half_of_memory())
+    half_of_all = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 if can_fork() else 0
+    memory = max(memory_limit(path), half_of_all)
     session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
     header = session.opened
     if header.planes is None:
@@ -150,14 +151,6 @@ def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
             with path.open("rb") as stream:
                 got += f": it begins with {stream.read(12)!r}"
         raise wrong_header(path, f"{entry.title} file", got) from fault
-
-
-def _half_of_memory() -> int:
-    """Return half of the memory of the machine, bytes; 0 where the system does not say."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
-    except (ValueError, OSError, AttributeError):
-        return 0
 
 
 def _existing(path: Path) -> Path:
