@@ -90,8 +90,7 @@ FORMATS = (
     Format(
         "TIFF",
         "tiff.open_tiff",
-        "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; any "
-        "packing that tifffile knows; one that says 0 is white is inverted, with a notice",
+        "BigTIFF, ImageJ, OME-TIFF (also of several files): spacing, place; packed; 0 is white: inverted",
         (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
         ("tifffile",),
     ),
@@ -143,7 +142,7 @@ FORMATS = (
     Format(
         "DICOM",
         "dicom.open_dicom",
-        "series and multi-frame: order by position, rescaling of every slice; several series are listed",
+        "series and multi-frame: order by position, rescaling of every file; several series are listed",
         DICOM_SUFFIXES,
         ("pydicom", "SimpleITK"),
         _is_dicom,

@@ -18,8 +18,6 @@ from stapeskit.warnings import Notice
 HEADER_BYTES = 1 << 20
 """Most bytes of a text header or log, which has some kilobytes."""
 
-_LONGEST_NAME = 255  # bytes of a file name in common file systems
-
 
 @dataclass
 class Header:
@@ -140,24 +138,19 @@ def at_once(unpack: Any) -> Fetch:
 
 
 def beside(header: Path, name: str) -> Path:
-    """Return the data file that a header names; it must lie in the folder of the header.
+    """Return the data file that a header names: its last part, in the folder of the header.
 
-    A path of the machine that wrote the header counts as its last part when such a file lies in the folder.
+    Headers are copied to other machines together with their data files; folders they name lead astray.
 
     Raises
     ------
     StapeskitError
-        The name leads out of the folder, or is no file name.
+        There is no such file.
     """
-    last = name.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
-    if not last or "\0" in name or any(len(part.encode()) > _LONGEST_NAME for part in Path(name).parts):
-        got = repr(name[:60])
-        raise StapeskitError.of("the data file", "a file name", got, header.name, "Correct the header")
-    if "\\" not in name and not Path(name).is_absolute() and ".." not in Path(name).parts:
-        return header.parent / name
-    if not (header.parent / last).is_file():
-        raise no_data_file(Path(name), header)
-    return header.parent / last
+    file = header.parent / name.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
+    if not file.is_file():
+        raise no_data_file(file, header)
+    return file
 
 
 def no_data_file(file: Path, header: Path) -> StapeskitError:

@@ -25,7 +25,6 @@ from ct_inertia.scan.header import (
     Header,
     at_once,
     beside,
-    no_data_file,
     several_values,
     wrong_header,
     wrong_size,
@@ -147,10 +146,7 @@ def _data_file(path: Path, named: str) -> Path:
     if named.upper().startswith("LIST") or "%" in named:
         step = "Save it as one file"
         raise StapeskitError.of("the voxels", "in one data file", named, path.name, step)
-    file = beside(path, named)
-    if not file.is_file():
-        raise no_data_file(file, path)
-    return file
+    return beside(path, named)
 
 
 def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Header, int]:

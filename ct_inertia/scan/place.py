@@ -52,19 +52,8 @@ def is_printer_resolution(pixel_mm: float) -> bool:
 def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
     """Leave out a slice distance of exactly 1 that nobody entered.
 
-    Parameters
-    ----------
-    spacing : ndarray, (3,)
-        Along x, y, z in the unit of the file.
-    unit_mm : float
-        Length of the unit, mm.
-
-    Returns
-    -------
-    ndarray, (3,)
-        In mm; NaN along z where it is not believed.
-    str
-        What the file says, for the message; empty where it is believed.
+    Returns spacing (3,), given in a unit of so many mm, in mm, with NaN along z where it is not believed, and
+    what the file says then.
     """
     x, y, z = spacing
     if z == 1.0 and np.isfinite(x) and x > 0.0 and not 1.0 / _UNSET_RATIO <= x <= _UNSET_RATIO:
@@ -76,20 +65,12 @@ def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
     return spacing * unit_mm, ""
 
 
-def choose_spacing(
+def _choose_spacing(
     from_file: Array | None, from_user: float | Sequence[float] | None, name: str, known: str = ""
 ) -> tuple[Array, list[Notice]]:
     """Choose the voxel spacing (3,), mm: that of the user, otherwise that of the file.
 
-    Parameters
-    ----------
-    from_file : ndarray, (3,), or None
-        NaN along axes where the file does not have it.
-    from_user : float, sequence of 3 float, or None
-    name : str
-        Of the file, for messages.
-    known : str
-        What the file says of an incomplete spacing.
+    ``known`` is what the file of this name says of an incomplete spacing.
 
     Raises
     ------
@@ -136,7 +117,7 @@ def place_scan(
     check_grey_values(header.shape, header.dtype, name)
     z, y, x = (int(n) for n in header.shape)
     shape = (z, y, x)
-    spacing, notices = choose_spacing(header.spacing_mm, spacing_mm, name, header.known)
+    spacing, notices = _choose_spacing(header.spacing_mm, spacing_mm, name, header.known)
     fetch, dtype = _as_grey_values(header, fetch)
     if header.white_is_zero:
         text = (

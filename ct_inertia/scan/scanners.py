@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.scan.header import HEADER_BYTES, Header, several_values, wrong_header
+from ct_inertia.scan.header import HEADER_BYTES, Header, beside, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.faults import StapeskitError
@@ -140,11 +140,10 @@ def open_vgi(path: Path) -> Header:
         step = "Export the volume as one raw file, unsigned integer or float"
         raise StapeskitError.of("the voxels", "in one raw file", got, path.name, step)
     named = part.get("name") or path.with_suffix(".vol").name
-    file = path.parent / named.replace("\\", "/").rsplit("/", 1)[-1]
     order = ">" if part.get("byteorder", "").lower().startswith("big") else "<"
     kind = f"{order}{_VGI_KINDS[part['datatype'].lower()]}{int(part['bitsperelement']) // 8}"
     size = [int(word) for word in part["size"].split()]
-    header = _raw(path, size, kind, int(part.get("skipheader", "0")), file)
+    header = _raw(path, size, kind, int(part.get("skipheader", "0")), beside(path, named))
     geometry = sections.get("geometry", {})
     unit = mm_per_unit(geometry.get("unit"))
     if unit is not None and "resolution" in geometry:

@@ -17,7 +17,6 @@ from ct_inertia.scan.header import (
     Header,
     at_once,
     beside,
-    no_data_file,
     planewise,
     several_values,
     wrong_header,
@@ -245,11 +244,9 @@ def _ome_files(path: Path, xml: str) -> tuple[Path, ...]:
     StapeskitError
         One of several is missing.
     """
-    named = [beside(path, name) for name in dict.fromkeys(re.findall(r'FileName="([^"]*)"', xml))]
-    missing = [file for file in named if not file.is_file()]
-    if missing and len(named) > 1:  # one alone may have been renamed since
-        raise no_data_file(missing[0], path)
-    return tuple(file for file in named if file.is_file())
+    names = dict.fromkeys(re.findall(r'FileName="([^"]*)"', xml))
+    # One file alone may have been renamed since.
+    return tuple(beside(path, name) for name in names) if len(names) > 1 else ()
 
 
 def _ome_place(header: Header, xml: str, number: int, count: int) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.header import Header, beside, several_values, wrong_header
+from ct_inertia.scan.header import Header, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import Box, check_grey_values
 
@@ -47,7 +47,6 @@ def open_zarr(folder: Path) -> Header:
     axes = scales[0].get("axes", list("tczyx"))
     level = scales[0]["datasets"][0]
     name = str(level["path"])
-    beside(folder / "image", name or ".")
     names = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in axes]
     header = _voxels(node[name] if name else node, names, folder)
     transforms = [

@@ -10,7 +10,7 @@ import tifffile
 from scipy.spatial.transform import Rotation
 
 from ct_inertia.scan.open_scan import open_labels, open_scan
-from ct_inertia.scan.place import choose_spacing, mm_per_unit
+from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
@@ -190,7 +190,6 @@ def test_two_places_in_a_nifti_header_are_named_where_they_differ(tmp_path, wron
 
 
 def test_the_spacing_of_the_user_wins_with_a_notice(tmp_path):
-    assert choose_spacing(None, 0.02, "")[0].tolist() == [0.02] * 3
     w.imagej(tmp_path / "a.tif", picture())
     scan = open_scan(tmp_path / "a.tif", 0.05)
     assert scan.spacing_mm.tolist() == [0.05] * 3
