@@ -15,6 +15,7 @@ import threading
 import time
 import traceback
 import warnings
+import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -141,7 +142,6 @@ class Session(Generic[Opened]):
         self._name, self._what = Path(path).name, what
         self._limit_s = processor_limit_s(path) if limit_s is None else limit_s
         self._memory = memory_limit(path) if memory is None else memory
-        self._child = 0
         self._direct: Answer | None = None
         for module in modules:
             import_module(module)
@@ -166,7 +166,7 @@ class Session(Generic[Opened]):
         with self._lock:
             if self._direct is not None:
                 return np.require(self._result(_outcome(partial(self._direct, request))), requirements="W")
-            if not self._child:
+            if not self._end.alive:
                 raise self._error("a source whose reading ended before")
             with suppress(OSError):  # of a child that has ended, which the answer tells
                 self._pipe.send(request)
@@ -175,17 +175,14 @@ class Session(Generic[Opened]):
     def close(self) -> None:
         """End the child process."""
         self._direct = None
-        self._end()
+        if can_fork():
+            self._end()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def __del__(self) -> None:
-        if getattr(self, "_child", 0):
-            self._end()
 
     def _fork(self, open_source: Callable[[], tuple[Opened, Answer]]) -> None:
         with _FORK, warnings.catch_warnings():
@@ -197,6 +194,7 @@ class Session(Generic[Opened]):
                 _serve(open_source, theirs, self._limit_s, self._memory)
             theirs.close()
         self._child = child
+        self._end = weakref.finalize(self, _end, child, self._pipe)
 
     def _receive(self) -> Any:
         """Return the next result of the child; one that crashed or hangs is ended."""
@@ -213,7 +211,7 @@ class Session(Generic[Opened]):
                         raise EOFError
                     rest = rest[count:]
         except (EOFError, OSError):
-            status = self._end()
+            status = self._end() or 0
             late = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXCPU)
             hangs = f"one that its library does not finish reading ({self._limit_s:.3g} s)"
             raise self._error(hangs if late else "one that crashes its library") from None
@@ -239,17 +237,17 @@ class Session(Generic[Opened]):
     def _error(self, got: str) -> StapeskitError:
         return StapeskitError(Fault(self._what, "readable", got, self._name, DAMAGED))
 
-    def _end(self) -> int:
-        """Kill the child, close the pipe to it, and return its exit status."""
-        status, child, self._child = 0, self._child, 0
-        if child:
-            with suppress(ProcessLookupError, ChildProcessError):
-                ended, status = os.waitpid(child, os.WNOHANG)
-                if not ended:
-                    os.kill(child, signal.SIGKILL)
-                    status = os.waitpid(child, 0)[1]
-            self._pipe.close()
-        return status
+
+def _end(child: int, pipe: Connection) -> int:
+    """Kill a child process, close the pipe to it, and return its exit status."""
+    status = 0
+    with suppress(ProcessLookupError, ChildProcessError):
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if not ended:
+            os.kill(child, signal.SIGKILL)
+            status = os.waitpid(child, 0)[1]
+    pipe.close()
+    return status
 
 
 def can_fork() -> bool:
