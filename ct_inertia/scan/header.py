@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -119,12 +119,12 @@ def wrong_size(shape: Sequence[int], needed: int, held: int, file: Path) -> Stap
     return StapeskitError.of("the scan", wanted, f"{max(held, 0)} bytes of voxels", file.name, step)
 
 
-def planewise(planes: Sequence[Any], decode: Any) -> Fetch:
+def planewise(planes: Sequence[Any], decode: Callable[[Any], NDArray[Any]]) -> Fetch:
     """Return a reader that decodes every plane it is asked for."""
     return lambda box: np.stack([decode(plane)[box[1:]] for plane in planes[box[0]]])
 
 
-def at_once(unpack: Any) -> Fetch:
+def at_once(unpack: Callable[[], NDArray[Any]]) -> Fetch:
     """Return a reader of an array that is unpacked as a whole when it is first asked for."""
     held: list[NDArray[Any]] = []
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.header import Header, planewise, wrong_header
+from ct_inertia.scan.header import Header, wrong_header
 from ct_inertia.scan.place import place_scan
 from ct_inertia.scan.raw import RawLayout, plane_reader
 from ct_inertia.scan.scan import Fetch, Scan
@@ -125,7 +125,7 @@ def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Header, Fetch,
     def open_source() -> tuple[Header, Answer]:
         given = (layout,) if entry is RAW else ()
         header = _plainly(entry, path, lambda: entry.open_file(path, *given))
-        read, header.read = header.read or planewise([], len), None
+        read, header.read = cast(Fetch, header.read), None  # asked only where no planes lie in files
         return header, lambda box: _plainly(entry, path, lambda: read(box))
 
     limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
