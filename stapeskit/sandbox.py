@@ -1,7 +1,7 @@
 """Run a library that reads a file in a child process with limits: damaged files crash or hang libraries.
 
 `read_apart` reads a file once. `Session` keeps a source open in its child and answers requests for parts of
-it. Where processes cannot be forked (Windows, a browser) the process itself reads, without limits.
+it. Where processes cannot be forked (Windows) the process itself reads, without limits.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import faulthandler
 import os
 import pickle
 import signal
-import sys
 import threading
 import time
 import traceback
@@ -252,7 +251,7 @@ def _end(child: int, pipe: Connection) -> int:
 
 def can_fork() -> bool:
     """Return whether a child process can be forked."""
-    return hasattr(os, "fork") and sys.platform != "emscripten"
+    return hasattr(os, "fork")
 
 
 def _serve(
