@@ -219,7 +219,8 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
         _add_files(inputs, "scan", work.scan)
         work.notices += work.scan.notices
     if options.labels is None:
-        from ct_inertia.find.find import Search, find_stapes
+        from ct_inertia.find.choose import Search
+        from ct_inertia.find.find import find_stapes
 
         assert work.scan is not None  # noqa: S101 - the options ask for a scan or labels
         if options.box_mm is not None:

@@ -67,50 +67,22 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class _Picture:
-    """Inputs of the search: the scan, its overview, and a threshold and place given by the user."""
+class Search:
+    """What a user can say about where the stapes is.
 
-    scan: Scan
-    overview: Overview
-    threshold: float | None
-    seed_mm: Array | None
+    Attributes
+    ----------
+    threshold : float or None
+        Grey value between air and bone (--threshold).
+    seed_mm : ndarray, (3,), or None
+        A point inside the stapes, scan coordinates (--seed).
+    """
 
-    def pieces(self, reading: Reading) -> list[Piece]:
-        """Return the pieces of bone at a reading."""
-        return label_pieces(self.overview.above(reading.between, reading.contrast), self.overview.grid)
-
-    def own_bone(self, piece: Piece) -> float | None:
-        """Return the grey level of a body's own bone; None where too little of it is deep.
-
-        Blur lowers the outer voxels of the interior: its brighter quarter begins at the level of bone.
-        """
-        deep = self.overview.grey[piece.box][eroded(piece.inside)]
-        return float(np.percentile(deep, 75.0)) if deep.size >= _LEAST_DEEP else None
-
-    def own_level(self, chosen: Candidate) -> Reading | None:
-        """Return the reading with the threshold half way from air to the body's bone; None if already used.
-
-        The brightest material of the scan may be bone of another density, so that the first threshold is far
-        from the middle of the body's edges.
-        """
-        if self.threshold is not None or chosen.split is not None or self.overview.is_mask:
-            return None
-        reading, bone = chosen.reading, self.own_bone(chosen.whole)
-        if bone is None or not bone > reading.air:
-            return None
-        plastic = None if reading.plastic is None or reading.plastic >= bone else reading.plastic
-        own = Reading.of(reading.air, plastic, bone)
-        return own if abs(own.between - reading.between) >= _SAME_LEVEL * own.contrast else None
-
-    def is_soft(self, reading: Reading, piece: Piece) -> bool:
-        """Return whether what was taken for bone is plastic or fluid: half as dense as the body's own."""
-        bone = self.own_bone(piece) if self.threshold is None else None
-        return bone is not None and reading.bone < 0.5 * (reading.air + bone)
+    threshold: float | None = None
+    seed_mm: Array | None = None
 
 
-def choose(
-    scan: Scan, overview: Overview, threshold: float | None, seed_mm: Array | None
-) -> tuple[Candidate, tuple[Notice, ...]]:
+def choose(scan: Scan, overview: Overview, search: Search) -> tuple[Candidate, tuple[Notice, ...]]:
     """Choose the body that is most likely the stapes.
 
     Returns
@@ -125,24 +97,28 @@ def choose(
         None can be the stapes, several can equally, or the seed lies in no bone; a wrong voxel size and
         inverted grey values are named as such.
     """
-    picture = _Picture(scan, overview, threshold, seed_mm)
+    seed_mm = search.seed_mm
     if seed_mm is not None:
         _check_seed(scan, seed_mm)
     ranked: list[Candidate] = []
     tried: list[Piece] = []
-    for reading in readings(overview.levels, threshold):
-        found = picture.pieces(reading)
-        tried += found
-        proposals = sorted(_propose(picture, reading, found), key=lambda one: -one.score)
+
+    def proposed(reading: Reading) -> list[Candidate]:
+        found = label_pieces(overview.above(reading.between, reading.contrast), overview.grid)
+        tried.extend(found)
+        return sorted(_propose(scan, overview, search, reading, found), key=lambda one: -one.score)
+
+    for reading in readings(overview.levels, search.threshold):
+        proposals = proposed(reading)
         if proposals and (not ranked or proposals[0].score > ranked[0].score + _CLEARLY):
             ranked = proposals
         if ranked and ranked[0].body.whole_stapes:
             break
     if not ranked or (seed_mm is None and ranked[0].body.score < _LEAST_SCORE):
         raise no_bone_at_seed(seed_mm) if seed_mm is not None and tried else no_stapes(overview, tried)
-    own = picture.own_level(ranked[0])
+    own = _own_level(overview, ranked[0]) if search.threshold is None else None
     if own is not None:
-        proposals = sorted(_propose(picture, own, picture.pieces(own)), key=lambda one: -one.score)
+        proposals = proposed(own)
         if proposals and (proposals[0].body.whole_stapes or proposals[0].score >= ranked[0].score):
             ranked = proposals
     if seed_mm is None:
@@ -151,37 +127,64 @@ def choose(
     return ranked[0], unusual_notice(ranked[0].body)
 
 
-def _propose(picture: _Picture, reading: Reading, found: list[Piece]) -> Iterator[Candidate]:
+def _own_bone(overview: Overview, piece: Piece) -> float | None:
+    """Return the grey level of a body's own bone; None where too little of it is deep.
+
+    Blur lowers the outer voxels of the interior: its brighter quarter begins at the level of bone.
+    """
+    deep = overview.grey[piece.box][eroded(piece.inside)]
+    return float(np.percentile(deep, 75.0)) if deep.size >= _LEAST_DEEP else None
+
+
+def _own_level(overview: Overview, chosen: Candidate) -> Reading | None:
+    """Return the reading with the threshold half way from air to the body's bone; None if already used.
+
+    The brightest material of the scan may be bone of another density, so that the first threshold is far
+    from the middle of the body's edges.
+    """
+    reading = chosen.reading
+    bone = None if chosen.split is not None or overview.is_mask else _own_bone(overview, chosen.whole)
+    if bone is None or not bone > reading.air:
+        return None
+    plastic = None if reading.plastic is None or reading.plastic >= bone else reading.plastic
+    own = Reading.of(reading.air, plastic, bone)
+    return own if abs(own.between - reading.between) >= _SAME_LEVEL * own.contrast else None
+
+
+def _propose(
+    scan: Scan, overview: Overview, search: Search, reading: Reading, found: list[Piece]
+) -> Iterator[Candidate]:
     """Yield the bodies that may be the stapes at one reading: whole pieces, then parts of larger ones."""
-    wholes = found if picture.seed_mm is None else _seeded(found, picture.overview.grid, picture.seed_mm)
-    wholes = [piece for piece in wholes if not picture.is_soft(reading, piece)]
+    seed_mm = search.seed_mm
+
+    def is_soft(piece: Piece) -> bool:
+        """Return whether what was taken for bone is plastic or fluid: half as dense as the body's own."""
+        bone = _own_bone(overview, piece) if search.threshold is None else None
+        return bone is not None and reading.bone < 0.5 * (reading.air + bone)
+
+    wholes = [piece for piece in _seeded(found, overview.grid, seed_mm) if not is_soft(piece)]
+    others = {piece.label: tuple(one for one in found if one is not piece) for piece in wholes}
     for piece in wholes:
         if piece.possible:
-            yield Candidate(reading, piece, _others(found, piece))
+            yield Candidate(reading, piece, others[piece.label])
     complete = [piece for piece in wholes if piece.whole_stapes]
     if any(not _looks_grown(piece) for piece in complete):
         return
     # Next to a whole stapes no other bone is cut into something like it, only what has grown on it is cut.
     large = complete or [
-        p for p in wholes if _LEAST_LARGE_MM3 < p.volume_mm3 < _MOST_MM3 or picture.seed_mm is not None
+        piece for piece in wholes if _LEAST_LARGE_MM3 < piece.volume_mm3 < _MOST_MM3 or seed_mm is not None
     ]
-    large.sort(key=lambda p: p.possible and p.surrounding)
+    large.sort(key=lambda piece: piece.possible and piece.surrounding)
     for piece in large[:_MOST_LARGE]:
-        for way in splits(picture.scan, picture.overview, piece, reading, picture.seed_mm):
+        for way in splits(scan, overview, piece, reading, seed_mm):
             if piece.usual and piece.arched and way.neck is None and not piece.at_border:
                 break  # it is a stapes but for what may have grown on
-            parts = list(way.parts)
-            if picture.seed_mm is not None:
-                parts = _seeded(parts, way.grid, picture.seed_mm)
+            parts = _seeded(list(way.parts), way.grid, seed_mm)
             better = [part for part in parts if part.possible and _is_better(part, piece, way)]
             for part in better:
-                yield Candidate(reading, piece, _others(found, piece), way, part)
+                yield Candidate(reading, piece, others[piece.label], way, part)
             if any(part.whole_stapes for part in better):
                 break
-
-
-def _others(found: list[Piece], piece: Piece) -> tuple[Piece, ...]:
-    return tuple(one for one in found if one.label != piece.label)
 
 
 def _looks_grown(piece: Piece) -> bool:
@@ -251,10 +254,10 @@ def _check_seed(scan: Scan, seed_mm: Array) -> None:
         )
 
 
-def _seeded(pieces: list[Piece], grid: Grid, seed_mm: Array) -> list[Piece]:
-    """Return the piece at the seed, or the nearest within a few blocks; nothing without one."""
-    if not pieces:
-        return []
+def _seeded(pieces: list[Piece], grid: Grid, seed_mm: Array | None) -> list[Piece]:
+    """Return all pieces without a seed; with one the piece at it, or the nearest within a few blocks."""
+    if not pieces or seed_mm is None:
+        return pieces
     back = np.linalg.inv(grid.scan_from_index)
     seed = np.rint(back[:3, :3] @ seed_mm + back[:3, 3]).astype(np.int64)
     low = np.clip(seed - _SEED_REACH, 0, None)

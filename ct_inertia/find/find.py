@@ -11,33 +11,16 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
 from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box
-from ct_inertia.find.choose import Candidate, choose
+from ct_inertia.find.choose import Candidate, Search, choose
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, smooth_noise
 from ct_inertia.find.plate import find_plate, plate_mask
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.fields import Grey
 from ct_inertia.voxels.masks import Mask, eroded, flood
-from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 _DUST_VOXELS = 6  # of other bone that is left out
 _MOST_BOX = 24_000_000  # voxels of a box in situ; beyond, its blocks are as large as those of a stapes alone
-
-
-@dataclass(frozen=True)
-class Search:
-    """What a user can say about where the stapes is.
-
-    Attributes
-    ----------
-    threshold : float or None
-        Grey value between air and bone (--threshold).
-    seed_mm : ndarray, (3,), or None
-        A point inside the stapes, scan coordinates (--seed).
-    """
-
-    threshold: float | None = None
-    seed_mm: Array | None = None
 
 
 def find_stapes(
@@ -62,7 +45,7 @@ def find_stapes(
     tell("looking at the scan")
     overview = look_at(scan)
     tell("finding the stapes")
-    chosen, notices = choose(scan, overview, search.threshold, search.seed_mm)
+    chosen, notices = choose(scan, overview, search)
     tell("cutting the stapes out")
     labelled = _label(scan, overview, chosen)
     named = search.seed_mm is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
 from ct_inertia.find.box import read_box
-from ct_inertia.find.label_volume import LEAST_VOXELS, DrawnLabels, read_labels
+from ct_inertia.find.label_volume import LEAST_VOXELS, read_labels
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
 from ct_inertia.find.plate import drawn_plate, find_plate, plate_mask
 from ct_inertia.find.readings import readings
@@ -27,6 +26,9 @@ _DRAWN_VOXELS = 3.0  # how far off the surface a label may be drawn
 _MARGIN_VOXELS = 8  # around labels alone: room to smooth their surface
 _CUT = 0.8  # of the layer before: a flat end is as wide as what it cuts
 _SINGLE = np.ones(3, dtype=np.int64)
+
+Drawn = NDArray[np.uint8]
+"""Labels as drawn, by the numbers of the results."""
 
 
 def label_stapes(
@@ -57,21 +59,26 @@ def label_stapes(
     """
     tell = progress or (lambda _: None)
     tell("reading the labels")
-    drawn = read_labels(labels, stapes_label, plate_label)
+    drawn, notices = read_labels(labels, stapes_label, plate_label)
     if scan is None:
-        return _alone(drawn)
+        return _alone(drawn, labels, notices)
     tell("laying the labels on the scan")
-    return _on_scan(drawn, scan)
+    grid = _grid_in(scan, labels)
+    overview = look_at(scan)
+    notices = [*scan_notices(overview), *notices]
+    return (
+        _alone(drawn, labels, notices) if overview.is_mask else _on_scan(drawn, grid, scan, overview, notices)
+    )
 
 
-def _alone(drawn: DrawnLabels) -> Labelled:
+def _alone(drawn: Drawn, scan: Scan, notices: list[Notice]) -> Labelled:
     """Return the solid that the labelled voxels fill."""
-    every = Grid.of(drawn.scan, drawn.labels.shape, np.zeros(3, dtype=np.int64), _SINGLE)
-    part = widened(used_box(drawn.labels == STAPES), _MARGIN_VOXELS)
-    labels = drawn.labels[part]
+    every = Grid.of(scan, drawn.shape, np.zeros(3, dtype=np.int64), _SINGLE)
+    part = widened(used_box(drawn == STAPES), _MARGIN_VOXELS)
+    labels = drawn[part]
     stapes = labels == STAPES
     # A crop that only touches the body does not count as a border.
-    ends = {name: _cut_flat(drawn.labels == STAPES, end) for name, end in (("begins", 0), ("ends", -1))}
+    ends = {name: _cut_flat(drawn == STAPES, end) for name, end in (("begins", 0), ("ends", -1))}
     text = (
         "The bodies come from labels alone: without grey values their surfaces are known to the voxel "
         "only, and a threshold's bias of some percent in volume stays unseen. Give the scan together with "
@@ -82,8 +89,8 @@ def _alone(drawn: DrawnLabels) -> Labelled:
         stapes=stapes,
         other=labels == OTHER_BONE,
         plate=labels == PLATE,
-        cells=_cells(drawn.labels, every),
-        plate_region=drawn_plate(drawn.labels == PLATE, every) if drawn.has_plate else None,
+        cells=_cells(drawn, every),
+        plate_region=drawn_plate(drawn == PLATE, every),
         air=0.0,
         bone=1.0,
         plastic=None,
@@ -91,7 +98,7 @@ def _alone(drawn: DrawnLabels) -> Labelled:
         separation=Separation("labels alone"),
         named=True,
         evidence={"bodies_from": "labels alone"},
-        notices=(*drawn.notices, Notice("labels_alone", text)),
+        notices=(*notices, Notice("labels_alone", text)),
     )
 
 
@@ -102,26 +109,20 @@ def _cut_flat(stapes: Mask, end: int) -> Mask:
     return np.array([outer > max(LEAST_VOXELS, _CUT * before) for outer, before in layers])
 
 
-def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
-    """Lay labels on a scan: bodies by the labels, surfaces by the grey values where there are any."""
-    grid = _grid_in(scan, drawn.scan)
-    overview = look_at(scan)
-    if overview.is_mask:
-        alone = _alone(drawn)
-        return replace(alone, notices=(*scan_notices(overview), *alone.notices))
-    low, high = (grid.first + np.array(ends) for ends in _ends(drawn.labels == STAPES))
+def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: list[Notice]) -> Labelled:
+    """Lay labels on a scan: bodies by the labels, surfaces by the grey values."""
+    used = used_box(drawn == STAPES) or (slice(0, 1),) * 3
+    low, high = (grid.first + [getattr(part, end) for part in used[::-1]] for end in ("start", "stop"))
     box = read_box(scan, low, high, float(scan.spacing_mm.min()), overview)
-    local = box.taken(drawn.labels, grid)
+    local = box.taken(drawn, grid)
     air, bone = _levels(box, local)
     middle = 0.5 * (air + bone)
     plastic_mask = local == PLATE
     plastic = float(np.median(box.grey[plastic_mask])) if plastic_mask.any() else None
-    if drawn.has_plate:
-        region = drawn_plate(drawn.labels == PLATE, grid)
-    else:
-        region = _plate_in(scan, overview, overview.grid.taken(drawn.labels == STAPES, grid))
-    if region is not None and not drawn.has_plate:
-        plastic = region.plastic
+    region = drawn_plate(drawn == PLATE, grid)
+    found = _plate_in(scan, overview, overview.grid.taken(drawn == STAPES, grid)) if region is None else None
+    if found is not None:
+        region, plastic = found, found.plastic
         plastic_mask = plate_mask(region, box, box.grey, box.grey > np.float32(middle)) & (local == 0)
         region = None if region.immersing else region
     stapes, other = _by_grey_values(box, local, plastic_mask, middle)
@@ -131,7 +132,7 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
         stapes=stapes,
         other=other,
         plate=plastic_mask & ~stapes & ~other,
-        cells=_cells(drawn.labels, grid),
+        cells=_cells(drawn, grid),
         plate_region=region,
         air=air,
         bone=bone,
@@ -140,14 +141,8 @@ def _on_scan(drawn: DrawnLabels, scan: Scan) -> Labelled:
         separation=Separation("labels made elsewhere"),
         named=True,
         evidence={"bodies_from": "labels on the scan", "bone_above": middle},
-        notices=(*scan_notices(overview), *drawn.notices, *_cut_by_labels(box, local, grid, middle)),
+        notices=(*notices, *_cut_by_labels(box, local, grid, middle)),
     )
-
-
-def _ends(mask: Mask) -> tuple[list[int], list[int]]:
-    """Return first index x, y, z of a mask, and one past its last."""
-    used = used_box(mask) or (slice(0, 1),) * 3
-    return [part.start for part in used[::-1]], [part.stop for part in used[::-1]]
 
 
 def _grid_in(scan: Scan, labels: Scan) -> Grid:
@@ -182,7 +177,7 @@ def _in_words(scan: Scan) -> str:
     return f"{size} voxels of {spacing} mm from {', '.join(f'{v:.6g}' for v in scan.origin_mm)}"
 
 
-def _levels(box: Box, local: NDArray[np.uint8]) -> tuple[float, float]:
+def _levels(box: Box, local: Drawn) -> tuple[float, float]:
     """Return first levels: air away from every label, bone deep inside the stapes.
 
     Raises
@@ -206,7 +201,7 @@ def _levels(box: Box, local: NDArray[np.uint8]) -> tuple[float, float]:
     return float(air), bone
 
 
-def _by_grey_values(box: Box, local: NDArray[np.uint8], plastic: Mask, middle: float) -> tuple[Mask, Mask]:
+def _by_grey_values(box: Box, local: Drawn, plastic: Mask, middle: float) -> tuple[Mask, Mask]:
     """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
 
     Bone beside the drawn stapes that has no label means the same as bone labelled other: it is not the
@@ -253,7 +248,7 @@ def _goes_on(box: Box, drawn: Mask, bone: Mask, beside: Mask, other: Mask) -> Ma
     return np.asarray(binary_propagation(other, mask=other | result)) & result
 
 
-def _bodies(stapes: Mask, other: Mask, local: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _bodies(stapes: Mask, other: Mask, local: Drawn) -> NDArray[np.uint8]:
     """Return the labels of the bodies as they are measured, the same whichever way bone was labelled."""
     bodies = np.where(local == PLATE, np.uint8(PLATE), np.uint8(0))
     bodies[other] = OTHER_BONE
@@ -268,12 +263,12 @@ def _plate_in(scan: Scan, overview: Overview, stapes: Mask) -> PlateRegion | Non
     return find_plate(scan, overview, reading, stapes) if reading is not None and stapes.any() else None
 
 
-def _cells(labels: NDArray[np.uint8], grid: Grid) -> Cells:
+def _cells(labels: Drawn, grid: Grid) -> Cells:
     used = used_box(labels > 0) or (slice(0, 1),) * 3
     return Cells(labels[used], grid.first + starts(used), grid.block)
 
 
-def _cut_by_labels(box: Box, local: NDArray[np.uint8], grid: Grid, middle: float) -> list[Notice]:
+def _cut_by_labels(box: Box, local: Drawn, grid: Grid, middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
     within = box.taken(np.ones(grid.shape, dtype=bool), grid)
     end = (local == STAPES) & grown(~within)

@@ -163,9 +163,11 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
 
     values, count = np.unique(grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])], return_counts=True)
     value = float(values[np.argmax(count)])
+    if count.max() < 4:
+        return None, None
     same = grey == np.float32(value)
     solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
-    if count.max() < 4 or np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
+    if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
         return None, None
     labels = cc3d.connected_components(solid, connectivity=6)
     faces = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.find.box import block_for, read_box
 from ct_inertia.find.necks import Neck, find_necks
 from ct_inertia.find.overview import Overview, smooth_noise
-from ct_inertia.find.pieces import HALF_GAP_MM, USUAL_MM3, Labels, Piece, describe_all, united
+from ct_inertia.find.pieces import HALF_GAP_MM, Labels, Piece, describe_all
 from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance, closed
@@ -35,8 +34,6 @@ _HALF_VALLEY_MM, _HALF_VALLEY_VOXELS = calibrated("split.half_valley")
 _LEAST_MARKER_MM3 = calibrated("split.least_marker_mm3")
 _LEAST_DEPTH_VOXELS = calibrated("split.least_depth_voxels")
 _CALM_VOXELS = 0.6  # smoothing of the valleys against noise: less than the blur of a scan, so that gaps stay
-_WHOLE = 0.99  # share of a union that hangs together
-_LEAST_UNITED_MM3, _MOST_UNITED = 0.05, 7  # parts that are put together by twos and threes: 56 trials
 _NECK_SCORE = -50.0  # size score from which a part is looked at for necks: for time only
 
 
@@ -123,7 +120,6 @@ def splits(
         yield way
         possible = [part for part in way.parts if part.possible]
         if not any(part.usual and part.arched for part in possible):
-            yield from _united(way)
             likely = sorted(possible, key=lambda part: -part.size_score)
             yield from _at_necks(way, [p for p in likely if p.size_score > _NECK_SCORE and p.empty_arch])
 
@@ -201,21 +197,6 @@ def _same_parts(labels: Labels, markers: Labels) -> bool:
     marked = markers > 0
     pairs = np.unique(labels[marked].astype(np.int64) * (int(markers.max()) + 1) + markers[marked])
     return bool(len(pairs) == markers.max() == len(np.unique(labels[labels > 0])))
-
-
-def _united(way: Split) -> Iterator[Split]:
-    """Put two or three parts together where that makes a stapes: depths for wide bridges may split it."""
-    import cc3d
-
-    parts = [part for part in way.parts if part.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]
-    for some in (*combinations(parts, 2), *combinations(parts, 3)):
-        if not USUAL_MM3[0] <= sum(part.volume_mm3 for part in some) <= USUAL_MM3[1]:
-            continue
-        piece = united(some)
-        count = np.bincount(cc3d.connected_components(piece.inside, connectivity=6)[piece.inside])
-        if count.max() >= _WHOLE * count.sum() and piece.usual and piece.empty_arch:
-            rest = [part for part in way.parts if all(part is not one for one in some)]
-            yield replace(way, labels=piece.labels, parts=(piece, *rest))
 
 
 def _at_necks(way: Split, pieces: Sequence[Piece]) -> Iterator[Split]:

@@ -7,15 +7,13 @@ same page.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ct_inertia.mass.sizes import NAMES
 from ct_inertia.mass.ways import WAYS
-from ct_inertia.report.evidence import evidence_rows
-from ct_inertia.report.pictured import Pictured, pictured_from
+from ct_inertia.report.pictured import Pictured
 from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure
 from stapeskit.records.mass_matrix import source_words
 from stapeskit.report import page
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
 _LARGEST = 5  # sources of uncertainty that are listed one by one
 _LEAST_SHOWN = 5e-4  # percent and micrometres: less is none
 _PLATE_AXIS_MM = 1.0
+_BONE_FROM = {"interior": "mean deep inside", "fit": "of the fit", "mask": "labels"}
 
 Content = Mapping[str, Any]
 
@@ -60,20 +59,6 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
         page.text(f"{provenance['command']}; {provenance['date']}. {versions}."),
     )
     return shown
-
-
-def page_from(folder: Path, scan: Path | None = None) -> page.Page:
-    """Return the page of the result in a folder; with the scan, the slices are drawn, too.
-
-    Raises
-    ------
-    StapeskitError
-        A file of the result is missing or damaged.
-    """
-    from stapeskit.records.mass import read_mass_json
-
-    content = read_mass_json(Path(folder) / "mass.json").raw
-    return mass_page(content, pictured_from(Path(folder), content, scan))
 
 
 def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None:
@@ -283,9 +268,32 @@ def published_blocks(content: Content) -> list[Markup]:
 
 
 def evidence_blocks(content: Content) -> list[Markup]:
-    """Return how the stapes was found, cut out and measured."""
-    rows = evidence_rows(content)
-    return [page.table(("", "found"), rows, words=True)] if rows else []
+    """Return how the stapes was found, cut out and measured; nothing for a mesh."""
+    segmentation = content.get("segmentation")
+    if not segmentation:
+        return []
+    size = " × ".join(map(str, segmentation["size_voxels"]))
+    voxel = " × ".join(f"{1e3 * value:.4g}" for value in segmentation["voxel_size_mm"])
+    rows = [("voxels", f"{size} of {voxel} µm"), ("separated from other bone", segmentation["separation"])]
+    levels = segmentation["levels"]
+    if levels:
+        noise = levels["noise"] / (levels["bone"] - levels["air"])
+        rows += [
+            ("grey value of air", f"{levels['air']:.5g} ± {levels['air_sd']:.2g}"),
+            (
+                f"grey value of bone ({_BONE_FROM[levels['bone_from']]})",
+                f"{levels['bone']:.5g} ± {levels['bone_sd']:.2g}",
+            ),
+            ("noise of one voxel", f"{100.0 * noise:.1f} % of the contrast"),
+            ("blur of the scan", f"{1e3 * segmentation['psf_sigma_mm']:.1f} µm (sd, voxel included)"),
+        ]
+    left = segmentation["measured"].get("residual_share_by_place", {})
+    rows += [
+        (f"left by the model: {place}", f"{100.0 * share:+.3f} % of the volume")
+        for place, share in left.items()
+    ]
+    rows += [(f"fitted: {name}", f"{value:.3g}") for name, value in segmentation["media"].items()]
+    return [page.table(("", "found"), rows, words=True)]
 
 
 def ways_blocks(content: Content) -> list[Markup]:

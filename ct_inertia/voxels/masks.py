@@ -67,8 +67,9 @@ def flood(
     the darkest line between two bodies, where each loses to the other as much of its blur as it gains.
     Markers that touch nothing that is still free take no part, which saves most of the time.
     """
-    from scipy.ndimage import gaussian_filter
     from skimage.segmentation import watershed
+
+    from ct_inertia.voxels.fields import smooth
 
     result = np.where(mask, markers, 0).astype(np.int32)
     free = mask & (result == 0)
@@ -77,7 +78,7 @@ def flood(
         return result
     box = widened(used, 3)
     active = mask[box] & grown(free[box])
-    height = gaussian_filter(relief[box], smoothing, truncate=3.0) if smoothing else relief[box]
+    height = smooth(np.ascontiguousarray(relief[box]), np.full(3, smoothing)) if smoothing else relief[box]
     flooded = watershed(height, np.where(active, result[box], 0), mask=active)
     part = result[box]
     part[free[box]] = flooded[free[box]]

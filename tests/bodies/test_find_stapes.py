@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ct_inertia.find.box import block_for
-from ct_inertia.find.find import Search, find_stapes
+from ct_inertia.find.choose import Search
+from ct_inertia.find.find import find_stapes
 from ct_inertia.find.levels import material_levels
 from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import look_at, noise_of

@@ -17,7 +17,8 @@ from ct_inertia.cli import work
 from ct_inertia.exports.write import EXPORTS
 from ct_inertia.options import EXPORTS as EXPORT_NAMES
 from ct_inertia.options import MassOptions
-from ct_inertia.report.sections import page_from
+from ct_inertia.report.pictured import pictured_from
+from ct_inertia.report.sections import mass_page
 from ct_inertia.results import MassResult
 from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
@@ -156,11 +157,12 @@ def test_what_is_written_is_what_was_measured(study: Study, tmp_path: Path) -> N
 def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study, tmp_path: Path) -> None:
     result = study.scanned
     result.write(tmp_path / "out")
-    page = page_from(tmp_path / "out", study.folder / "scan.tif")
+    content = read_mass_json(tmp_path / "out" / "mass.json").raw
+    page = mass_page(content, pictured_from(tmp_path / "out", content, study.folder / "scan.tif"))
     first = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert [section.name for section in page.sections][:2] == ["What was measured", "Mass matrix M"]
     assert all(f'id="{section.id}"' in first for section in (*page.sections, *page.appendix))
-    without = page_from(tmp_path / "out")
+    without = mass_page(content, pictured_from(tmp_path / "out", content))
     assert without.sections[0].name == "Mass matrix M"
 
 
