@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +43,9 @@ if TYPE_CHECKING:
 
 _PLATE_SHIFT = calibrated("plate_frame.level_shift")
 _CALM_VOXELS = float(np.sqrt(2.0)) * calibrated("scene.most_smoothing_voxels")
+
+_HEAVY = ("pyvista", "scipy.special", "scipy.sparse.linalg", "scipy.spatial")
+"""Libraries whose import takes most of a second."""
 
 
 @dataclass
@@ -226,6 +231,7 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
         if options.box_mm is not None:
             work.scan = work.scan.part(work.scan.box_of(options.box_mm))
         seed = None if options.seed_mm is None else np.array(options.seed_mm)
+        _import_ahead()
         return find_stapes(work.scan, Search(options.threshold, seed), progress)
     from ct_inertia.find.labels import label_stapes
 
@@ -233,9 +239,20 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
     array, grid = open_labels(options.labels, spacing, options.mirror)
     _add_files(inputs, "labels", grid)
     grid = replace(grid, dtype=array.dtype, fetch=lambda box: array[box])  # read once
+    _import_ahead()
     labelled = label_stapes(grid, work.scan, options.stapes_label, options.plate_label, progress)
     work.scan = work.scan or grid
     return labelled
+
+
+def _import_ahead() -> None:
+    """Import what later steps need while the scan is read: not before all children are forked."""
+
+    def work() -> None:
+        for name in _HEAVY:
+            import_module(name)
+
+    Thread(target=work, daemon=True).start()
 
 
 def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:

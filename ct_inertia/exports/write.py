@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,29 +85,32 @@ def write_files(
         Formats of `EXPORTS`.
     """
     content = result.content()
-    if result.body is not None:
-        content = {**content, "labels_file": labels_name}
-    (stage / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    names = ["mass.json", "stapes.ply"]
-    result.stapes.write(stage / "stapes.ply")
-    if result.plate is not None:
-        names.append("plate.ply")
-        result.plate.write(stage / "plate.ply")
+    labels = None
     if result.body is not None and result.scan is not None:
         from ct_inertia.exports.labels import LabelFile
 
-        LabelFile.of(result.body.labelled, result.scan).write(stage / labels_name)
-        names.append(labels_name)
-    wanted = dict.fromkeys([*exports, *(["crop"] if needs_crop(result) else [])])
-    for name in wanted:
-        file, write = EXPORTS[name]
-        write(result, stage / file)
-        names.append(file)
-    if report:
-        from ct_inertia.report.sections import mass_page
+        labels = LabelFile.of(result.body.labelled, result.scan)
+        content = {**content, "labels_file": labels_name}
+    names = ["mass.json", "stapes.ply"]
+    with ThreadPoolExecutor(1) as pool:  # labels of a large scan are packed while the rest is written
+        packed = None if labels is None else pool.submit(labels.write, stage / labels_name)
+        (stage / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        result.stapes.write(stage / "stapes.ply")
+        if result.plate is not None:
+            names.append("plate.ply")
+            result.plate.write(stage / "plate.ply")
+        for name in dict.fromkeys([*exports, *(["crop"] if needs_crop(result) else [])]):
+            file, write = EXPORTS[name]
+            write(result, stage / file)
+            names.append(file)
+        if report:
+            from ct_inertia.report.sections import mass_page
 
-        mass_page(content, result.pictured).write(stage / REPORT)
-        names.append(REPORT)
+            mass_page(content, result.pictured).write(stage / REPORT)
+            names.append(REPORT)
+        if packed is not None:
+            packed.result()
+            names.append(labels_name)
     return tuple(names)
 
 

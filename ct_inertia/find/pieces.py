@@ -17,7 +17,7 @@ from ct_inertia.voxels.grid import Grid, Index
 from ct_inertia.voxels.masks import Mask, Slices, starts, used_box
 from stapeskit.arrays import Array
 
-Labels = NDArray[np.int32]
+Labels = NDArray[np.integer[Any]]
 
 USUAL_MM3 = calibrated("stapes.volume_mm3")
 _EXTENTS_MM = calibrated("stapes.extents_mm")
@@ -44,7 +44,7 @@ class Piece:
     ----------
     label : int
         Its number in ``labels``.
-    labels : ndarray of int32, [z, y, x]
+    labels : ndarray of int, [z, y, x]
         All pieces of the picture or of a split.
     grid : Grid
     box : tuple of 3 slice

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ct_inertia.bodies import Box, Separation
+from ct_inertia.bodies import Separation
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.box import block_for, read_box
 from ct_inertia.find.necks import Neck, find_necks
@@ -17,6 +17,7 @@ from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance, closed
 from ct_inertia.voxels.fields import Grey, smooth
+from ct_inertia.voxels.grid import Grid
 from ct_inertia.voxels.masks import Mask, flood
 from stapeskit.arrays import Array
 
@@ -43,9 +44,9 @@ class Split:
 
     Attributes
     ----------
-    grid : Box
+    grid : Grid
         The finer grid of ``labels``.
-    labels : ndarray of int32, [z, y, x]
+    labels : ndarray of uint8 or uint16, [z, y, x]
         The parts.
     sure : ndarray of bool, [z, y, x]
         Where they hold for certain: not along the gaps, where grey values decide.
@@ -57,7 +58,7 @@ class Split:
         The plane, in mm from voxel 0, 0, 0 of the grid along its axes.
     """
 
-    grid: Box
+    grid: Grid
     labels: Labels
     sure: Mask
     parts: tuple[Piece, ...]
@@ -105,18 +106,22 @@ def splits(
     edge = grid_edge(size_mm, scan.spacing_mm)
     if edge > _COARSEST_MM:
         return
-    grid = read_box(scan, low, np.minimum(high, scan.size), edge, margin=_MARGIN)
-    noise = overview.noise / float(np.sqrt(np.prod(grid.block))) / reading.contrast
-    grey = smooth_noise(grid.grey, noise)
-    bone = _of_the_whole(grey > np.float32(reading.between), grid, whole)
+    box = read_box(scan, low, np.minimum(high, scan.size), edge, margin=_MARGIN)
+    noise = overview.noise / float(np.sqrt(np.prod(box.block))) / reading.contrast
+    grey = smooth_noise(box.grey, noise)
+    bone = _of_the_whole(grey > np.float32(reading.between), box, whole)
     share = (grey - np.float32(reading.air)) / np.float32(reading.contrast)
+    grid = Grid.of(scan, box.shape, box.first, box.block)
+    del box, grey  # ways that may be chosen later keep no grey values
     complete = whole.possible and whole.empty_arch
     if complete:
-        labels = bone.astype(np.int32)
+        labels = bone.astype(np.uint8)
         uncut = Split(grid, labels, bone, tuple(describe_all(labels, grid)[:1]), 0.0)
         yield from _at_necks(uncut, uncut.parts)
     few = complete and not whole.at_border
-    for way in _at_gaps(grid, share, bone, DEPTHS_MM[:_FEW_DEPTHS] if few else DEPTHS_MM):
+    gaps = _narrow_gaps(share, bone, grid.spacing_mm)
+    del share
+    for way in _at_gaps(grid, gaps, bone, DEPTHS_MM[:_FEW_DEPTHS] if few else DEPTHS_MM):
         yield way
         possible = [part for part in way.parts if part.possible]
         if not any(part.usual and part.arched for part in possible):
@@ -137,7 +142,7 @@ def grid_edge(size_mm: Array, spacing_mm: Array) -> float:
     return edge
 
 
-def _of_the_whole(bone: Mask, grid: Box, whole: Piece) -> Mask:
+def _of_the_whole(bone: Mask, grid: Grid, whole: Piece) -> Mask:
     """Leave out bone of other pieces that reaches into the box: its cut ends are nobody's shape."""
     import cc3d
 
@@ -163,7 +168,7 @@ def _narrow_gaps(share: Grey, bone: Mask, spacing_mm: Array) -> Mask:
     return np.asarray(open_gaps | (closed(clear, spacing_mm, valley) & ~clear))
 
 
-def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -> Iterator[Split]:
+def _at_gaps(grid: Grid, gaps: Mask, bone: Mask, depths_mm: tuple[float, ...]) -> Iterator[Split]:
     """Split bone along its narrow gaps, from gaps without bridges to wide bridges.
 
     Notes
@@ -175,21 +180,23 @@ def _at_gaps(grid: Box, share: Grey, bone: Mask, depths_mm: tuple[float, ...]) -
     """
     import cc3d
 
-    gaps = _narrow_gaps(share, bone, grid.spacing_mm)
     if not gaps.any():
         return
     least = _LEAST_DEPTH_VOXELS * float(np.mean(grid.spacing_mm))
-    depth = capped_distance(gaps, grid.spacing_mm, DEPTHS_MM[-1] + least)
+    relief = -capped_distance(gaps, grid.spacing_mm, DEPTHS_MM[-1] + least)
+    sure = relief < np.float32(-least)
     labels: Labels | None = None
     for wanted in depths_mm:
-        pieces = cc3d.connected_components(bone & (depth > np.float32(max(wanted, least))), connectivity=6)
+        pieces = cc3d.connected_components(bone & (relief < np.float32(-max(wanted, least))), connectivity=6)
         kept = np.bincount(pieces.ravel()) * grid.voxel_mm3 >= _LEAST_MARKER_MM3
         kept[0] = False
-        markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[pieces]
-        if np.count_nonzero(kept) < 2 or (labels is not None and _same_parts(labels, markers)):
+        count = int(np.count_nonzero(kept))
+        markers = np.where(kept, np.cumsum(kept), 0).astype(np.min_scalar_type(count + 1))[pieces]
+        del pieces
+        if count < 2 or (labels is not None and _same_parts(labels, markers)):
             continue
-        labels = flood(-depth, markers, bone)
-        yield Split(grid, labels, depth > np.float32(least), tuple(describe_all(labels, grid)), wanted)
+        labels = flood(relief, markers, bone)
+        yield Split(grid, labels, sure, tuple(describe_all(labels, grid)), wanted)
 
 
 def _same_parts(labels: Labels, markers: Labels) -> bool:
@@ -208,7 +215,7 @@ def _at_necks(way: Split, pieces: Sequence[Piece]) -> Iterator[Split]:
         own, beyond = way.labels == piece.label, int(way.labels.max()) + 1
         for neck in find_necks(np.argwhere(own)[:, ::-1] * spacing, spacing):
             height = (neck.normal[2] * z)[:, None, None] + (neck.normal[1] * y)[:, None] + neck.normal[0] * x
-            labels = np.where(own & (height > neck.height_mm), np.int32(beyond), way.labels)
+            labels = np.where(own & (height > neck.height_mm), beyond, way.labels)
             ends = {part.label: part for part in describe_all(labels, way.grid, (piece.label, beyond))}
             if len(ends) == 2 and ends[piece.label].usual:
                 parts = (ends[piece.label], ends[beyond], *rest)

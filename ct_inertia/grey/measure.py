@@ -45,7 +45,9 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     moments = partial_volume_moments(parts.integrand, parts.transform, fit.sigma_mm)
     left = misfits(fit, parts.residual, labelled.box.voxel_mm3, moments)
     odd = any(one.stands_out for one in left)
-    unstated = unstated_coat(parts, moments) if odd and coat is None else None
+    # A coat leaves grey values beyond the edge of the bone: only then is it worth a second fit.
+    brighter = any(one.place == "collar" and one.share > 0.0 for one in left)
+    unstated = unstated_coat(parts, moments) if odd and brighter and coat is None else None
     bend = grey_scale_bend(fit)
     moments, around = with_sources(moments, parts, amounts_of(parts, odd, unstated, bend))
     through = bone_border(labelled, begin, parts.own, (begin.air, begin.air + parts.level.contrast), moments)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ct_inertia.bodies import Grey
 from ct_inertia.surface.surface import Faces, Surface
+from ct_inertia.voxels.masks import starts, used_box, widened
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
@@ -45,21 +46,16 @@ def padded_part(field: Grey) -> tuple[Array, Grey]:
     StapeskitError
         Nothing is positive.
     """
-    inside = field > 0.0
-    starts, parts = [], []
-    for axis in range(3):
-        used = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
-        if len(used) == 0:
-            step = "Check the labels and the grey values there"
-            raise StapeskitError.of("the body", "visible in the grey values", "nothing", next_step=step)
-        starts.append(max(int(used[0]) - 2, 0))
-        parts.append(slice(starts[-1], int(used[-1]) + 3))
-    part = np.pad(field[tuple(parts)], 1, mode="edge")
+    used = used_box(field > 0.0)
+    if used is None:
+        raise _nothing()
+    box = widened(used, 2)
+    part = np.pad(field[box], 1, mode="edge")
     for axis in range(3):
         for end in (0, -1):  # as far below zero as the field is above it: caps half a voxel outside
             side = np.moveaxis(part, axis, 0)[end]
             side[...] = -np.abs(side) - np.float32(1e-6)
-    return np.array(starts[::-1]) - 1.0, part
+    return np.asarray(starts(box) - 1.0), part
 
 
 def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
@@ -71,13 +67,17 @@ def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
     found = grid.contour([0.0], scalars=values, method="flying_edges", compute_scalars=False)
     points, faces = np.asarray(found.points, dtype=float), np.asarray(found.regular_faces, dtype=np.int64)
     if not len(faces):
-        step = "Check the labels and the grey values there"
-        raise StapeskitError.of("the body", "visible in the grey values", "nothing", next_step=step)
+        raise _nothing()
     a, b, c = (points[faces[:, k]] - points[faces[0, 0]] for k in range(3))
     parts = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     if parts.sum() < 0.0:
         faces, parts = np.ascontiguousarray(faces[:, ::-1]), -parts
     return _largest(points, faces, parts) if largest else (points, faces)
+
+
+def _nothing() -> StapeskitError:
+    step = "Check the labels and the grey values there"
+    return StapeskitError.of("the body", "visible in the grey values", "nothing", next_step=step)
 
 
 def _largest(points: Array, faces: Faces, parts: Array) -> tuple[Array, Faces]:

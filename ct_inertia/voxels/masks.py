@@ -57,8 +57,8 @@ def eroded(mask: Mask, rounds: int = 1) -> Mask:
 
 
 def flood(
-    relief: NDArray[np.float32], markers: NDArray[np.int32], mask: Mask, smoothing: float = 0.0
-) -> NDArray[np.int32]:
+    relief: NDArray[np.float32], markers: NDArray[Any], mask: Mask, smoothing: float = 0.0
+) -> NDArray[Any]:
     """Give every voxel of a mask to the marker whose flood reaches it first from the low side of a relief.
 
     Notes
@@ -71,7 +71,7 @@ def flood(
 
     from ct_inertia.voxels.fields import smooth
 
-    result = np.where(mask, markers, 0).astype(np.int32)
+    result = np.where(mask, markers, markers.dtype.type(0))
     free = mask & (result == 0)
     used = used_box(free)
     if used is None:
@@ -79,7 +79,7 @@ def flood(
     box = widened(used, 3)
     active = mask[box] & grown(free[box])
     height = smooth(np.ascontiguousarray(relief[box]), np.full(3, smoothing)) if smoothing else relief[box]
-    flooded = watershed(height, np.where(active, result[box], 0), mask=active)
+    flooded = watershed(height, np.where(active, result[box], np.int32(0)), mask=active)
     part = result[box]
     part[free[box]] = flooded[free[box]]
     return result
