@@ -5,7 +5,9 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from threading import Thread
@@ -207,6 +209,7 @@ def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredB
     labelled = _labelled(work, progress, inputs)
     progress("measuring the stapes")
     work.measured = measure(labelled, work.options.coat)
+    _return_memory()
     work.notices += work.measured.notices
     return work.measured
 
@@ -253,6 +256,12 @@ def _import_ahead() -> None:
             import_module(name)
 
     Thread(target=work, daemon=True).start()
+
+
+def _return_memory() -> None:
+    """Let the C library give back what it keeps of arrays that are gone, where it is that of GNU."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Grid, Labelled
 from ct_inertia.grey.cells import cell_numbers, mean_by_cells, noise_correlation, robust_mean
 from ct_inertia.voxels.distance import capped_distance
-from ct_inertia.voxels.fields import Grey
+from ct_inertia.voxels.fields import Grey, smooth
 from ct_inertia.voxels.masks import Mask, Slices, eroded, flood, grown, used_box, widened
 from stapeskit.arrays import Array
 
@@ -159,14 +159,12 @@ def first_sigma(labelled: Labelled) -> float:
     A plane edge of contrast c has the slope c / (sqrt(2 pi) sigma). Differences over two voxels add the
     variance h^2 / 3 to the blur.
     """
-    from scipy.ndimage import gaussian_filter
-
     spacing = labelled.box.spacing_mm[::-1]
     part = _around(labelled.stapes, 4.0 * float(spacing.max()), spacing)
     contrast = labelled.bone - labelled.air
     share = (labelled.box.grey[part] - np.float32(labelled.air)) / np.float32(contrast)
-    smooth = 0.8 if labelled.noise > 0.05 * contrast else 0.0
-    share = gaussian_filter(share, smooth, truncate=3.0) if smooth else share
+    calm = 0.8 if labelled.noise > 0.05 * contrast else 0.0
+    share = smooth(share, np.full(3, calm)) if calm else share
     stapes = labelled.stapes[part]
     rim = (np.abs(share - np.float32(0.5)) < 0.15) & grown(stapes) & ~eroded(stapes)
     inner = np.zeros_like(rim)
@@ -180,7 +178,7 @@ def first_sigma(labelled: Labelled) -> float:
     if place.size < 60:
         return 1.2 * mean
     steep = float(np.percentile(np.sqrt(slope), 70.0))
-    square = 1.0 / (2.0 * np.pi * max(steep, 1e-9) ** 2) - mean**2 * (1.0 / 3.0 + smooth**2)
+    square = 1.0 / (2.0 * np.pi * max(steep, 1e-9) ** 2) - mean**2 * (1.0 / 3.0 + calm**2)
     return float(np.clip(np.sqrt(max(square, 0.0)), 0.6 * mean, 4.0 * mean))
 
 
