@@ -56,19 +56,15 @@ def work(words: Sequence[str]) -> Outcome:
 
     found = with_companions(options, files.mass)
     inputs = [*found.options.inputs().values(), *([found.mass] if found.mass else [])]
-    outputs = output_set(files.out, inputs, files.force, files.export)
-    outputs.check()
+    output_set(files.out, inputs, files.force, files.export).check()
     with progress_line(not files.quiet and not files.as_json) as progress:
         mass = None if found.mass is None else measured_mass(found.mass)
         result = measure_motion(found.options, mass, progress, taken=found.taken)
         progress("drawing the page")
-        outputs = output_set(files.out, result.files, files.force, files.export)
-        with outputs.staged() as stage:
-            result.write_into(stage, files.out.name, export=files.export)
-    content = as_json(result, [str(path) for path in outputs.paths()]) if files.as_json else {}
-    return Outcome(
-        result.title, result.summary(), result.notices, outputs.paths(), content, files.as_json, files.quiet
-    )
+        out, name = files.out.parent, files.out.name
+        paths = result.write(out, force=files.force, name=name, export=files.export)
+    content = as_json(result, [str(path) for path in paths]) if files.as_json else {}
+    return Outcome(result.title, result.summary(), result.notices, paths, content, files.as_json, files.quiet)
 
 
 def _epilog() -> str:

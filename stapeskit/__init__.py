@@ -24,8 +24,7 @@ TYPE_CHECKING = False  # typing itself would cost more than this package
 if TYPE_CHECKING:
     from ct_inertia.api import ct2mass
     from fitting.dof2kd import dof2kd
-    from kinematics.api import points2dof
-    from kinematics.read_vibrometer import read_vibrometer
+    from kinematics.api import points2dof, read_vibrometer
     from pipeline.cohort.cohort import cohort
     from pipeline.run import scan2kd
     from stapeskit.faults import StapeskitError
@@ -40,7 +39,7 @@ _PLACES = {
     "points2dof": "kinematics.api",
     "dof2kd": "fitting.dof2kd",
     "scan2kd": "pipeline.run",
-    "read_vibrometer": "kinematics.read_vibrometer",
+    "read_vibrometer": "kinematics.api",
     "cohort": "pipeline.cohort.cohort",
     "StapeskitError": "stapeskit.faults",
     "RigidTransform": "stapeskit.frames",

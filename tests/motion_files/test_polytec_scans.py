@@ -8,7 +8,7 @@ import olefile
 import pytest
 
 import kinematics
-from kinematics.read_vibrometer import read_vibrometer
+from kinematics.api import read_vibrometer
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
 from kinematics.readers.svd import read_scan
