@@ -75,7 +75,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
         os.environ.setdefault(
             name, "1"
         )  # small matrices: threads that wait for each other cost more than they bring
-    gc.set_threshold(50_000)  # looking for cycles among objects that live on took a tenth of a command
+    gc.set_threshold(20_000)  # looking for cycles among objects that live on took a tenth of a command
     if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
         warnings.simplefilter("ignore")
     for name in ("SIGTERM", "SIGHUP"):
