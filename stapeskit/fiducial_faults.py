@@ -86,17 +86,16 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Cause:
-    """What may be wrong, the sum of squares and the degrees of freedom that it leaves, and its sentence.
+    """What may be wrong, in words, and the sum of squares that it leaves.
 
-    It has ``parameters`` and is one of ``number`` alike; one without parameters is refused, as ``thing`` that
-    must be ``expected``. A single wrong fiducial has a ``name`` and is off by ``size_mm``.
+    It has ``parameters`` and is one of ``number`` alike. One without parameters is refused, as ``thing`` that
+    must be ``expected``; a single wrong fiducial has a ``name`` and is off by ``size_mm``.
     """
 
     words: str
     chi2: float
-    n_dof: int
-    parameters: int
-    number: int
+    parameters: int = 0
+    number: int = 1
     thing: str = ""
     expected: str = ""
     step: str = ""
@@ -142,17 +141,15 @@ def notices_of(pairs: Pairs) -> list[Notice]:
     likely = [cause for cause in _causes(pairs) if _is_likely(pairs, cause)] if len(pairs) > 3 else []
     words = ""
     if likely:
-        scale = 1.0 if pairs.stated else max(min(one.chi2 / one.n_dof for one in likely), _ROUNDING)
-        weights = {
-            one: one.chi2 / scale + _PRICE * one.parameters + 2.0 * np.log(one.number) for one in likely
-        }
-        best = min(likely, key=lambda one: weights[one])
+        left = min(one.chi2 / (pairs.n_dof - one.parameters) for one in likely)
+        scale = 1.0 if pairs.stated else max(left, _ROUNDING)
+        weights = [one.chi2 / scale + _PRICE * one.parameters + 2.0 * np.log(one.number) for one in likely]
+        best = likely[int(np.argmin(weights))]
+        alike = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
         if best.step:
-            rivals = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
-            also = f"; or correct fiducial {rivals[0]}, which alone shows it" if len(rivals) == 1 else ""
+            also = f"; or correct fiducial {alike[0]}, which alone shows it" if len(alike) == 1 else ""
             got = f"{best.words} (residual {rms_mm:.3g} mm as given, {pairs.rms_mm(best.chi2):.3g} mm so)"
             raise StapeskitError.of(best.thing, best.expected, got, "", best.step + also)
-        alike = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
         words = best.words
         if best.name and len(alike) > 1:
             listed = ", ".join(alike)
@@ -177,10 +174,9 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
         yield Cause(
             "points that fit only as a mirror image",
             float(misfits(source * [1.0, 1.0, -1.0], target, weights)[0]),
-            *(pairs.n_dof, 0, 1),
-            f"the coordinates of the {pairs.source} frame",
-            "right-handed",
-            undo_mirror(pairs.to, pairs.source),
+            thing=f"the coordinates of the {pairs.source} frame",
+            expected="right-handed",
+            step=undo_mirror(pairs.to, pairs.source),
         )
     couples = list(combinations(range(count), 2))
     orders = np.tile(np.arange(count), (len(couples), 1))
@@ -190,12 +186,18 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
         yield Cause(
             f"{pairs.names[one]} and {pairs.names[other]} exchanged",
             float(chi2),
-            *(pairs.n_dof, 0, len(couples)),
-            "the names of the fiducials",
-            "those of the same points in both frames",
-            "Correct the names, or the order of the references",
+            number=len(couples),
+            thing="the names of the fiducials",
+            expected="those of the same points in both frames",
+            step="Correct the names, or the order of the references",
         )
-    yield _scale(pairs)
+    scale, chi2 = _scale(pairs)
+    if abs(scale - 1.0) > _SCALE:
+        words = (
+            f"distances between the references are {scale:.4f} times those that the {pairs.source} frame "
+            "has; check the voxel size of the scan and the scale of the vibrometer"
+        )
+        yield Cause(words, chi2, parameters=1)
     left_out = np.where(np.eye(count, dtype=bool), 0.0, weights)
     sums, residuals, rotations = misfits(source, target, left_out)
     for place, name in enumerate(pairs.names):
@@ -208,39 +210,35 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
             f"fiducial {name} lies {size_mm:.3g} mm from where the others put it (add {known} to x_ref_mm, "
             f"y_ref_mm, z_ref_mm, or {seen} to x_mm, y_mm, z_mm); correct it or leave it out"
         )
-        yield Cause(words, float(sums[place]), pairs.n_dof - 3, 3, count, name=name, size_mm=size_mm)
+        yield Cause(words, float(sums[place]), 3, count, name=name, size_mm=size_mm)
 
 
-def _scale(pairs: Pairs) -> Cause:
-    """Return another scale of one frame as a cause (Umeyama 1991, doi:10.1109/34.88573, Eq. 42)."""
+def _scale(pairs: Pairs) -> tuple[float, float]:
+    """Return the best scale of the source and what it leaves (Umeyama 1991, doi:10.1109/34.88573, Eq. 42)."""
     rotation, _, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
-    share = pairs.weights / np.sum(pairs.weights)
-    turned = (pairs.source_mm - share @ pairs.source_mm) @ rotation.T
-    target = pairs.target_mm - share @ pairs.target_mm
-    weights = pairs.weights[:, None]
-    scale = float(np.sum(weights * turned * target) / np.sum(weights * turned**2))
-    words = (
-        f"distances between the references are {scale:.4f} times those that the {pairs.source} frame has; "
-        "check the voxel size of the scan and the scale of the vibrometer"
+    source, target = (
+        part - np.average(part, axis=0, weights=pairs.weights)
+        for part in (pairs.source_mm @ rotation.T, pairs.target_mm)
     )
-    chi2 = np.inf if abs(scale - 1.0) < _SCALE else float(np.sum(weights * (scale * turned - target) ** 2))
-    return Cause(words, chi2, pairs.n_dof - 1, 1, 1)
+    weights = pairs.weights[:, None]
+    scale = float(np.sum(weights * source * target) / np.sum(weights * source**2))
+    return scale, float(np.sum(weights * (scale * source - target) ** 2))
 
 
 def _is_likely(pairs: Pairs, cause: Cause) -> bool:
     """Return whether a cause gains too much for chance; one without parameters must leave noise alone."""
     from scipy.special import chdtrc, fdtrc
 
-    gain = max(pairs.chi2 - cause.chi2, 0.0)
+    gain, n_dof = max(pairs.chi2 - cause.chi2, 0.0), pairs.n_dof - cause.parameters
     if pairs.stated:
-        noise = not inconsistent(cause.chi2, cause.n_dof)
-        chance = float(chdtrc(max(cause.parameters, 1), gain))
+        noise = not inconsistent(cause.chi2, n_dof)
         most = cause.chi2 < _MOST_LEFT * pairs.chi2 and cause.parameters > 0
+        chance = float(chdtrc(max(cause.parameters, 1), gain))
         return cause.number * chance < INCONSISTENT and (noise or most)
     if cause.parameters == 0:
         return cause.chi2 * _FAR_BETTER < pairs.chi2 and pairs.rms_mm(pairs.chi2) > _NOTICEABLE_MM
-    scatter = max(cause.chi2, _ROUNDING) / cause.n_dof
-    chance = float(fdtrc(cause.parameters, cause.n_dof, gain / cause.parameters / scatter))
+    scatter = max(cause.chi2, _ROUNDING) / n_dof
+    chance = float(fdtrc(cause.parameters, n_dof, gain / cause.parameters / scatter))
     return cause.number * chance < INCONSISTENT and cause.size_mm > _NOTICEABLE_MM
 
 
