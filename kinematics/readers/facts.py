@@ -188,13 +188,14 @@ def with_bodies(
     unlisted: dict[str, list[str]] = {}
     respelled: list[str] = []
     used: set[str] = set()
+    several = points is not None or bool(facts.body) or any(channel.body for channel in channels)
     for channel in channels:
         ruled = facts.bodies_of(channel)
         used.update(ruled)
         names = list(dict.fromkeys([*ruled, *filter(None, [channel.body])]))
         if not names and points is not None:
             names = points.bodies_of(channel.point)
-        if not names and (points is not None or facts.body or any(one.body for one in channels)):
+        if not names and several:
             bare.setdefault(channel.file, []).append(channel.point)
             continue
         if len(names) > 1:
@@ -209,10 +210,7 @@ def with_bodies(
         body, point = found or key
         assigned.append(replace(channel, body=body, point=point))
     for body, missing in unlisted.items():
-        thing, step = (
-            f"points {list_some(missing, 8)} of body {body}",
-            f"Add them to {points and points.file}",
-        )
+        thing, step = f"points {list_some(missing, 8)} of body {body}", "Add them to it"
         faults.append(Fault(thing, "listed in the points file", "no rows of these names", "", step))
     for file, missing in bare.items():
         step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
