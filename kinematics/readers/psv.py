@@ -18,11 +18,11 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.gather import Row, recording_of
-from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.recording import Recording, unknown_vector
 from kinematics.readers.sheets import Sheet, number_of, refuse, sheets_of
 from kinematics.readers.text import decoded, export_files, shown
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
-from kinematics.readers.wide import frequencies_of, signals_of
+from kinematics.readers.wide import frequencies_of, rows_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
@@ -112,13 +112,13 @@ def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
             want = "of one scan, each of another frequency"
             faults.append(Fault("the tables", want, got, sheet.where, _APART))
     raise_all(faults)
-    signals, _ = signals_of(replace(first, numbers=np.stack([sheet.numbers for sheet in sheets])))
+    beams, _ = rows_of(replace(first, numbers=np.stack([sheet.numbers for sheet in sheets])), freq)
     rows = []
     for k, name in enumerate(names):
-        channel = Channel(name, position_m=positions[k], where=first.where)
-        for signal in signals:
-            coherence = None if signal.coherence is None else signal.coherence[:, k]
-            rows.append(replace(signal, value=signal.value[:, k], coherence=coherence).row(freq, channel))
+        for row in beams:
+            coherence = None if row.coherence is None else np.asarray(row.coherence)[:, k]
+            channel = replace(row.channel, point=name, position_m=positions[k])
+            rows.append(replace(row, channel=channel, value=row.value[:, k], coherence=coherence))
     return rows, stated
 
 
@@ -128,7 +128,7 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     Raises
     ------
     StapeskitError
-        No number of the point, or a position that cannot be read; as `signals_of`.
+        No number of the point, or a position that cannot be read; as `rows_of`.
     """
     text = sheet.field_of(_POINT)
     number = re.match(r"\s*(\d+)", text)
@@ -147,14 +147,13 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     fields = (sheet.fields[name] for name in _COMPONENT if name in sheet.fields)
     axis = next((match for field in fields if (match := _AXIS.search(field))), None)
     direction = axis_vector(axis[1].replace("+", "") + axis[2].lower()) if axis else None
-    channel = Channel(
-        number[1],
-        position_m=position,
-        direction=unknown_vector() if direction is None else direction,
-        where=sheet.where,
-    )
-    freq = frequencies_of(sheet)
-    return [signal.row(freq, channel) for signal in signals_of(sheet)[0]], stated
+    rows = []
+    for row in rows_of(sheet, frequencies_of(sheet))[0]:
+        channel = replace(row.channel, point=number[1], position_m=position)
+        if direction is not None and np.any(np.isnan(channel.direction)):
+            channel = replace(channel, direction=direction)
+        rows.append(replace(row, channel=channel))
+    return rows, stated
 
 
 def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:

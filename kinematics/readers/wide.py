@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.gather import Row, from_parts, from_polar, recording_of
-from kinematics.readers.recording import Channel, Recording
+from kinematics.readers.recording import Channel, Recording, unknown_vector
 from kinematics.readers.sheets import Sheet, name_and_unit, refuse, sheets_of
 from kinematics.readers.text import decoded, plain_name, shown
 from kinematics.readers.units import HERTZ, PHASES
-from stapeskit.arrays import Array, ComplexArray
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
@@ -60,14 +60,10 @@ def read(path: Path, facts: FileFacts) -> Recording:
     sheet = sheets[0] if facts.mapping is None else _renamed(sheets[0], facts.mapping)
     if len(sheets) > 1:
         raise refuse(sheet, "the file", "of one table", f"{len(sheets)}", "Give a file for each")
-    freq = frequencies_of(sheet)
-    signals, unused = signals_of(sheet)
+    rows, unused = rows_of(sheet, frequencies_of(sheet))
+    rows = [replace(row, channel=replace(row.channel, point=row.channel.point or path.stem)) for row in rows]
     unused = [name for name in unused if name and not is_frequency(name)]
     text = f"{path.name}: columns that name no part of a signal were left out: {list_some(unused, 12)}."
-    rows = [
-        signal.row(freq, Channel(plain_name(signal.point) or path.stem, where=sheet.where))
-        for signal in signals
-    ]
     notices = (Notice("file_read", text),) if unused else ()
     return recording_of(path.name, rows, notices=notices, statement="columns by their names")
 
@@ -98,25 +94,6 @@ def _renamed(sheet: Sheet, path: Path) -> Sheet:
         units[place] = unit or units[place]
     raise_all(faults)
     return replace(sheet, names=tuple(names), units=tuple(units))
-
-
-@dataclass(frozen=True)
-class Signal:
-    """One beam of a table: its point and axis, complex values (row, ...), unit, coherence, first column."""
-
-    point: str
-    axis: str
-    value: ComplexArray
-    unit: str
-    coherence: Array | None
-    source: str
-
-    def row(self, freq_hz: Array, channel: Channel) -> Row:
-        """Return the beam as a row; its axis says the direction where the channel has none."""
-        axis = axis_vector(self.axis) if self.axis else None
-        if axis is not None:
-            channel = replace(channel, direction=axis)
-        return Row(channel, freq_hz, self.value, coherence=self.coherence, unit=self.unit, source=self.source)
 
 
 def is_frequency(name: str) -> bool:
@@ -150,10 +127,10 @@ def is_wide(sheet: Sheet) -> bool:
     return any(map(is_frequency, sheet.names)) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
 
 
-def signals_of(sheet: Sheet) -> tuple[list[Signal], list[str]]:
+def rows_of(sheet: Sheet, freq_hz: Array) -> tuple[list[Row], list[str]]:
     """Return the beams that the names of columns describe, and the names that describe none.
 
-    The last axis of the numbers of the table are its columns.
+    The last axis of the numbers of the table are its columns; the others are those of the values.
 
     Raises
     ------
@@ -173,16 +150,22 @@ def signals_of(sheet: Sheet) -> tuple[list[Signal], list[str]]:
         want, got = "real and imaginary part, or magnitude and phase", shown(", ".join(sheet.names))
         raise refuse(sheet, "the columns", want, got, "Export Real & Imag., or Magnitude & Phase")
     faults = _phase_faults(sheet, [parts["phase"] for parts in by_beam.values() if "phase" in parts])
-    signals = []
+    rows = []
     for (point, axis), parts in by_beam.items():
+        direction = axis_vector(axis) if axis else None
+        channel = Channel(
+            plain_name(point),
+            direction=unknown_vector() if direction is None else direction,
+            where=sheet.where,
+        )
         with collect_faults(faults):
-            signals.append(_signal(sheet, point, axis, parts))
+            rows.append(_row(sheet, channel, freq_hz, parts))
     raise_all(faults)
-    return signals, unknown
+    return rows, unknown
 
 
-def _signal(sheet: Sheet, point: str, axis: str, parts: dict[str, int]) -> Signal:
-    """Return the values of one beam from the columns of its parts."""
+def _row(sheet: Sheet, channel: Channel, freq_hz: Array, parts: dict[str, int]) -> Row:
+    """Return one beam from the columns of its parts."""
     pair = [name for name in ("re", "im", "amp", "phase") if name in parts]
     if pair not in (["re", "im"], ["amp", "phase"]):
         thing = f"the column {sheet.names[next(iter(parts.values()))]}"
@@ -200,7 +183,7 @@ def _signal(sheet: Sheet, point: str, axis: str, parts: dict[str, int]) -> Signa
     else:
         value = from_polar(numbers[..., one], numbers[..., other], turn)
     coherence = numbers[..., parts["coherence"]] if "coherence" in parts else None
-    return Signal(point, axis, value, units[one], coherence, sheet.names[one])
+    return Row(channel, freq_hz, value, coherence=coherence, unit=units[one], source=sheet.names[one])
 
 
 def _phase_faults(sheet: Sheet, phases: list[int]) -> list[Fault]:

@@ -79,6 +79,13 @@ def test_a_unit_that_may_be_another_must_be_stated(tmp_path):
     assert [fault.thing for fault in faults(written(tmp_path, kilohertz))] == ["the unit of the frequencies"]
 
 
+def test_beams_without_a_point_are_of_that_of_the_file(tmp_path):
+    text = "Frequency [Hz],x Re [m/s],x Im [m/s],-z Re [m/s],-z Im [m/s]\n400,1,2,3,4\n500,5,6,7,8\n"
+    recording = read_file(written(tmp_path, text, "apex.csv"), FileFacts())
+    assert recording.points == ("apex", "apex")
+    assert np.array_equal(recording.directions, [[1, 0, 0], [0, 0, -1]])
+
+
 def test_decibels_are_one_fault_with_the_cure(tmp_path):
     found = faults(written(tmp_path, wide_table().replace("[mm/s]", "[dB re 1 m/s]")))
     assert len(found) == 1
