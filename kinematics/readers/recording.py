@@ -111,8 +111,6 @@ class Recording:
     amplitude_stated, length_stated : bool
         Whether the file says if amplitudes are peak or rms (else ``value`` holds its numbers as they are),
         and in which unit positions are (else they were taken as metres).
-    from_series : bool
-        Whether the values were estimated from time series.
     """
 
     file: str
@@ -129,7 +127,6 @@ class Recording:
     statement: str = ""
     amplitude_stated: bool = False
     length_stated: bool = True
-    from_series: bool = False
 
     @property
     def points(self) -> tuple[str, ...]:
