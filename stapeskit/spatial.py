@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from stapeskit.arrays import Array
 from stapeskit.dof import DOF_NAMES as DOF_NAMES
 from stapeskit.dof import DOF_UNITS as DOF_UNITS
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault
 from stapeskit.frames import cross_matrix
 
 PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
@@ -165,14 +165,3 @@ def central_tensor(parameters: ArrayLike) -> tuple[float, Array]:
         return 0.0, np.zeros((3, 3))
     arm = cross_matrix(p[1:4] / mass)
     return mass, matrix_from_parameters(p)[3:, 3:] - mass * arm @ arm.T
-
-
-def check_inertia(matrix: ArrayLike) -> None:
-    """Refuse a 6x6 spatial inertia that no body can have.
-
-    Raises
-    ------
-    StapeskitError
-        Any of inertia_faults.
-    """
-    raise_all(inertia_faults(matrix))

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.frames import cross_matrix
 from stapeskit.spatial import (
-    check_inertia,
+    inertia_faults,
     matrix_from_parameters,
     parameter_basis,
     parameters_from_matrix,
@@ -82,7 +82,7 @@ class MassMatrix:
         parameters = np.asarray(self.parameters, dtype=float)
         if parameters.shape != (10,):
             raise StapeskitError.of("the inertial parameters", "10 numbers", f"shape {parameters.shape}")
-        check_inertia(matrix_from_parameters(parameters))
+        raise_all(inertia_faults(matrix_from_parameters(parameters)))
         parts = {name: np.asarray(part, dtype=float) for name, part in self.contributions.items()}
         if not parts and np.size(self.covariance):
             parts["unspecified"] = np.asarray(self.covariance, dtype=float)
