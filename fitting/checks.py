@@ -28,15 +28,17 @@ PISTON_RANGE = (120.0, 3200.0)
 _HUMAN_KG = (2e-6, 4.5e-6)  # masses of human stapedes
 _MASS_RANGE_KG = (0.5e-6, 10e-6)  # outside it a mass is in another unit, or of something else
 _GYRATION_RANGE_MM = (0.2, 4.0)  # radii of gyration about x, z: half width to height of a stapes
-_IMPRECISE, _UNDETERMINED = 0.3, 1.0  # relative sd of a diagonal entry: known to no better; of K: unknown
+_IMPRECISE = 0.3  # relative standard deviation of entries that are reported as weakly determined
 _FALSE_OUTLIERS = 0.01  # fits in which noise alone gives an outlying line
 _BIASED = 0.02  # of sqrt(Xii Xjj): bias of an estimator of textbooks that is reported
 
 
 def verdict_of(fit: KDFit) -> Verdict:
-    """Return the verdict on a fit: its warnings, and what its K and D leave undetermined."""
+    """Return the verdict on a fit: its warnings, and what its K leaves undetermined."""
     unused = unused_codes(fit.provenance.get("motion_provenance", {}))
-    return judge([*fit.notices, *_uncertain(fit)], fit.confirmed, unused)
+    lost = [name for name, share in _relative_sds(fit).items() if name[0] == "K" and not share <= 1.0]
+    text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
+    return judge([*fit.notices, *([Notice("undetermined", text)] if lost else [])], fit.confirmed, unused)
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
@@ -45,21 +47,13 @@ def result_notices(fit: KDFit) -> list[Notice]:
     return [notice for check in checks for notice in check(fit)]
 
 
-def _uncertain(fit: KDFit) -> Iterator[Notice]:
-    """Report diagonal entries that are undetermined or known to no better than 30 %."""
+def _relative_sds(fit: KDFit) -> dict[str, float]:
+    """Return the standard deviations of the diagonal entries over their values, by K(y) and the like."""
     relative = {}
     for letter, values, sds in zip("KD", (fit.stiffness, fit.damping), fit.standard_deviation, strict=True):
-        for place, name in enumerate(fit.dof):
-            value = abs(float(values[place, place]))
-            relative[f"{letter}({name})"] = float(sds[place, place]) / value if value > 0.0 else np.inf
-    lost = [name for name, share in relative.items() if not share <= _UNDETERMINED]
-    weak = [name for name, share in relative.items() if share > _IMPRECISE and name not in lost]
-    if lost:
-        text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
-        stiff = any(name.startswith("K") for name in lost)
-        yield Notice("undetermined" if stiff else "imprecise", text)
-    if weak:
-        yield Notice("imprecise", f"Known to no better than 30 percent: {', '.join(weak)}.")
+        for name, value, sd in zip(fit.dof, np.abs(np.diag(values)), np.diag(sds), strict=True):
+            relative[f"{letter}({name})"] = float(sd / value) if value > 0.0 else np.inf
+    return relative
 
 
 def _physics(fit: KDFit) -> Iterator[Notice]:
@@ -251,6 +245,8 @@ def _weak(fit: KDFit) -> Iterator[Notice]:
             "The data determine some entries weakly, relative to sqrt(Xii Xjj): the worst combination of "
             f"them, {named}, has the standard deviation {100.0 * worst:.3g} %."
         )
+        weak = [name for name, share in _relative_sds(fit).items() if share > _IMPRECISE]
+        text += f" Known to no better than 30 percent: {', '.join(weak)}." if weak else ""
         yield Notice("weak_identifiability", text)
 
 

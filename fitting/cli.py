@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,11 +12,6 @@ from stapeskit.command import Outcome, progress_line, run
 if TYPE_CHECKING:
     from fitting.options import KDFiles, KDOptions
     from fitting.result import KDFit
-
-# Matrices are small: threads of BLAS cost more than they save, most of all on a busy machine. Before numpy is
-# loaded.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 _TEXT = "Stiffness and damping of the annular ligament from motion (points2dof) and mass (ct2mass)."
 _EXAMPLES = """examples:
@@ -89,8 +83,7 @@ def _save_figures(fit: KDFit, folder: Path) -> list[Path]:
 
 
 def _plan(files: KDFiles) -> Outcome:
-    from fitting.plan import expect, plan_json, plan_rows, read_plan
-    from fitting.report.page import plan_page
+    from fitting.plan import expect, plan_json, plan_page, plan_rows, read_plan
     from stapeskit.outputs import Outputs
     from stapeskit.provenance import record
 
@@ -98,14 +91,15 @@ def _plan(files: KDFiles) -> Outcome:
     assert path is not None  # noqa: S101
     out = files.out or Path("plan.json")
     plan, source = read_plan(path)
-    inputs = [path, *([source.file] if source.file is not None else [])]
+    mass = None if source is None else source.file
+    inputs = [path, *([mass] if mass is not None else [])]
     page_name = out.with_suffix(".html").name
     outputs = Outputs("dof2kd", out.parent, (out.name, page_name), inputs, files.force)
     outputs.check()
     with progress_line(not files.quiet) as progress:
         progress("simulating and fitting the planned measurement")
         ways = expect(plan, source)
-        provenance = record({"plan": path, "mass": source.file}, {})
+        provenance = record({"plan": path, "mass": mass}, {})
         content = plan_json(plan, ways, provenance)
         with outputs.staged() as folder:
             (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -6,14 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.checks import result_notices
 from fitting.kd import finite_solution, solve
-from fitting.mass import RigidMass, has_products, read_mass_csv, with_tensor_signs
+from fitting.mass import has_products, read_mass_csv, with_tensor_signs
 from fitting.options import KDOptions
 from fitting.result import KDFit
 from fitting.suspicions import suspicions
@@ -22,7 +22,7 @@ from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
 from stapeskit.options import with_options
 from stapeskit.provenance import document_hash, frames_hash, record
-from stapeskit.records.mass import read_mass_json
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion, read_motion
@@ -30,18 +30,6 @@ from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from stapeskit.command import Progress
-    from stapeskit.records.mass_matrix import MassMatrix
-
-
-_HASH = "sha256:"  # of hashes that can be compared; earlier versions wrote others
-
-
-class HasMotion(Protocol):
-    """A result that has a motion, as that of points2dof."""
-
-    @property
-    def motion(self) -> RigidMotion:
-        """The motion of the bodies."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +38,17 @@ class MassSource:
 
     Attributes
     ----------
-    mass : RigidMass or ndarray
+    mass : MassMatrix or ndarray
     record : MassRecord or None
         The whole mass.json, where it is one.
     file : Path or None
     notices : tuple of Notice
         What was assumed of it.
+    source : Path, mapping or None
+        For the provenance.
     """
 
-    mass: RigidMass | Array
+    mass: MassMatrix | Array
     record: MassRecord | None = None
     file: Path | None = None
     notices: tuple[Notice, ...] = ()
@@ -67,9 +57,9 @@ class MassSource:
 
 @with_options(KDOptions)
 def dof2kd(
-    motion: str | os.PathLike[str] | RigidMotion | HasMotion,
+    motion: Any,
     *,
-    mass: MassInput | MassMatrix | ArrayLike | None = None,
+    mass: MassInput | ArrayLike | None = None,
     force: bool = False,
     confirmed: Sequence[str] = (),
     **options: Any,
@@ -102,8 +92,8 @@ def dof2kd(
 
 
 def fit_files(
-    motion: str | os.PathLike[str] | RigidMotion | HasMotion,
-    mass: MassInput | MassMatrix | ArrayLike | None,
+    motion: Any,
+    mass: MassInput | ArrayLike | None,
     options: KDOptions,
     *,
     force: bool = False,
@@ -123,8 +113,7 @@ def fit_files(
     file = Path(motion) if isinstance(motion, str | os.PathLike) else None
     report("reading motion and mass")
     source = mass_source(find_mass(file) if mass is None else mass, options)
-    moved = read_motion(file) if file is not None else motion
-    moved = moved if isinstance(moved, RigidMotion) else moved.motion  # type: ignore[union-attr]
+    moved: RigidMotion = read_motion(file) if file is not None else getattr(motion, "motion", motion)
     provenance = record({"motion": file, "mass": source.source}, options.given(), command)
     report("fitting stiffness and damping")
     name = "the motion" if file is None else file.name
@@ -140,11 +129,8 @@ def find_mass(motion: Path | None) -> Path:
         There is none, or more than one.
     """
     folder = Path() if motion is None else Path(motion).absolute().parent
-    found = (
-        [folder / "mass.json"]
-        if (folder / "mass.json").is_file()
-        else sorted(folder.glob("*_mass/mass.json"))
-    )
+    own = folder / "mass.json"
+    found = [own] if own.is_file() else sorted(folder.glob("*_mass/mass.json"))
     if motion is None or len(found) != 1:
         got = "nothing" if not found else ", ".join(str(path.relative_to(folder)) for path in found)
         step = "ct2mass writes mass.json; a plain M.csv serves as well"
@@ -160,18 +146,14 @@ def mass_source(mass: Any, options: KDOptions) -> MassSource:
     StapeskitError
         It is none of them, or its file is at fault.
     """
-    if isinstance(mass, str | os.PathLike):
-        path = Path(mass)
-        if path.suffix.lower() == ".json":
-            known = read_mass_json(path)
-            return MassSource(known.mass_matrix, known, path, source=path)
+    path = Path(mass) if isinstance(mass, str | os.PathLike) else None
+    if path is not None and path.suffix.lower() != ".json":
         return replace(_plain(read_mass_csv(path, options.dof), options), file=path, source=path)
-    if isinstance(mass, HasMass | MassRecord | MeasuredMass):
+    if path is not None or isinstance(mass, HasMass | MassRecord | MeasuredMass):
         measured = measured_mass(mass)
-        return MassSource(
-            measured.record.mass_matrix, measured.record, measured.file, source=measured.provenance_input
-        )
-    if isinstance(mass, RigidMass):
+        known = measured.record
+        return MassSource(known.mass_matrix, known, measured.file, source=measured.provenance_input)
+    if isinstance(mass, MassMatrix):
         return MassSource(mass)
     try:
         return _plain(np.asarray(mass, dtype=float), options)
@@ -182,9 +164,10 @@ def mass_source(mass: Any, options: KDOptions) -> MassSource:
 
 def _plain(matrix: Array, options: KDOptions) -> MassSource:
     """Return a plain matrix with elements of the inertia tensor, and a warning where that is assumed."""
-    if options.mass_sign != "assumed" or matrix.ndim != 2 or not has_products(matrix, options.dof):
-        sign = "tensor" if options.mass_sign == "assumed" else options.mass_sign
-        return MassSource(with_tensor_signs(matrix, options.dof, sign) if matrix.ndim == 2 else matrix)
+    if matrix.ndim != 2 or not has_products(matrix, options.dof):
+        return MassSource(matrix)
+    if options.mass_sign != "assumed":
+        return MassSource(with_tensor_signs(matrix, options.dof, options.mass_sign))
     text = (
         "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z "
         "dm; with products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
@@ -206,20 +189,13 @@ def check_chain(
     if known is None:
         return []
     travelling = [replace(notice, text=f"mass: {notice.text}") for notice in known.notices]
-    own, own_frames = document_hash(known.raw), frames_hash(known.raw)
-    inputs = motion.provenance.get("inputs")
-    used = inputs.get("mass") if isinstance(inputs, Mapping) else None
-    if isinstance(used, Mapping) and used.get("document_hash"):
-        origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')}"
-        if not str(used["document_hash"]).startswith(_HASH):
-            text = (
-                f"{motion_name} was written by an earlier version, with {origin}: whether that is the given "
-                f"mass.json cannot be checked."
-            )
-            return [Notice("mass_not_checked", text), *travelling]
+    own = document_hash(known.raw)
+    used = (motion.provenance.get("inputs") or {}).get("mass") or {}
+    if used.get("document_hash"):
         same = used["document_hash"] == own
+        origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')}"
     else:
-        same = motion.provenance.get("frames_hash") in (None, own_frames)
+        same = motion.provenance.get("frames_hash") in (None, frames_hash(known.raw))
         origin = "the mass.json of its study"
     if same:
         return travelling
@@ -256,17 +232,15 @@ def fit_of(
     chain = check_chain(motion, motion_name, source, force)
     solution = solve(motion, source.mass, options)
     doubts = suspicions(solution.found.data, options.damping)
-    files = tuple(path for path in (source.file,) if path is not None)
-    whole = {**provenance, **_measured_files(motion), "motion_provenance": dict(motion.provenance)}
-    notices = (*chain, *source.notices, *motion.notices, *doubts)
+    raw = {} if source.record is None else source.record.raw
     fit = KDFit(
         options,
         solution,
-        unique(notices),
-        whole,
-        footplate_outline(source.record),
-        gap_of(source.record),
-        files,
+        unique([*chain, *source.notices, *motion.notices, *doubts]),
+        {**provenance, **_measured_files(motion), "motion_provenance": dict(motion.provenance)},
+        _outline_of(raw),
+        str((raw.get("frames") or {}).get("side") or ""),
+        () if source.file is None else (source.file,),
         confirmed=tuple(confirmed),
     )
     with finite_solution():
@@ -281,34 +255,14 @@ def fit_of(
 def _measured_files(motion: RigidMotion) -> dict[str, Any]:
     """Return the content hashes of the vibrometer files behind a motion."""
     inputs = motion.provenance.get("inputs") or {}
-    hashes = {
-        role: entry["hash"]
-        for role, entry in inputs.items()
-        if role.split()[0] == "ldv" and isinstance(entry, Mapping) and "hash" in entry
-    }
+    hashes = {role: entry["hash"] for role, entry in inputs.items()
+              if role.split()[0] == "ldv" and isinstance(entry, Mapping) and "hash" in entry}  # fmt: skip
     return {"measured": hashes} if hashes else {}
 
 
-def footplate_outline(known: MassRecord | None) -> Array | None:
-    """Return the footplate's outline in footplate axes (points, 2 or 3), mm, where mass.json has one."""
-    raw = _found(known).get("footplate_outline_in_footplate_mm")
-    if raw is None:
-        return None
-    outline = np.asarray(raw, dtype=float)
+def _outline_of(raw: Mapping[str, Any]) -> Array | None:
+    """Return x and z of the footplate's outline (points, 2), mm, in its axes; None without one."""
+    found = (raw.get("found") or {}).get("footplate_outline_in_footplate_mm")
+    outline = np.asarray([] if found is None else found, dtype=float)
     good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
-    return outline if good and np.all(np.isfinite(outline)) else None
-
-
-def gap_of(known: MassRecord | None) -> tuple[float, float] | None:
-    """Return the width of the gap around the footplate and its sd, mm, where mass.json has one.
-
-    The harmonic mean where there is one: over an uneven gap a ligament is as stiff as with that width.
-    """
-    found = _found(known)
-    value = float(found.get("gap_harmonic_mm") or found.get("gap_mm") or 0.0)
-    sd = float(found.get("gap_sd_mm") or np.nan)
-    return (value, sd) if 0.0 < value < np.inf else None
-
-
-def _found(known: MassRecord | None) -> Mapping[str, Any]:
-    return {} if known is None else known.raw.get("found") or {}
+    return outline[:, [0, -1]] if good and np.all(np.isfinite(outline)) else None

@@ -26,11 +26,28 @@ def standard_draws(count: int, size: int, seed: int = 0) -> Array:
 def root_of(covariance: Array) -> Array:
     """Return R (p, p) with R R^T the covariance, which may be singular.
 
+    The symmetric root of the correlation matrix: it follows the covariance continuously, so that draws from
+    covariances that rounding alone tells apart are the same.
+
     Raises
     ------
     numpy.linalg.LinAlgError
         The covariance is not finite, or smaller than numbers can be.
     """
+    size, values, vectors = _principal(covariance)
+    return np.asarray(size[:, None] * (vectors * np.sqrt(values)) @ vectors.T)
+
+
+def unit_errors(covariance: Array) -> Array:
+    """Return the independent errors of unit variance behind a covariance as rows, (k, p): its rank is k."""
+    size, values, vectors = _principal(covariance)
+    shares = np.sum(np.where(np.diag(covariance)[:, None] > 0.0, vectors**2, 0.0), axis=0) * values
+    kept = shares > _NO_ERROR * np.max(shares, initial=0.0)
+    return np.asarray((size[:, None] * vectors * np.sqrt(values)).T[kept])
+
+
+def _principal(covariance: Array) -> tuple[Array, Array, Array]:
+    """Return the sizes of a covariance, and eigenvalues and vectors of what is left of it at unit sizes."""
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(size > 0.0, size, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -38,12 +55,4 @@ def root_of(covariance: Array) -> Array:
     if not np.all(np.isfinite(correlation)):
         raise np.linalg.LinAlgError("an entry has collapsed")
     values, vectors = np.linalg.eigh(correlation)
-    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def unit_errors(covariance: Array) -> Array:
-    """Return the independent errors of unit variance behind a covariance as rows, (k, p): its rank is k."""
-    rows = root_of(covariance).T
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    share = np.sum((rows / np.where(size > 0.0, size, np.inf)) ** 2, axis=1)
-    return rows[share > _NO_ERROR * np.max(share, initial=0.0)]
+    return size, np.maximum(values, 0.0), vectors

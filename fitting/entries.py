@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
-from stapeskit.spatial import DOF_UNITS
 
 Indices = NDArray[np.intp]
 
@@ -81,9 +80,3 @@ def sizes(stiffness: Array, damping: Array) -> Array:
     roots = [np.sqrt(np.abs(np.diag(part))) for part in (stiffness, damping)]
     products = join(*(np.outer(root, root) for root in roots))
     return np.where(products > 0.0, products, np.inf)
-
-
-def units(dof: tuple[str, ...]) -> list[list[str]]:
-    """Return the unit of every entry of a stiffness matrix: N/m, N or N m/rad by its row and column."""
-    table = {("m", "m"): "N/m", ("m", "rad"): "N", ("rad", "m"): "N", ("rad", "rad"): "N m/rad"}
-    return [[table[DOF_UNITS[row], DOF_UNITS[column]] for column in dof] for row in dof]

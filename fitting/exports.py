@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting import entries
+from fitting.ring import ring_of
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.report.quantities import si_unit
 from stapeskit.spatial import dof_indices
 
 if TYPE_CHECKING:
@@ -40,17 +42,17 @@ def entry_csv(fit: KDFit) -> str:
 
 def _entry_columns(fit: KDFit) -> dict[str, Sequence[Any]]:
     rows, columns = entries.upper(len(fit.dof))
-    units = [entries.units(fit.dof)[row][column] for row, column in zip(rows, columns, strict=True)]
+    pairs = [(fit.dof[row], fit.dof[column]) for row, column in zip(rows, columns, strict=True)]
     return {
         "entry": fit.parameters,
-        "row": [fit.dof[place] for place in rows] * 2,
-        "column": [fit.dof[place] for place in columns] * 2,
+        "row": [row for row, _ in pairs] * 2,
+        "column": [column for _, column in pairs] * 2,
         "value": fit.values.tolist(),
         "sd": np.sqrt(np.diag(fit.covariance)).tolist(),
         "noise_only_sd": np.sqrt(np.maximum(np.diag(fit.noise_covariance), 0.0)).tolist(),
         "lower_95": fit.intervals[:, 0].tolist(),
         "upper_95": fit.intervals[:, 1].tolist(),
-        "unit": [*units, *map(fit.law.damping_unit, units)],
+        "unit": [si_unit(letter, *pair, fit.law.time_power) for letter in "KD" for pair in pairs],
     }
 
 
@@ -142,28 +144,21 @@ def abaqus(fit: KDFit) -> str:
 
 def comsol(fit: KDFit) -> str:
     """Return a parameter file of COMSOL: name, value with unit, comment."""
-    units = entries.units(fit.dof)
-    rows, columns = entries.upper(len(fit.dof))
     lines = []
     for letter, part in (("K", fit.stiffness), ("D", fit.damping), ("M", fit.mass)):
-        for row, column in zip(rows, columns, strict=True):
-            unit = units[row][column]
-            unit = fit.law.damping_unit(unit) if letter == "D" else unit
+        for row, column in zip(*entries.upper(len(fit.dof)), strict=True):
+            first, second = fit.dof[row], fit.dof[column]
+            unit = si_unit(letter, first, second, fit.law.time_power).replace(" ", "*")
             if letter == "M":
-                turns = sum(fit.dof[place] not in ("x", "y", "z") for place in (row, column))
-                unit = ("kg", "kg m", "kg m^2")[turns]
-            written = unit.replace(" ", "*")
-            between = f"{fit.dof[row]}, {fit.dof[column]}"
-            lines.append(f'{letter}{row + 1}{column + 1} {part[row, column]:.12e}[{written}] "{between}"')
+                unit = ("kg", "kg*m", "kg*m^2")[(first not in "xyz") + (second not in "xyz")]
+            value = f"{part[row, column]:.12e}[{unit}]"
+            lines.append(f'{letter}{row + 1}{column + 1} {value} "{first}, {second}"')
     return "\n".join(lines) + "\n"
 
 
 def prior_json(fit: KDFit) -> str:
     """Return K and D as a joint normal distribution, a prior for updating a finite element model."""
-    from fitting.report.kd_json import ring_of
-
     ring = ring_of(fit)
-    table = entry_table(fit)
     content: dict[str, Any] = {
         "schema": "stapeskit.prior/1",
         "about": "footplate_centre",
@@ -172,16 +167,16 @@ def prior_json(fit: KDFit) -> str:
         "distribution": "normal",
         "damping_law": fit.law.formula,
         "parameters": list(fit.parameters),
-        "units": list(table["unit"]),
+        "units": list(_entry_columns(fit)["unit"]),
         "mean_si": fit.values.tolist(),
         "covariance_si": fit.covariance.tolist(),
         "ring": None
         if ring is None
         else {
-            "shear_modulus_times_thickness_over_width_pa": ring.shear_pa.value,
-            "sd_pa": ring.shear_pa.sd,
-            "loss_factor": ring.loss_factor.value,
-            "loss_factor_sd": ring.loss_factor.sd,
+            "shear_modulus_times_thickness_over_width_pa": ring.shear_pa[0],
+            "sd_pa": ring.shear_pa[1],
+            "loss_factor": ring.loss_factor[0],
+            "loss_factor_sd": ring.loss_factor[1],
         },
     }
     return json.dumps(content, indent=1) + "\n"

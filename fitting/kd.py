@@ -17,7 +17,7 @@ from fitting.entries import sizes, split
 from fitting.evidence import Search, law_alternative, search
 from fitting.laws import LAWS
 from fitting.likelihood import LOAD, PLAIN, Model
-from fitting.mass import Inertia, RigidMass, inertia_of
+from fitting.mass import Inertia, inertia_of
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import InPlane, applies, in_plane, plane_model
 from fitting.solve import Fit, bic, compare_laws, fit, weak_spread, with_covariance
@@ -26,6 +26,7 @@ from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
+    from stapeskit.records.mass_matrix import MassMatrix
     from stapeskit.records.motion import RigidMotion
 
 _LAW_ALIKE = 6.0  # difference of BIC within which another law is as likely: odds e^3
@@ -72,14 +73,14 @@ class Solution:
     neglected: tuple[int, float] | None = None
 
 
-def solve(motion: RigidMotion, mass: RigidMass | ArrayLike, options: KDOptions) -> Solution:
+def solve(motion: RigidMotion, mass: MassMatrix | ArrayLike, options: KDOptions) -> Solution:
     """Fit stiffness and damping.
 
     Parameters
     ----------
     motion : RigidMotion
         Of structure and base about the footplate centre, in footplate axes.
-    mass : RigidMass or array_like
+    mass : MassMatrix or array_like
         About the same point in the same axes; an array is (n, n) in the order of the degrees of freedom, or
         (6, 6).
 
@@ -228,7 +229,7 @@ def _textbook_fit(data: Data, model: Model, options: KDOptions) -> Textbook:
     def at(value: float | None) -> Textbook:
         tried = replace(model, law_value=value)
         bounds = options.lower or {}, options.upper or {}
-        return estimate(data, tried, options.estimator == "constrained", options.constraint, *bounds)
+        return estimate(data, tried, options.estimator == "constrained", *bounds)
 
     if not LAWS[model.law].usual_sd:
         return at(None)

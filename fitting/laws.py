@@ -35,8 +35,6 @@ class LawKind:
         Power of time in the unit of D; None: the unknown itself.
     is_time : bool
         Whether the unknown is a time.
-    causal : bool
-        Whether nothing moves before it is pushed (Kramers and Kronig).
     includes : tuple of str
         Simpler laws that it becomes at a value of its unknown.
     """
@@ -48,15 +46,12 @@ class LawKind:
     usual_sd: float = 0.0
     time_power: float | None = 1.0
     is_time: bool = False
-    causal: bool = True
     includes: tuple[str, ...] = ()
 
 
 LAWS: dict[str, LawKind] = {
     "viscous": LawKind(lambda w: 1j * w, *DAMPING["viscous"]),
-    "hysteretic": LawKind(
-        lambda w: np.full(np.shape(w), 1j), *DAMPING["hysteretic"], time_power=0.0, causal=False
-    ),
+    "hysteretic": LawKind(lambda w: np.full(np.shape(w), 1j), *DAMPING["hysteretic"], time_power=0.0),
     "fractional": LawKind(
         lambda w, a: (1j * w) ** a,
         *DAMPING["fractional"],
@@ -126,22 +121,5 @@ class Law:
         """Return the law of frequencies divided by ``reference``, rad/s."""
         return replace(self, value=self.value * reference) if self.kind.is_time else self
 
-    def damping_unit(self, stiffness_unit: str) -> str:
-        """Return the unit of an entry of D from that of the same entry of K."""
-        power = self.time_power
-        time = {0.0: "", 1.0: " s"}.get(power, f" s^{power:.3g}")
-        numerator, slash, denominator = stiffness_unit.partition("/")
-        return f"{numerator}{time}{slash}{denominator}"
-
 
 VISCOUS = Law()
-
-
-def causal_rise(law: Law, loss_factor: float, band_hz: tuple[float, float]) -> float | None:
-    """Return by which share of itself K must rise over a band; None for a law that is causal as it is.
-
-    To first order d Re Z / d ln w = (2 / pi) Im Z (Booij and Thoone 1982, Rheologica Acta 21:15).
-    """
-    if law.kind.causal:
-        return None
-    return float(2.0 / np.pi * loss_factor * np.log(band_hz[1] / band_hz[0]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,34 +12,10 @@ from numpy.typing import ArrayLike
 from fitting.draws import unit_errors
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
-from stapeskit.frames import cross_matrix
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters
 
-FRAME_SOURCE = "frame"
-"""Source of the error of the footplate frame in mass.json: motion may have the same one."""
-
 _SMALLEST, _LARGEST = 1e-30, 1e6  # kg, kg m2: of no body that is measured here
-
-
-@runtime_checkable
-class RigidMass(Protocol):
-    """A mass matrix with its uncertainty by source, as mass.json has it."""
-
-    @property
-    def about(self) -> str:
-        """Reference point."""
-
-    @property
-    def axes(self) -> str:
-        """Axes."""
-
-    @property
-    def parameters(self) -> Array:
-        """Ten inertial parameters."""
-
-    @property
-    def contributions(self) -> Mapping[str, Array]:
-        """Covariance (10, 10) of the parameters by source."""
 
 
 @dataclass(frozen=True)
@@ -72,29 +47,12 @@ class Inertia:
         return self.matrix[np.ix_(places, places)]
 
 
-def frame_slopes(matrix: Array) -> Array:
-    """Return the change (6, 6, 6) of a 6 x 6 mass matrix per m and rad of its frame's own displacement.
-
-    M' = X^-T M X^-1 with q' = X q, so that dM = -(G^T M + M G) with G = dX (kinetic energy is the same).
-    """
-    slopes = []
-    for axis in range(6):
-        arm = cross_matrix(np.eye(3)[axis % 3])
-        generator = np.zeros((6, 6))
-        if axis < 3:
-            generator[:3, 3:] = -arm
-        else:
-            generator[:3, :3] = generator[3:, 3:] = -arm
-        slopes.append(-(generator.T @ matrix + matrix @ generator))
-    return np.stack(slopes)
-
-
-def inertia_of(mass: RigidMass | ArrayLike, dof: tuple[str, ...]) -> Inertia:
+def inertia_of(mass: MassMatrix | ArrayLike, dof: tuple[str, ...]) -> Inertia:
     """Take a mass in either form and check it against the degrees of freedom of the model.
 
     Parameters
     ----------
-    mass : RigidMass or array_like
+    mass : MassMatrix or array_like
         About the footplate centre in footplate axes; an array (SI) is (n, n) in the order of ``dof``, or (6,
         6).
     dof : tuple of str, (n,)
@@ -104,20 +62,17 @@ def inertia_of(mass: RigidMass | ArrayLike, dof: tuple[str, ...]) -> Inertia:
     StapeskitError
         Its shape does not fit, it is about another point or in other axes, or no body can have it.
     """
-    if isinstance(mass, RigidMass):
+    if isinstance(mass, MassMatrix):
         if (mass.about, mass.axes) != ("footplate_centre", "footplate"):
-            raise StapeskitError.of(
-                "the mass matrix",
+            wanted, step = (
                 "about footplate_centre in footplate axes",
-                f"about {mass.about} in {mass.axes} axes",
-                next_step="Take the block mass_matrix of mass.json",
+                "Take the block mass_matrix of mass.json",
             )
-        return Inertia(DOF_NAMES, matrix_from_parameters(mass.parameters), mass.contributions)
-    try:
-        matrix = np.asarray(mass, dtype=float)
-    except (TypeError, ValueError):
-        wanted = "a file, a result of ct2mass or a matrix in SI"
-        raise StapeskitError.of("--mass", wanted, type(mass).__name__) from None
+            raise StapeskitError.of(
+                "the mass matrix", wanted, f"about {mass.about} in {mass.axes} axes", "", step
+            )
+        return Inertia(DOF_NAMES, mass.matrix, mass.contributions)
+    matrix = np.asarray(mass, dtype=float)
     if matrix.shape not in ((len(dof),) * 2, (6, 6)):
         shape = " x ".join(str(size) for size in matrix.shape) or "a single number"
         wanted = f"{len(dof)} x {len(dof)} for --dof {','.join(dof)}, or 6 x 6"
@@ -170,7 +125,7 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
     """Read a square mass matrix, SI: its rows are ``dof``, all six degrees of freedom, or named in the file.
 
     Comma separated, or with semicolons or tabs, where a comma is a decimal comma. A first row of names of
-    degrees of freedom, and such a first column, order the matrix.
+    degrees of freedom, and such a first column, as pandas writes them, order the matrix.
 
     Raises
     ------
@@ -178,37 +133,33 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
         The file is missing, binary, not square, holds text, or is no mass matrix; every wrong cell is named.
     """
     path = Path(path)
-    if not path.is_file():
-        step = "Run ct2mass to make a mass.json"
-        raise StapeskitError.of("--mass", "an existing mass.json or M.csv", path, "", step)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        wanted, step = "a text file of numbers or a mass.json", "Give the mass.json of ct2mass"
-        raise StapeskitError.of("--mass", wanted, "a binary file", path.name, step) from None
-    for mark in (";", "\t"):
-        if mark in text:
-            text = text.replace(",", ".").replace(mark, ",")
-    rows = [
-        (line, [cell.strip(' "') for cell in words.split(",")])
-        for line, words in enumerate(text.splitlines(), 1)
-        if words.strip(' ",')
-    ]
-    names, rows = _without_names(rows, path.name)
-    if names and not set(dof) <= set(names):
-        wanted = f"of the degrees of freedom {','.join(dof)}"
-        raise StapeskitError.of("M.csv", wanted, ",".join(names), path.name, "Give a larger M, or --dof")
-    wanted_names = names or dof
+    rows = _cells(path)
+    first = [cell.lower() for cell in rows[0][1] if cell] if rows else []
+    names = tuple(first) if set(first) <= set(DOF_NAMES) else ()
+    if names:
+        rows = rows[1:]
+        if all(cells[0].isalpha() for _, cells in rows):
+            beside = tuple(cells[0].lower() for _, cells in rows)
+            if beside != names:
+                thing, wanted = (
+                    "the first column of M.csv",
+                    f"in the order of its first row ({', '.join(names)})",
+                )
+                raise StapeskitError.of(thing, wanted, list_some(beside, 6), path.name)
+            rows = [(line, cells[1:]) for line, cells in rows]
+        if not set(dof) <= set(names):
+            wanted = f"of the degrees of freedom {','.join(dof)}"
+            raise StapeskitError.of("M.csv", wanted, ",".join(names), path.name, "Give a larger M, or --dof")
     faults = list[Fault]()
-    values = [_numbers(cells, Place(path.name, "row", (line,)), faults) for line, cells in rows]
+    values = [_numbers(cells, path.name, line, faults) for line, cells in rows]
     raise_all(faults)
-    sizes = (len(names),) if names else (len(dof), 6)
+    sizes = {len(names)} if names else {len(dof), 6}
     if len(values) not in sizes or any(len(row) != len(values) for row in values):
         widths = sorted({len(row) for row in values}) or [0]
-        wanted = f"{len(wanted_names)} x {len(wanted_names)} for {','.join(wanted_names)}"
-        wanted += "" if names else ", or 6 x 6"
+        wanted = " or ".join(f"{size} x {size}" for size in sorted(sizes))
         got = f"{len(values)} rows of {' or '.join(map(str, widths))} numbers"
-        raise StapeskitError.of("M.csv", wanted, got, path.name, "Give M in the order of --dof")
+        step = f"Give M in the order of --dof, {','.join(dof)}"
+        raise StapeskitError.of("M.csv", wanted, got, path.name, step)
     matrix = np.array(values)
     if names:
         places = [names.index(name) for name in (DOF_NAMES if len(names) == len(DOF_NAMES) else dof)]
@@ -217,47 +168,38 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
     return matrix
 
 
-_Row = tuple[int, list[str]]
+def _cells(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the lines of a table that are not empty, by number, as cells with decimal points."""
+    if not path.is_file():
+        step = "Run ct2mass to make a mass.json"
+        raise StapeskitError.of("--mass", "an existing mass.json or M.csv", path, "", step)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        wanted, step = "a text file of numbers or a mass.json", "Give the mass.json of ct2mass"
+        raise StapeskitError.of("--mass", wanted, "a binary file", path.name, step) from None
+    if "freq_hz" in text:
+        step = "It looks like the motion of points2dof: give that first, and the mass with --mass"
+        raise StapeskitError.of("M.csv", "numbers of a mass matrix", "a column freq_hz", path.name, step)
+    for mark in (";", "\t"):
+        if mark in text:
+            text = text.replace(",", ".").replace(mark, ",")
+    lines = [[cell.strip(' "') for cell in line.split(",")] for line in text.splitlines()]
+    return [(number, cells) for number, cells in enumerate(lines, 1) if any(cells)]
 
 
-def _without_names(rows: list[_Row], file: str) -> tuple[tuple[str, ...], list[_Row]]:
-    """Take names of degrees of freedom off the first row and column, as pandas and spreadsheets write them.
-
-    Raises
-    ------
-    StapeskitError
-        The first row holds words that are no degrees of freedom, or the first column has another order.
-    """
-    if not rows or not all(cell == "" or cell[0].isalpha() for cell in rows[0][1]):
-        return (), rows
-    line, head = rows[0]
-    names = tuple(cell.lower() for cell in head if cell)
-    if not set(names) <= set(DOF_NAMES) or len(set(names)) < len(names):
-        step = f"Remove the first row, or name degrees of freedom in it ({', '.join(DOF_NAMES)})"
-        if "freq_hz" in names:
-            step = "It looks like the motion of points2dof: give that first, and the mass with --mass"
-        wanted = "numbers separated by commas"
-        raise StapeskitError.of("M.csv", wanted, list_some(head, 6), Place(file, "row", (line,)), step)
-    below = rows[1:]
-    first = tuple(cells[0].lower() for _, cells in below)
-    if first == names:
-        return names, [(number, cells[1:]) for number, cells in below]
-    if any(cell[:1].isalpha() for cell in first):
-        wanted = f"named in the order of its first row ({', '.join(names)})"
-        raise StapeskitError.of("the first column of M.csv", wanted, list_some(first, 6), file)
-    return names, below
-
-
-def _numbers(cells: list[str], place: Place, faults: list[Fault]) -> list[float]:
+def _numbers(cells: list[str], file: str, line: int, faults: list[Fault]) -> list[float]:
     """Return the numbers of a row, and add the faults of its cells."""
     numbers = []
     for column, cell in enumerate(cells, 1):
         try:
             numbers.append(float(cell))
         except ValueError:
-            shown = f'"{cell[:40]}"' if cell else "an empty cell"
-            where = Place(place.file, place.unit, place.numbers, f"column {column}")
-            step = "Write SI numbers with decimal points and commas between them"
+            shown, where = (
+                f'"{cell[:40]}"' if cell else "an empty cell",
+                Place(file, "row", (line,), f"column {column}"),
+            )
+            step = "Write SI numbers with decimal points and commas between them, or name degrees of freedom"
             faults.append(Fault("M.csv", "numbers separated by commas", shown, where, step))
     return numbers
 

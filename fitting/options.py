@@ -115,10 +115,6 @@ class KDOptions(Options):
     monte_carlo: Annotated[
         CountOrZero, Opt("check the intervals by so many refits of simulated repetitions", example=200)
     ] = 0
-    constraint: Annotated[
-        Literal["eigenvalues", "psd"],
-        Opt("eigenvalues: stable; psd: K and D positive semidefinite", _BOUNDED),
-    ] = "eigenvalues"
     lower: Annotated[
         Table | None, Opt("lower bounds of entries, SI, in a file", _BOUNDED, {"K11": 100.0})
     ] = None

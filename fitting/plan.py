@@ -9,21 +9,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
 from fitting.dof2kd import MassSource, fit_of, mass_source
 from fitting.entries import sizes
-from fitting.layout import BASE_POINTS_MM, CONE_DEG, STAPES_POINTS_MM, Layout, cone_beams
 from fitting.options import KDOptions
 from fitting.plane import PISTON_DOF
-from fitting.planned_motion import planned_motion
+from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, cone_beams, planned_motion
+from fitting.report.kd_json import RELATIVE
 from fitting.result import KDFit
 from stapeskit.arrays import Array
 from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number_where
 from stapeskit.options import Opt, Options, read_toml
-from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
+from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.spatial import parameters_from_matrix
+
+if TYPE_CHECKING:
+    from stapeskit.report.page import Page
 
 PAPER_STIFFNESS = ((1722.0, 0.414, -0.48), (0.414, 1.37e-3, -6.41e-5), (-0.48, -6.41e-5, 3.79e-3))
 PAPER_DAMPING = (
@@ -82,8 +86,7 @@ class Plan(Options):
     directions: Annotated[DofList, Opt("driven by the shaker, one run each")] = ("y",)
     band_hz: Annotated[Range, Opt("first and last line")] = (400.0, 5000.0)
     lines: Annotated[Count, Opt("of one run")] = 200
-    noise_m_s: Annotated[Positive | None, Opt("sd of Re and Im of a reading; or noise_relative")] = None
-    noise_relative: Annotated[Positive, Opt("noise of a reading over the velocity of its body")] = 0.05
+    noise_m_s: Annotated[Positive, Opt("sd of Re and Im of a reading")] = 2e-5
     base_velocity_m_s: Annotated[Positive, Opt("along the driven direction")] = 6e-4
     rocking: Annotated[Sd, Opt("of the base in the other directions, rotations at 1 mm")] = 0.05
     mass: Annotated[Mass | None, Opt("mass.json or matrix", example="mass.json")] = None
@@ -91,7 +94,7 @@ class Plan(Options):
     damping: Annotated[Matrix, Opt("expected D, viscous")] = PAPER_DAMPING
     structure_points_mm: Annotated[Points, Opt("points on the stapes")] = STAPES_POINTS_MM
     base_points_mm: Annotated[Points, Opt("points on the bone")] = BASE_POINTS_MM
-    cone_deg: Annotated[Cone, Opt("between each laser beam and the y axis")] = CONE_DEG
+    cone_deg: Annotated[Cone, Opt("between each laser beam and the y axis")] = 20.0
     position_sd_mm: Annotated[Sd, Opt("of each coordinate of a point")] = 0.03
     registration_sd_mm: Annotated[Sd, Opt("of the footplate centre in the vibrometer")] = 0.02
     registration_sd_deg: Annotated[Sd, Opt("of the footplate axes in it")] = 0.1
@@ -106,16 +109,6 @@ class Plan(Options):
         beams = cone_beams(self.cone_deg)
         structure, base = np.array(self.structure_points_mm), np.array(self.base_points_mm)
         return Layout(structure, beams), Layout(base, beams)
-
-
-@dataclass(frozen=True)
-class StatedMass:
-    """A mass matrix with the uncertainty that a plan states."""
-
-    parameters: Array
-    contributions: Mapping[str, Array]
-    about: str = "footplate_centre"
-    axes: str = "footplate"
 
 
 @dataclass(frozen=True)
@@ -144,48 +137,47 @@ class Way:
         )
 
 
-def read_plan(path: Path) -> tuple[Plan, MassSource]:
-    """Read a plan.toml.
+def read_plan(path: Path) -> tuple[Plan, MassSource | None]:
+    """Read a plan.toml, and the mass that it names.
 
     Raises
     ------
     StapeskitError
         A key is unknown, a value is at fault, or the points do not determine the motion.
     """
-    plan = Plan.read(
-        read_toml(path), path.name, {entry.key: entry.key for entry in Plan.entries()}, path.parent
-    )
-    if isinstance(plan.mass, Path):
-        return plan, mass_source(path.parent / plan.mass, KDOptions())
-    return plan, stated_mass(plan)
+    keys = {entry.key: entry.key for entry in Plan.entries()}
+    plan = Plan.read(read_toml(path), path.name, keys, path.parent)
+    if not isinstance(plan.mass, Path):
+        return plan, None
+    return plan, mass_source(path.parent / plan.mass, KDOptions.of(dof="all"))
 
 
 def stated_mass(plan: Plan) -> MassSource:
     """Return the mass of a plan with the stated error of its density."""
     parameters = np.array(_STAPES) if plan.mass is None else parameters_from_matrix(np.asarray(plan.mass))
     density = {"density": (0.01 * plan.mass_sd_percent) ** 2 * np.outer(parameters, parameters)}
-    return MassSource(StatedMass(parameters, density if plan.mass_sd_percent else {}))
+    return MassSource(MassMatrix(parameters, contributions=density if plan.mass_sd_percent else {}))
 
 
 def expect(plan: Plan, mass: MassSource | None = None) -> tuple[Way, ...]:
     """Return what the plan, and the plan with one change each, would state: the plan first.
+
+    Parameters
+    ----------
+    mass : MassSource, optional
+        Of a mass.json or a table; left out: that which the plan states.
 
     Raises
     ------
     StapeskitError
         Mass, stiffness and degrees of freedom do not fit together, or the lines are too few.
     """
-    source = mass or stated_mass(plan)
     options = KDOptions.of(dof=plan.dof, unknowns="none")
     ways = []
     for name, changed in _ways(plan, mass):
-        own = (
-            source
-            if mass is not None and changed.mass_sd_percent == plan.mass_sd_percent
-            else stated_mass(changed)
-        )
-        matrix = matrix_from_parameters(own.mass.parameters)  # type: ignore[union-attr]
-        ways.append(Way(name, fit_of(planned_motion(changed, matrix), own, options, {})))
+        source = mass or stated_mass(changed)
+        matrix = source.mass.matrix if isinstance(source.mass, MassMatrix) else source.mass
+        ways.append(Way(name, fit_of(planned_motion(changed, matrix), source, options, {})))
     return tuple(ways)
 
 
@@ -193,24 +185,18 @@ def _ways(plan: Plan, mass: MassSource | None) -> list[tuple[str, Plan]]:
     """Return the plan and its improvements, one change each."""
     low, high = plan.band_hz
     lines = round((2.0 * high - low) / (high - low) * max(plan.lines - 1, 1)) + 1
-    quiet = (
-        {"noise_m_s": plan.noise_m_s / 2.0}
-        if plan.noise_m_s
-        else {"noise_relative": plan.noise_relative / 2.0}
-    )
-    halved = {
-        "points known twice as well": ("position_sd_mm",),
-        "registration twice as good": ("registration_sd_mm", "registration_sd_deg"),
-        "lasers calibrated twice as well": ("gain_sd_percent", "phase_sd_deg", "delay_sd_us"),
-        "density known twice as well": () if mass is not None and mass.record else ("mass_sd_percent",),
-    }
     changes: dict[str, dict[str, Any]] = {"as planned": {}}
     more = next((name for name in ("x", "z", "alpha", "gamma", "y") if name not in plan.directions), None)
     if more:
         changes[f"one more run, driven along {more}"] = {"directions": (*plan.directions, more)}
     changes[f"band up to {2.0 * high:g} Hz"] = {"band_hz": (low, 2.0 * high), "lines": lines}
-    changes["half the noise (4 times the averages)"] = quiet
-    for words, keys in halved.items():
+    for words, keys in (
+        ("half the noise (4 times the averages)", ("noise_m_s",)),
+        ("points known twice as well", ("position_sd_mm",)),
+        ("registration twice as good", ("registration_sd_mm", "registration_sd_deg")),
+        ("lasers calibrated twice as well", ("gain_sd_percent", "phase_sd_deg", "delay_sd_us")),
+        ("density known twice as well", () if mass else ("mass_sd_percent",)),
+    ):
         halves = {key: getattr(plan, key) / 2.0 for key in keys if getattr(plan, key)}
         if halves:
             changes[words] = halves
@@ -234,7 +220,7 @@ def plan_json(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) 
             {f"expected_{key}" if "sd" in key else key: mode[key] for key in of_modes}
             for mode in fitted["modes"]
         ],
-        "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D",
+        "relative_to": RELATIVE,
         "options": [
             {
                 "name": way.name,
@@ -257,3 +243,24 @@ def plan_rows(ways: tuple[Way, ...]) -> list[tuple[str, str]]:
         text = f"worst entry {fit.parameters[worst]} {100.0 * way.relative[worst]:.2g} %"
         rows.append((way.name, f"{text}; {len(way.weak)} of {len(fit.parameters)} entries over 10 %"))
     return rows
+
+
+def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
+    """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
+    from fitting.report.page import budget_blocks, matrices
+    from stapeskit.report import page
+
+    fit, band = ways[0].fit, "{:g} to {:g} Hz".format(*plan.band_hz)
+    lead = f"{plan.lines} lines of {band}, driven along {', '.join(plan.directions)}."
+    made = page.Page("What a planned measurement can reach", lead)
+    made.add(page.table(("", ""), plan_rows(ways), words=True), *matrices(fit))
+    rows = [
+        (way.name, *(f"{100.0 * value:.2g} %" for value in way.relative), ", ".join(way.weak) or "none")
+        for way in ways
+    ]
+    caption = "Expected sd relative to sqrt(Xii Xjj)."
+    table = page.table(("", *fit.parameters, "over 10 %"), rows, caption)
+    made.section("What a change would bring", table)
+    made.section("What limits the entries", *budget_blocks(fit))
+    made.appendix_section("Inputs", page.inputs(dict(provenance)))
+    return made

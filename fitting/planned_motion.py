@@ -1,17 +1,19 @@
-"""The motion of a planned measurement: six degrees of freedom, noise of its readings, errors of its lines."""
+"""The motion of a planned measurement: points seen by three beams, noise of readings, errors of all lines."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fitting.layout import Layout, frame_maps
+from fitting.model import simulate
 from fitting.plane import INPLANE_DOF, PISTON_DOF
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.frames import cross_matrix
 from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES, point_rows, shifted_point_rows
 
 if TYPE_CHECKING:
     from fitting.plan import Plan
@@ -19,6 +21,82 @@ if TYPE_CHECKING:
 _HEIGHT_MM, _INPLANE_RATIO = 0.15, 2.2  # of the ligament that is planned for: calibrated.toml, usual values
 _PHASE_HZ = 5000.0  # frequency over which the phase of rocking turns by about a radian
 _ROCKING_RADIUS_M = 1e-3  # where rotations are stated as displacements: about the rim of a footplate
+
+
+STAPES_POINTS_MM = (
+    *((1.2, 0.15, 0.0), (-1.2, 0.15, 0.0), (0.5, 0.15, 0.5), (0.5, 0.15, -0.5), (-0.5, 0.15, 0.5)),
+    *((-0.5, 0.15, -0.5), (0.9, 1.5, 0.1), (-0.8, 1.6, -0.1), (0.1, 3.2, 0.2)),
+)
+BASE_POINTS_MM = tuple(
+    (x, 0.3, z) for x, z in ((2.5, 0), (-2.5, 0), (0, 2), (0, -2), (2, 1.5), (-2, 1.5), (2, -1.5), (-2, -1.5))
+)
+"""Nine points on a stapes and eight on the bone around it, footplate frame."""
+
+
+def cone_beams(cone_deg: float) -> Array:
+    """Return three beams (3, 3), one a row, at an angle from the y axis and evenly spread around it."""
+    cone, around = np.radians(cone_deg), np.radians([90.0, 210.0, 330.0])
+    across = np.sin(cone) * np.column_stack([np.cos(around), np.sin(around)])
+    return np.column_stack([across[:, 0], np.full(3, np.cos(cone)), across[:, 1]])
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Points that three laser heads see.
+
+    Attributes
+    ----------
+    points_mm : ndarray, (n, 3)
+        About the footplate centre in footplate axes.
+    beams : ndarray, (3, 3)
+        Directions towards the heads, one a row, footplate axes.
+    """
+
+    points_mm: Array
+    beams: Array = field(default_factory=lambda: cone_beams(20.0))
+
+    @cached_property
+    def directions(self) -> Array:
+        """Directions of the readings (3 n, 3), point by point."""
+        return np.tile(self.beams, (len(self.points_mm), 1))
+
+    @cached_property
+    def rows(self) -> Array:
+        """Observation rows (3 n, 6), point by point."""
+        return point_rows(np.repeat(np.asarray(self.points_mm) * 1e-3, 3, axis=0), self.directions)
+
+    @cached_property
+    def inverse(self) -> Array:
+        """What takes readings to the six degrees of freedom by least squares, (6, 3 n)."""
+        return np.asarray(np.linalg.pinv(self.rows))
+
+    @property
+    def determines(self) -> bool:
+        """Whether the points determine all six degrees of freedom."""
+        norms = np.linalg.norm(self.rows, axis=0)
+        return bool(np.all(norms > 0.0) and np.linalg.svd(self.rows / norms, compute_uv=False)[-1] > 1e-6)
+
+    def position_maps(self) -> Array:
+        """Return the maps (3 n, 6, 6) of the motion by an error of 1 m of each coordinate of each point."""
+        maps = []
+        for reading in range(len(self.rows)):
+            place, axis = divmod(reading, 3)
+            shift = np.zeros((len(self.rows), 3))
+            shift[3 * place : 3 * place + 3] = np.eye(3)[axis]
+            maps.append(-self.inverse @ shifted_point_rows(self.directions, shift))
+        return np.array(maps)
+
+    def laser_maps(self) -> Array:
+        """Return the maps (3, 6, 6) of the motion by a relative error of each laser."""
+        return np.array([self.inverse[:, beam::3] @ self.rows[beam::3] for beam in range(3)])
+
+
+def frame_maps() -> Array:
+    """Return the maps (6, 6, 6) of the motion by a displacement of its frame, per m and rad."""
+    maps = np.zeros((6, 6, 6))
+    for axis, arm in enumerate(map(cross_matrix, np.eye(3))):
+        maps[axis, :3, 3:] = maps[3 + axis, :3, :3] = maps[3 + axis, 3:, 3:] = -arm
+    return maps
 
 
 def six_dof_matrices(plan: Plan) -> tuple[Array, Array]:
@@ -43,20 +121,18 @@ def six_dof_matrices(plan: Plan) -> tuple[Array, Array]:
 
 def planned_motion(plan: Plan, mass: Array, rng: np.random.Generator | None = None) -> RigidMotion:
     """Return the motion of a plan with covariance and shared errors; with ``rng`` all of them are drawn."""
-    from fitting.model import simulate
-
     freq = np.linspace(*plan.band_hz, plan.lines)
     omega, runs = 2.0 * np.pi * freq, len(plan.directions)
     stiffness, damping = six_dof_matrices(plan)
     q = np.empty((runs, 2, plan.lines, 6), dtype=complex)
     covariance = np.empty((runs, 2, plan.lines, 6, 6), dtype=complex)
+    level = np.sqrt(2.0) * plan.noise_m_s / omega  # root of E|noise|^2 of a reading, m
     names, sds, maps, powers = _errors(plan)
     drawn = np.zeros(len(names)) if rng is None else np.array(sds) * rng.standard_normal(len(names))
     for run, direction in enumerate(plan.directions):
         q[run, 1] = _base_motion(plan, freq, direction)
         q[run, 0] = simulate(mass, stiffness, damping, freq, q[run, 1])
         for body, layout in enumerate(plan.layouts):
-            level = _noise(plan, layout, q[run, body], omega)
             inverse = layout.inverse
             covariance[run, body] = np.square(level)[:, None, None] * (inverse @ inverse.T)
             turn = np.eye(6) + np.einsum("k,kl,kij->lij", drawn, _growth(powers, omega), maps[:, body])
@@ -71,52 +147,38 @@ def planned_motion(plan: Plan, mass: Array, rng: np.random.Generator | None = No
     return RigidMotion(labels, ("stapes", "base"), DOF_NAMES, freq, q, covariance, none, none, shared=shared)
 
 
-def _noise(plan: Plan, layout: Layout, q: ComplexArray, omega: Array) -> Array:
-    """Return the root of E|noise|^2 of a reading, m."""
-    if plan.noise_m_s is not None:
-        return np.asarray(np.sqrt(2.0) * plan.noise_m_s / omega)
-    velocity = (q * omega[:, None]) @ layout.rows.T
-    return np.asarray(plan.noise_relative * np.sqrt(np.mean(np.abs(velocity) ** 2)) / omega)
-
-
 def _growth(powers: list[int], omega: Array) -> ComplexArray:
     return np.asarray((1j * omega)[None] ** np.array(powers)[:, None])
 
 
 def _errors(plan: Plan) -> tuple[list[str], list[float], ComplexArray, list[int]]:
     """Return names, sd, maps (p, body, 6, 6) and powers of i w of what all lines share."""
-    names, sds, maps, powers = list[str](), list[float](), list[ComplexArray](), list[int]()
-
-    def add(name: str, sd: float, both: NDArray[Any], power: int = 0) -> None:
-        if sd > 0.0:
-            names.append(name)
-            sds.append(sd)
-            maps.append(both.astype(complex))
-            powers.append(power)
-
+    found = list[tuple[str, float, ComplexArray, int]]()
     for axis, change in zip(DOF_NAMES, frame_maps(), strict=True):
         sd = 1e-3 * plan.registration_sd_mm if axis in "xyz" else float(np.radians(plan.registration_sd_deg))
-        add(f"registration.{axis}", sd, np.stack([change, change]))
+        found.append((f"registration.{axis}", sd, np.stack([change, change]).astype(complex), 0))
     for body, layout in enumerate(plan.layouts):
         for number, change in enumerate(layout.position_maps()):
-            both = np.zeros((2, 6, 6))
+            both = np.zeros((2, 6, 6), dtype=complex)
             both[body] = change
-            add(f"position.{body}_{number // 3}_{'xyz'[number % 3]}", 1e-3 * plan.position_sd_mm, both)
-    lasers = np.stack([layout.laser_maps() for layout in plan.layouts], axis=1)
+            name = f"position.{body}_{number // 3}_{'xyz'[number % 3]}"
+            found.append((name, 1e-3 * plan.position_sd_mm, both, 0))
+    lasers = np.stack([layout.laser_maps() for layout in plan.layouts], axis=1).astype(complex)
     for laser, both in enumerate(lasers, 1):
-        add(f"laser_gain.{laser}", 0.01 * plan.gain_sd_percent, both)
-        add(f"laser_phase.{laser}", float(np.radians(plan.phase_sd_deg)), 1j * both)
-        add(f"laser_delay.{laser}", 1e-6 * plan.delay_sd_us, -both, 1)
-    return names, sds, np.array(maps).reshape(-1, 2, 6, 6), powers
+        found.append((f"laser_gain.{laser}", 0.01 * plan.gain_sd_percent, both, 0))
+        found.append((f"laser_phase.{laser}", float(np.radians(plan.phase_sd_deg)), 1j * both, 0))
+        found.append((f"laser_delay.{laser}", 1e-6 * plan.delay_sd_us, -both, 1))
+    there = [one for one in found if one[1] > 0.0]
+    maps = np.array([both for _, _, both, _ in there]).reshape(-1, 2, 6, 6)
+    return [one[0] for one in there], [one[1] for one in there], maps, [one[3] for one in there]
 
 
 def _base_motion(plan: Plan, freq: Array, direction: str) -> ComplexArray:
     """Return the base motion (lines, 6): constant velocity along the driven direction, some in the others."""
     motion = np.empty((len(freq), 6), dtype=complex)
     for place, name in enumerate(DOF_NAMES):
-        share: Any = (
-            1.0 if name == direction else plan.rocking * np.exp(1j * (1.0 + place) * freq / _PHASE_HZ)
-        )
+        turning = np.exp(1j * (1.0 + place) * freq / _PHASE_HZ)
+        share = np.ones_like(turning) if name == direction else plan.rocking * turning
         arm = _ROCKING_RADIUS_M if place > 2 else 1.0
         motion[:, place] = plan.base_velocity_m_s / (2.0 * np.pi * freq) * share / arm
     return motion

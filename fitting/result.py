@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,10 +57,10 @@ class KDFit(Result):
     notices : tuple of Notice
         Every warning.
     provenance : mapping
-    footplate_outline_mm : ndarray, (points, 2 or 3), or None
-        In footplate axes, for pictures and the ring test.
-    gap_mm : (float, float) or None
-        Width of the gap around the footplate with its standard deviation (NaN: unknown).
+    outline_mm : ndarray, (points, 2), or None
+        x and z of the footplate's outline in footplate axes.
+    side : str
+        ``left``, ``right`` or empty: names z.
     files : tuple of Path
         Every file that was read; `write` never replaces one.
     scatter : Scatter or None
@@ -73,8 +73,8 @@ class KDFit(Result):
     solution: Solution
     notices: tuple[Notice, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    footplate_outline_mm: Array | None = None
-    gap_mm: tuple[float, float] | None = None
+    outline_mm: Array | None = None
+    side: str = ""
     files: tuple[Path, ...] = ()
     scatter: Scatter | None = None
     confirmed: tuple[str, ...] = ()
@@ -156,8 +156,9 @@ class KDFit(Result):
     def effect(self, other: Alternative) -> Array:
         """Return how K and D would change if an alternative held, as columns (p, k)."""
         tried = other.found
-        if tried.covariance.size == 0:
-            tried = _with_rough_covariance(tried)
+        if tried.covariance.size == 0:  # only Y's is needed of it
+            inverse: Array = np.asarray(np.linalg.inv(tried.likelihood.information(tried.theta)))
+            tried = replace(tried, covariance=inverse, inverse=inverse)
         plane = in_plane(tried) if tried.likelihood.model.coupling is not None else None
         there = posterior(tried, plane, 4).estimate
         if other.unknown is None:  # D damps as g D of this law, g the ratio of what both lose
@@ -346,11 +347,3 @@ class KDFit(Result):
         with outputs.staged() as stage:
             names = self.write_into(stage, name=name, export=export)
         return tuple(Path(folder) / one for one in names)
-
-
-def _with_rough_covariance(found: Fit) -> Fit:
-    """Return a refit with the inverse of its information as covariance: only Y's is needed of it."""
-    from dataclasses import replace
-
-    inverse: Array = np.asarray(np.linalg.inv(found.likelihood.information(found.theta)))
-    return replace(found, covariance=inverse, inverse=inverse)

@@ -1,108 +1,46 @@
-"""The ring test: K of a uniform annular ligament around a footplate's rim, compared with the measured K.
+"""The rim of the footplate: where along it the ligament is stiffest, and how K differs from an even ring.
 
-A ligament of shear modulus G, thickness t (along y) and width g (between the rims) that is thin against the
-footplate resists normal displacement of the rim by c = G t / g per length (simple shear), so that
+A ligament of shear modulus G, thickness t (along y) and width g that is thin against the footplate resists
+normal displacement of the rim by c = G t / g per length (simple shear), so that an even one has
 
-    K = c * integral over the rim of r^T r ds,    r = (1, -z, x) for y, alpha, gamma.
+    K = c R,   R = integral over the rim of r^T r ds,    r = (1, -z, x) for y, alpha, gamma.
 
-The three stiffnesses then have one ratio, whatever G is; how far measured ones are from it says how uneven
-the ligament is around the rim, or that the model is wrong. Where width and thickness are known, G follows.
+Springs k(s) that vary linearly over the footplate, k proportional to 1 + g . (p - p_r) with p_r the centroid
+of the rim, follow from K11, K12 and K13 alone: g = S^-1 (p_k - p_r), where p_k = (K13, -K12) / K11 is the
+centre of stiffness and S the second moment of the rim about p_r. Sideways springs and second harmonics are
+not seen by these entries and are left out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.axes import principal_axes
+from fitting.draws import root_of, standard_draws
+from fitting.plane import PISTON_DOF
 from stapeskit.arrays import Array
 
-# Shear moduli of published models of the human annular ligament that give the measured piston stiffness.
-PUBLISHED_SHEAR_PA = (5e3, 70e3)
+if TYPE_CHECKING:
+    from fitting.result import KDFit
+
+_DRAWS = 500  # of K: the sd of a ratio within 3 % of itself
 # Simpson's rule along a straight piece of the rim: exact for r^T r.
 _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 2.0 / 3.0), (1.0, 1.0 / 6.0))
+# Sectors of 45 degrees by their middle, from anterior over superior; each name covers half a sector to both
+# sides.
+_SECTORS = (
+    "anterior", "anterior-superior", "superior", "posterior-superior",
+    "posterior", "posterior-inferior", "inferior", "anterior-inferior",
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Value:
-    """A positive number and its standard deviation, NaN where that is not known."""
-
-    value: float
-    sd: float
-
-    @property
-    def relative(self) -> float:
-        """Standard deviation over value."""
-        return self.sd / self.value
-
-
-@dataclass(frozen=True)
-class RingTest:
-    """A measured K compared with that of a uniform ring of the same piston stiffness.
-
-    Attributes
-    ----------
-    shear_pa : Value
-        c = K11 / rim length = G t / g: the shear modulus times thickness over width.
-    measured, expected : ndarray, (6,)
-        Of the measured K and of the ring; SI.
-    loss_factor : Value
-        Im / Re of the piston's dynamic stiffness in the middle of the band.
-    gap_m : Value or None
-        Width g of the ligament.
-    """
-
-    rim_length_m: float
-    shear_pa: Value
-    measured: Array
-    expected: Array
-    loss_factor: Value
-    gap_m: Value | None = None
-
-    @property
-    def shear_times_thickness(self) -> Value | None:
-        """G t = K11 g / (rim length + pi g), Pa m; None without the width.
-
-        The middle of a strip of width g around a closed convex curve is longer by pi g (Steiner): with it the
-        error is of second order in g over the radius.
-        """
-        if self.gap_m is None:
-            return None
-        middle = self.rim_length_m + np.pi * self.gap_m.value
-        share = self.rim_length_m / middle
-        width = Value(self.gap_m.value * share, self.gap_m.sd * share**2)
-        return _product(self.shear_pa, width)
-
-    @property
-    def rocking_ratio(self) -> tuple[float, float]:
-        """Measured over expected stiffness about the principal axes near x and z."""
-        about_x, about_z = (self.measured / self.expected)[4:]
-        return float(about_x), float(about_z)
-
-    @property
-    def thickness_over_width(self) -> tuple[float, float]:
-        """t / g for the largest and the smallest published shear modulus."""
-        low, high = PUBLISHED_SHEAR_PA
-        return self.shear_pa.value / high, self.shear_pa.value / low
-
-
-def _product(first: Value, second: Value) -> Value:
-    """Return the product of two numbers whose errors are independent."""
-    value = first.value * second.value
-    return Value(value, value * float(np.hypot(first.relative, second.relative)))
-
-
-def ring_stiffness(outline_m: ArrayLike) -> tuple[Array, float]:
-    """Return K (3, 3) in y, alpha, gamma of a ring with c = 1 N/m2 about the origin, and its length (m).
-
-    Parameters
-    ----------
-    outline_m : array_like, (points, 2)
-        x and z of the rim in order; the last point is joined to the first.
-    """
-    first = np.asarray(outline_m, dtype=float)
+def even_ring(outline: ArrayLike) -> Array:
+    """Return R (3, 3) in y, alpha, gamma of a rim (points, 2), x and z in order; R11 is its length."""
+    first = np.asarray(outline, dtype=float)
     second = np.roll(first, -1, axis=0)
     length = np.linalg.norm(second - first, axis=1)
     total = np.zeros((3, 3))
@@ -110,44 +48,115 @@ def ring_stiffness(outline_m: ArrayLike) -> tuple[Array, float]:
         x, z = (first + share * (second - first)).T
         rows = np.column_stack([np.ones_like(x), -z, x])
         total += weight * (rows.T * length) @ rows
-    return total, float(length.sum())
+    return total
 
 
-def ring_test(
-    stiffness: ArrayLike,
-    piston: ArrayLike,
-    factor: complex,
-    outline_mm: ArrayLike | None,
-    covariance: ArrayLike | None = None,
-) -> RingTest | None:
-    """Compare a measured K with a uniform ring around the footplate; None without outline or K11 > 0.
+def linear_ratio(points_mm: Array, entries_si: Array) -> Array:
+    """Return the stiffness along a rim (n, 2) over its mean, (..., n), from K11, K12, K13 (..., k) in SI."""
+    ring = even_ring(points_mm)
+    ring = ring / ring[0, 0]
+    centroid = np.array([ring[0, 2], -ring[0, 1]])
+    second = np.array([[ring[2, 2], -ring[1, 2]], [-ring[1, 2], ring[1, 1]]]) - np.outer(centroid, centroid)
+    centre = 1e3 * np.stack([entries_si[..., 2], -entries_si[..., 1]], axis=-1) / entries_si[..., :1]
+    return np.asarray(1.0 + (centre - centroid) @ np.linalg.solve(second, (points_mm - centroid).T))
 
-    Parameters
+
+@dataclass(frozen=True)
+class Rim:
+    """Stiffness along the rim over its mean.
+
+    Attributes
     ----------
-    stiffness : array_like, (3, 3)
-        In y, alpha, gamma about the footplate centre; SI.
-    piston : array_like, (2,)
-        K11 and D11, SI.
-    factor : complex
-        s of the damping law in the middle of the band: the dynamic stiffness there is K11 + s D11.
-    outline_mm : array_like, (points, 2 or 3), or None
-        Outline of the footplate in footplate axes: x and z, or x, y and z.
-    covariance : array_like, (2, 2), optional
-        Of K11 and D11, SI.
+    points_mm : ndarray, (n, 2)
+        x and z of the rim in footplate axes.
+    ratio, sd : ndarray, (n,)
+        Stiffness over its mean along the rim, and its standard deviation.
+    side : str
+        ``left``, ``right`` or empty: names z.
     """
-    k = np.asarray(stiffness, dtype=float)
-    if outline_mm is None or k.shape != (3, 3) or not k[0, 0] > 0.0:
+
+    points_mm: Array
+    ratio: Array
+    sd: Array
+    side: str = ""
+
+    @property
+    def stiffest(self) -> int:
+        """Place of the stiffest point."""
+        return int(np.argmax(self.ratio))
+
+    @property
+    def is_even(self) -> bool:
+        """Whether the data do not show that any place is stiffer than another (95 %)."""
+        return bool(self.ratio[self.stiffest] - 1.0 < 1.96 * self.sd[self.stiffest])
+
+    def name_of(self, place: int) -> str:
+        """Return the anatomical name of a point of the rim; by axes where the side is not known."""
+        x, z = self.points_mm[place] - self.points_mm.mean(axis=0)
+        if not self.side:
+            return f"{'anterior' if x > 0 else 'posterior'}, {'+z' if z > 0 else '-z'}"
+        superior = z if self.side == "left" else -z
+        return _SECTORS[round(np.degrees(np.arctan2(superior, x)) / 45.0) % 8]
+
+    def sentence(self) -> str:
+        """Return what the rim shows, with its uncertainty."""
+        if self.is_even:
+            return "Along the rim of the footplate no place is stiffer than another within the uncertainty."
+        best = self.stiffest
+        ratio = f"{self.ratio[best]:.2f} ± {self.sd[best]:.2f}"
+        return f"Stiffest at the {self.name_of(best)} rim: {ratio} times the mean."
+
+
+def rim_of(fit: KDFit) -> Rim | None:
+    """Return the stiffness along the rim of the footplate; None without outline or with other --dof."""
+    if fit.outline_mm is None or fit.dof != PISTON_DOF:
         return None
-    ring, length = ring_stiffness(1e-3 * np.asarray(outline_mm, dtype=float)[:, [0, -1]])
-    spread = np.full((2, 2), np.nan) if covariance is None else np.asarray(covariance, dtype=float)
-    elastic, lossy = (float(value) for value in np.asarray(piston))
+    count = len(fit.values) // 2
+    drawn = fit.values[:count] + standard_draws(_DRAWS, count, 1) @ root_of(fit.covariance[:count, :count]).T
+    ratio, sd = linear_ratio(fit.outline_mm, fit.values), linear_ratio(fit.outline_mm, drawn).std(axis=0)
+    return Rim(fit.outline_mm, ratio, sd, fit.side)
+
+
+@dataclass(frozen=True)
+class Ring:
+    """What an even ring of the measured K11 and D11 would be, SI; pairs are values with their sd.
+
+    Attributes
+    ----------
+    length_m : float
+        Of the rim.
+    shear_pa : (float, float)
+        c = K11 / length = G t / g: the shear modulus times thickness over width.
+    loss_factor : (float, float)
+        Im / Re of the piston's dynamic stiffness in the middle of the band.
+    rocking_ratio : (float, float)
+        Measured stiffness over that of the ring about the principal axes near x and z.
+    """
+
+    length_m: float
+    shear_pa: tuple[float, float]
+    loss_factor: tuple[float, float]
+    rocking_ratio: tuple[float, float]
+
+
+def ring_of(fit: KDFit) -> Ring | None:
+    """Compare K with an even ring around the footplate; None without outline, K11 > 0, or y first."""
+    if fit.outline_mm is None or fit.dof != PISTON_DOF or not fit.stiffness[0, 0] > 0.0:
+        return None
+    freq = fit.found.data.freq_hz
+    factor = complex(fit.law.factor(2.0 * np.pi * np.sqrt(freq.min() * freq.max())))
+    places = [0, len(fit.values) // 2]
+    elastic, lossy = fit.values[places]
     dynamic = elastic + factor * lossy
     loss = dynamic.imag / dynamic.real
     slopes = np.array([-loss, factor.imag - loss * factor.real]) / dynamic.real
-    return RingTest(
+    covariance = fit.covariance[np.ix_(places, places)]
+    ring = even_ring(1e-3 * fit.outline_mm)
+    length = float(ring[0, 0])
+    ratio = (principal_axes(fit.stiffness) / principal_axes(elastic / length * ring))[4:]
+    return Ring(
         length,
-        Value(k[0, 0] / length, float(np.sqrt(spread[0, 0])) / length),
-        principal_axes(k),
-        principal_axes(k[0, 0] / length * ring),
-        Value(float(loss), float(np.sqrt(slopes @ spread @ slopes))),
+        (elastic / length, float(np.sqrt(covariance[0, 0])) / length),
+        (float(loss), float(np.sqrt(slopes @ covariance @ slopes))),
+        (float(ratio[0]), float(ratio[1])),
     )

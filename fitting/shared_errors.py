@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.draws import unit_errors
-from fitting.mass import FRAME_SOURCE, Inertia, frame_slopes, parameter_changes
+from fitting.mass import Inertia, parameter_changes
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.records.mass_matrix import FRAME_SOURCE, frame_derivative
+from stapeskit.spatial import DOF_NAMES, matrix_from_parameters, parameters_from_matrix
 
 if TYPE_CHECKING:
     from fitting.data import Data
@@ -71,7 +72,8 @@ def with_shared_errors(
         columns, sources = _unit_errors(shared.covariance, shared.names)
         along = np.zeros((len(shared.names), m, m))
         if inertia.complete:
-            slopes = frame_slopes(inertia.matrix)[:, places][:, :, places]
+            own = frame_derivative(parameters_from_matrix(inertia.matrix)).T
+            slopes = np.array([matrix_from_parameters(one) for one in own])[:, places][:, :, places]
             for place, name in enumerate(shared.names):
                 source, _, axis = name.partition(".")
                 if source == "footplate_frame" and axis in DOF_NAMES:

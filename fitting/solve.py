@@ -121,7 +121,7 @@ def start_of(likelihood: Likelihood, theta: Array | None = None, rounds: int = 3
     return theta
 
 
-def _roots_of(entries: Array, n: int, floor: float = 1e-3) -> Array:
+def roots_of(entries: Array, n: int, floor: float = 1e-3) -> Array:
     """Return the Cholesky factors (entries) of the nearest positive definite K and D."""
     factors = []
     for part in split(entries, n):
@@ -131,7 +131,7 @@ def _roots_of(entries: Array, n: int, floor: float = 1e-3) -> Array:
     return np.concatenate(factors)
 
 
-def _from_roots(roots: Array, n: int) -> tuple[Array, Array]:
+def from_roots(roots: Array, n: int) -> tuple[Array, Array]:
     """Return K = L L^T and D likewise, which are positive semidefinite, and their derivative by the roots."""
     half = len(roots) // 2
     lower = np.tril(np.ones((n, n)))
@@ -142,6 +142,23 @@ def _from_roots(roots: Array, n: int) -> tuple[Array, Array]:
         steps = basis(n) * lower
         slopes.append(vector(steps @ factor.T + factor @ steps.swapaxes(1, 2)).T)
     return np.concatenate(entries), block_diag(*slopes)
+
+
+def _curvature(gradient: Array, n: int) -> Array:
+    """Return rows of the Jacobian for the curvature that the factors bring in, (2 n^2, n (n + 1)).
+
+    With G the gradient by K, K = L L^T adds tr(G dL dL^T), which first derivatives of the residuals miss.
+    Where the data pull K or D to the limit of semidefinite matrices it is all the curvature that there is:
+    without it steps are far too long, and the descent creeps. Positive parts of G are taken.
+    """
+    steps = basis(n) * np.tril(np.ones((n, n)))
+    rows = []
+    for part in split(gradient, n):
+        slopes = 0.5 * (part + np.diag(np.diag(part)))  # an entry off the diagonal is in two places
+        values, vectors = np.linalg.eigh(slopes)
+        root = np.sqrt(2.0 * np.maximum(values, 0.0))[:, None] * vectors.T
+        rows.append((root @ steps).reshape(len(steps), -1).T)
+    return block_diag(*rows)
 
 
 def minimise(
@@ -156,7 +173,7 @@ def minimise(
 
     n, count = likelihood.n, likelihood.at["entries"].stop
     phi = theta.copy()
-    phi[:count] = _roots_of(theta[:count], n)
+    phi[:count] = roots_of(theta[:count], n)
     kept: dict[bytes, tuple[Array, Array]] = {}
 
     def reduced(phi: Array) -> tuple[Array, Array]:
@@ -164,14 +181,16 @@ def minimise(
         if key not in kept:
             kept.clear()
             point = phi.copy()
-            point[:count], slopes = _from_roots(phi[:count], n)
+            point[:count], slopes = from_roots(phi[:count], n)
             try:
                 residual, jacobian = likelihood.reduced(point)
             except np.linalg.LinAlgError:
                 residual, jacobian = np.full(len(phi) + 1, 1e8), np.zeros((len(phi) + 1, len(phi)))
-            jacobian = jacobian.copy()
-            jacobian[:, :count] = jacobian[:, :count] @ slopes
-            kept[key] = residual, jacobian
+            curved = np.zeros((2 * n * n, len(phi)))
+            curved[:, :count] = _curvature(jacobian[:, :count].T @ residual, n)
+            jacobian = np.vstack([jacobian, curved])
+            jacobian[: len(residual), :count] = jacobian[: len(residual), :count] @ slopes
+            kept[key] = np.append(residual, np.zeros(len(curved))), jacobian
         return kept[key]
 
     def descend(phi: Array) -> OptimizeResult:
@@ -191,7 +210,7 @@ def minimise(
     except np.linalg.LinAlgError:  # LAPACK's singular values by divide and conquer fail on rare matrices
         found = descend(phi * (1.0 + 1e-7))
     point = found.x.copy()
-    point[:count], _ = _from_roots(found.x[:count], n)
+    point[:count], _ = from_roots(found.x[:count], n)
     return point, 2.0 * float(found.cost), int(found.nfev), found.status > 0
 
 
@@ -207,7 +226,7 @@ def fit(
     start: Array | None = None,
     noise: float | None = None,
     robust: bool = False,
-    covariance: bool = True,
+    rough: bool = False,
 ) -> Fit:
     """Fit; where the data are not explained, with as much noise as there is.
 
@@ -218,6 +237,8 @@ def fit(
         Where the noise level begins: that of a fit with fewer unknowns.
     robust : bool
         Weigh lines by Student's t with four degrees of freedom.
+    rough : bool
+        For a comparison: without covariance.
 
     Notes
     -----
@@ -227,7 +248,7 @@ def fit(
     if robust:
         theta, _ = _begin(data, model, start, noise)
         found, factor = _robust(data, model, theta)
-        return with_covariance(found, factor) if covariance else found
+        return found if rough else with_covariance(found, factor)
     found = _settled(data, model, start, noise)
     if start is None and model.unknowns and not (found.converged and found.noise == 1.0):
         simpler = _settled(data, replace(model, unknowns=()))
@@ -235,7 +256,7 @@ def fit(
         theta = np.insert(simpler.theta, place, np.zeros(len(model.extras)))
         other = _settled(data, model, theta, simpler.noise)
         found = other if (other.converged, -other.chi2) > (found.converged, -found.chi2) else found
-    return with_covariance(found) if covariance else found
+    return found if rough else with_covariance(found)
 
 
 def _begin(data: Data, model: Model, start: Array | None, noise: float | None) -> tuple[Array, float]:

@@ -11,30 +11,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares, minimize
 from scipy.special import chdtrc
 
 from fitting.data import Data
-from fitting.entries import diagonal, names, split
+from fitting.entries import diagonals, names, split
 from fitting.likelihood import Likelihood, Model
 from fitting.model import state_matrix
-from fitting.solve import MISFIT_P, Fit, _from_roots, _roots_of, degrees, entry_scale
+from fitting.solve import MISFIT_P, Fit, degrees, entry_scale, from_roots, roots_of
 from stapeskit.arrays import Array
 
 _MARGIN = 5e-7  # of the stability constraint, scaled
-
-
-@dataclass(frozen=True)
-class Equations:
-    """The least-squares problem A p = b of K and D, real, of order one."""
-
-    matrix: Array
-    wanted: Array
-
-    def objective(self, p: Array) -> float:
-        """Return |A p - b|^2 / |b|^2."""
-        off = self.matrix @ p - self.wanted
-        return float(off @ off / max(float(self.wanted @ self.wanted), 1e-300))
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,6 @@ def estimate(
     data: Data,
     model: Model,
     constrained: bool = False,
-    constraint: str = "eigenvalues",
     lower: Mapping[str, float] | None = None,
     upper: Mapping[str, float] | None = None,
 ) -> Textbook:
@@ -72,9 +57,8 @@ def estimate(
     Parameters
     ----------
     constrained : bool
-        Keep signs, ranges and stability.
-    constraint : {"eigenvalues", "psd"}
-        Stability of the eigenvalues (paper), or positive semidefinite K and D, which is sufficient for it.
+        Keep signs, ranges and stability: of the eigenvalues (paper), of laws that are not viscous by positive
+        semidefinite K and D, which is sufficient for it.
     lower, upper : mapping of str to float, optional
         Bounds of entries, SI.
     """
@@ -89,19 +73,19 @@ def estimate(
     rest = theta.copy()
     rest[entries] = 0.0
     constant = -(weights[:, None] * likelihood.act(rest, data.y[:, :, None])).ravel()
-    equations = Equations(*(np.concatenate([part.real, part.imag]) for part in (columns, constant)))
-    size = np.linalg.norm(equations.matrix, axis=0)
+    matrix, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, constant))
+    size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    free = np.linalg.lstsq(equations.matrix / size, equations.wanted, rcond=1e-13)[0] / size
+    free = np.linalg.lstsq(matrix / size, wanted, rcond=1e-13)[0] / size
     active: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     if constrained:
-        free, active, notes = _constrained(equations, free, likelihood, constraint, lower or {}, upper or {})
+        free, active, notes = _constrained(matrix, wanted, free, likelihood, lower or {}, upper or {})
     theta[entries] = free
-    return Textbook(*_spread(likelihood, theta, equations, weights), active, notes)
+    return Textbook(*_spread(likelihood, theta, matrix, weights), active, notes)
 
 
-def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights: Array) -> tuple[Fit, Array]:
+def _spread(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array) -> tuple[Fit, Array]:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
@@ -109,7 +93,7 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     an unweighted estimate (jackknife, doi:10.1016/0304-4076(85)90158-7).
     """
     data, entries = likelihood.data, likelihood.at["entries"]
-    inverse = np.linalg.pinv(equations.matrix, rcond=1e-12)
+    inverse = np.linalg.pinv(matrix, rcond=1e-12)
     half = inverse.shape[1] // 2
     whole = (inverse[:, :half] - 1j * inverse[:, half:]).reshape(len(inverse), data.count, -1)
     every = np.eye(data.y.shape[1], dtype=complex)[None]
@@ -121,10 +105,8 @@ def _spread(likelihood: Likelihood, theta: Array, equations: Equations, weights:
     n_dof = degrees(likelihood)
     if n_dof > 0 and chdtrc(n_dof, chi2) < MISFIT_P:
         residuals = (operator @ data.y[:, :, None])[..., 0]
-        own = _left_out_one_by_one(
-            equations.matrix, np.asarray(inverse), np.stack([residuals.real, residuals.imag])
-        )
-    bias = _bias(likelihood, theta, equations, weights)
+        own = _left_out_one_by_one(matrix, np.asarray(inverse), np.stack([residuals.real, residuals.imag]))
+    bias = _bias(likelihood, theta, matrix, weights)
     shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
         ..., 0
     ]
@@ -156,16 +138,14 @@ def _left_out_one_by_one(matrix: Array, inverse: Array, residuals: Array) -> Arr
     return np.asarray(changes.T @ changes)
 
 
-def _bias(
-    likelihood: Likelihood, theta: Array, equations: Equations, weights: Array, rounds: int = 6
-) -> Array:
+def _bias(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array, rounds: int = 6) -> Array:
     """Return what noise of the regressor does to K and D: -(A^T A)^-1 sum of Re tr(B C dB_k^H).
 
     It is taken at the estimate without its bias, found in a few rounds.
     """
     data, entries = likelihood.data, likelihood.at["entries"]
     every = np.eye(data.y.shape[1], dtype=complex)[None]
-    information = equations.matrix.T @ equations.matrix
+    information = matrix.T @ matrix
     bias = np.zeros(entries.stop)
     for _ in range(rounds):
         point = theta.copy()
@@ -178,23 +158,28 @@ def _bias(
 
 
 def _constrained(
-    equations: Equations,
+    matrix: Array,
+    wanted: Array,
     free: Array,
     likelihood: Likelihood,
-    constraint: str,
     lower: Mapping[str, float],
     upper: Mapping[str, float],
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
     """Return the estimate within signs, ranges and stability, the active constraints and notes."""
-    n, scale = likelihood.n, entry_scale(Fit(likelihood, likelihood.mean, 0.0, 1, 0, True))
-    labels = names(n)
+    from scipy.optimize import minimize
+
+    n, labels = likelihood.n, names(likelihood.n)
+    scale = entry_scale(Fit(likelihood, likelihood.mean, 0.0, 1, 0, True))
     low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
-    half = len(free) // 2
-    low[[place + part * half for part in (0, 1) for place in diagonal(n)]] = 0.0
+    low[diagonals(n)] = 0.0
     for limits, bounds in ((low, lower), (high, upper)):
         for name, value in bounds.items():
             limits[labels.index(name)] = value / scale[labels.index(name)]
     mass = likelihood.row_units @ likelihood.data.mass @ likelihood.row_units.T
+    whole = max(float(wanted @ wanted), 1e-300)
+
+    def objective(p: Array) -> float:
+        return float(np.sum((matrix @ p - wanted) ** 2)) / whole
 
     def stability(p: Array) -> float:
         return float(-np.linalg.eigvals(state_matrix(mass, *split(p, n))).real.max()) - _MARGIN
@@ -203,61 +188,54 @@ def _constrained(
         return bool(np.all(p >= low - slack) and np.all(p <= high + slack))
 
     viscous = likelihood.model.law == "viscous"
-    stable = [np.linalg.eigvalsh(part)[0] >= -1e-12 for part in split(free, n)]
-    if inside(free, 0.0) and (all(stable) if constraint == "psd" or not viscous else stability(free) >= 0.0):
+    stable = (
+        stability(free) >= 0.0
+        if viscous
+        else all(np.linalg.eigvalsh(part)[0] >= -1e-12 for part in split(free, n))
+    )
+    if inside(free, 0.0) and stable:
         return free, (), ()
-    semidefinite = _semidefinite(equations, free, n, low, high)
-    notes = list[str]()
-    best, kind = semidefinite, "psd"
-    if constraint == "eigenvalues" and viscous:
-        guess = np.zeros(len(free))
-        guess[[place + part * half for part in (0, 1) for place in diagonal(n)]] = np.repeat([1.0, 0.3], n)
-        for start in (semidefinite, guess, free):
-            found = minimize(
-                lambda p: equations.objective(p),
-                np.clip(start, low, high),
-                jac=lambda p: 2.0 * equations.matrix.T @ (equations.matrix @ p - equations.wanted)
-                / max(float(equations.wanted @ equations.wanted), 1e-300),
-                bounds=list(zip(low, high, strict=True)),
-                constraints={"type": "ineq", "fun": stability},
-                method="SLSQP",
-                options={"ftol": 1e-14, "maxiter": 500},
-            )  # fmt: skip
-            feasible = stability(found.x) > -1e-8 and inside(found.x)
-            if feasible and (equations.objective(found.x) < equations.objective(best) or kind == "psd"):
-                best, kind = found.x, "eigenvalues"
-        if kind == "psd":
-            notes.append(
-                "no stable minimum was found from three starts; K and D are positive semidefinite instead"
-            )
-    active = [
-        f"{labels[place]} at its bound"
-        for place in np.flatnonzero((best <= low + 1e-9) | (best >= high - 1e-9))
-    ]
-    if kind == "psd":
-        words = zip(("stiffness_psd", "damping_psd"), split(best, n), strict=True)
-        active += [
-            word for word, part in words if np.linalg.eigvalsh(part)[0] < 1e-6 * np.linalg.eigvalsh(part)[-1]
-        ]
-    elif viscous and stability(best) < 1e-6:
-        active.append("stability")
-    return best, tuple(active), tuple(notes)
+    semidefinite = _semidefinite(matrix, wanted, free, n, low, high)
+    guess = np.zeros(len(free))
+    guess[diagonals(n)] = np.repeat([1.0, 0.3], n)
+    found = []
+    for start in (semidefinite, guess, free) if viscous else ():
+        end = minimize(
+            objective,
+            np.clip(start, low, high),
+            jac=lambda p: 2.0 * matrix.T @ (matrix @ p - wanted) / whole,
+            bounds=list(zip(low, high, strict=True)),
+            constraints={"type": "ineq", "fun": stability},
+            method="SLSQP",
+            options={"ftol": 1e-14, "maxiter": 500},
+        ).x
+        found += [end] if stability(end) > -1e-8 and inside(end) else []
+    best = min(found, key=objective) if found else semidefinite
+    at_bound = (best <= low + 1e-9) | (best >= high - 1e-9)
+    active = [f"{labels[place]} at its bound" for place in np.flatnonzero(at_bound)]
+    if found:
+        return best, (*active, *(["stability"] if stability(best) < 1e-6 else [])), ()
+    for word, part in zip(("stiffness_psd", "damping_psd"), split(best, n), strict=True):
+        values = np.linalg.eigvalsh(part)
+        active += [word] if values[0] < 1e-6 * values[-1] else []
+    note = "no stable minimum was found from three starts; K and D are positive semidefinite instead"
+    return best, tuple(active), (note,) if viscous else ()
 
 
-def _semidefinite(equations: Equations, free: Array, n: int, low: Array, high: Array) -> Array:
+def _semidefinite(matrix: Array, wanted: Array, free: Array, n: int, low: Array, high: Array) -> Array:
     """Return the minimum with K, D >= 0 by Cholesky factors, from two starts; bounds by a penalty."""
-    weight = 1e3 * np.linalg.norm(equations.wanted)
+    from scipy.optimize import least_squares
+
+    weight = 1e3 * np.linalg.norm(wanted)
 
     def residual(roots: Array) -> Array:
-        entries = _from_roots(roots, n)[0]
+        entries = from_roots(roots, n)[0]
         over = np.clip(entries, low, high) - entries
-        return np.concatenate(
-            [equations.matrix @ entries - equations.wanted, weight * np.where(np.isfinite(over), over, 0.0)]
-        )
+        return np.concatenate([matrix @ entries - wanted, weight * np.where(np.isfinite(over), over, 0.0)])
 
     found = [
-        least_squares(residual, _roots_of(free, n, floor), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
+        least_squares(residual, roots_of(free, n, floor), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
         for floor in (1e-2, 0.3)
     ]
     best = min(found, key=lambda one: one.cost)
-    return _from_roots(best.x, n)[0]
+    return from_roots(best.x, n)[0]

@@ -19,7 +19,7 @@ _TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependen
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
     "frequency_dependent", "misfit", "implausible_stiffness", "constraint_active", "not_passive", "unstable",
-    "not_converged", "weak_identifiability", "undetermined", "imprecise",
+    "not_converged", "weak_identifiability", "undetermined",
 )  # fmt: skip
 
 

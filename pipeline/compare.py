@@ -1,8 +1,11 @@
-"""Two ears, or two states of one ear: responses over each other, differences with their p-values."""
+"""Two ears, or two states of one ear: responses over each other, differences with their p-values.
+
+Here the files of ``stapeskit compare`` are written, also those of its --what-if (`pipeline.what_if`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.ears import Ear, Quantity, quantities, read_ears
-from stapeskit.arrays import Array, ComplexArray
+from pipeline.what_if import Effect, what_if_frame, what_if_page
+from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.report import page
@@ -18,65 +22,69 @@ from stapeskit.report.quantities import plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
     from stapeskit.report.page import Page
 
-FILES = ("compare.html", "compare.csv")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A quantity of two ears.
-
-    Attributes
-    ----------
-    quantity : Quantity
-        With the values of the first and the second.
-    difference, difference_sd : float
-        Second minus first, SI; errors that both share (a density of the same statement) cancel.
-    p_value : float
-        Of no difference, two-sided.
-    """
-
-    quantity: Quantity
-    difference: float
-    difference_sd: float
-    p_value: float
-
-    def row(self) -> tuple[str, ...]:
-        """Return name, first, second, difference, p."""
-        of, unit = self.quantity, self.quantity.shown
-        numbers = (*zip(of.values, of.sd, strict=True), (self.difference, self.difference_sd))
-        texts = (plus_minus(float(unit.of(value)), float(unit.of(sd))) for value, sd in numbers)
-        return (of.title_with_unit, *texts, f"{self.p_value:.2g}")
-
-    def numbers(self) -> Mapping[str, Any]:
-        """Return a row of compare.csv, SI."""
-        (first, second), (first_sd, second_sd) = self.quantity.values, self.quantity.sd
-        return {
-            "quantity": self.quantity.name,
-            "unit_si": self.quantity.unit,
-            "first": first,
-            "first_sd": first_sd,
-            "second": second,
-            "second_sd": second_sd,
-            "difference": self.difference,
-            "difference_sd": self.difference_sd,
-            "p_value": self.p_value,
-        }
+_COLOURS = ("#0b6e99", "#b3541e")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two finished studies."""
+    """Two finished studies.
+
+    Attributes
+    ----------
+    quantities : tuple of Quantity
+        What both have.
+    differences : ndarray, (quantities, 3)
+        Second minus first, its standard deviation, SI, and the two-sided p-value of no difference. Errors
+        that both share (a density of the same statement) cancel.
+    """
 
     ears: tuple[Ear, Ear]
     motions: tuple[RigidMotion | None, RigidMotion | None]
-    differences: tuple[Difference, ...]
+    quantities: tuple[Quantity, ...]
+    differences: Array
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return a row a quantity: name, first, second, difference, p."""
-        return [entry.row() for entry in self.differences]
+        rows = []
+        for of, (change, sd, p) in zip(self.quantities, self.differences.tolist(), strict=True):
+            pairs = (*zip(of.values.tolist(), of.sd.tolist(), strict=True), (change, sd))
+            texts = (plus_minus(of.shown.of(value), of.shown.of(own)) for value, own in pairs)
+            rows.append((of.title_with_unit, *texts, f"{p:.2g}"))
+        return rows
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows of compare.csv, SI."""
+        import pandas as pd
+
+        values, sds = ([getattr(of, name) for of in self.quantities] for name in ("values", "sd"))
+        columns: dict[str, Any] = {
+            "quantity": [of.name for of in self.quantities],
+            "unit_si": [of.unit for of in self.quantities],
+        }
+        for place, name in enumerate(("first", "second")):
+            columns |= {name: np.array(values)[:, place], f"{name}_sd": np.array(sds)[:, place]}
+        names = ("difference", "difference_sd", "p_value")
+        return pd.DataFrame(columns | dict(zip(names, self.differences.T, strict=True)))
+
+
+def read_folders(folders: Sequence[Path]) -> list[Ear]:
+    """Read finished studies, each named by its folder, or by its path where folders have one name.
+
+    Raises
+    ------
+    StapeskitError
+        A folder holds no finished study, or is given twice.
+    """
+    whole = [Path(folder).resolve() for folder in folders]
+    if len(set(whole)) < len(whole):
+        raise StapeskitError.of("the folders", "different ones", f"{folders[0]} twice")
+    alike = len({folder.name for folder in whole}) < len(whole)
+    return read_ears((folder, str(given) if alike else folder.name, {})
+                     for folder, given in zip(whole, folders, strict=True))  # fmt: skip
 
 
 def compare(first: Path, second: Path) -> Comparison:
@@ -87,36 +95,28 @@ def compare(first: Path, second: Path) -> Comparison:
     StapeskitError
         A folder holds no finished study, or the two have other degrees of freedom.
     """
-    folders = Path(first), Path(second)
-    one, other = read_ears((folder, folder.resolve().name, {}) for folder in folders)
+    one, other = read_folders((first, second))
     if one.kd["dof"] != other.kd["dof"]:
         got = f"{', '.join(one.kd['dof'])} and {', '.join(other.kd['dof'])}"
         raise StapeskitError.of("degrees of freedom", "the same in both results", got)
-    rows = (row for row in quantities([one, other]) if np.all(np.isfinite(row.values)))
-    return Comparison((one, other), (_motion(folders[0]), _motion(folders[1])), tuple(map(_difference, rows)))
+    both = tuple(row for row in quantities([one, other]) if np.all(np.isfinite(row.values)))
+    differences = np.array([_difference(row) for row in both])
+    return Comparison((one, other), (_motion(first), _motion(second)), both, differences)
 
 
 def _motion(folder: Path) -> RigidMotion | None:
     from stapeskit.records.motion import read_motion
 
-    return read_motion(folder / "dof.h5") if (folder / "dof.h5").is_file() else None
+    path = Path(folder) / "dof.h5"
+    return read_motion(path) if path.is_file() else None
 
 
-def _difference(row: Quantity) -> Difference:
+def _difference(row: Quantity) -> tuple[float, float, float]:
     from scipy.special import ndtr
 
     sd = float(np.hypot(*np.where(np.isfinite(row.own_sd), row.own_sd, row.sd)))
     change = float(row.values[1] - row.values[0])
-    return Difference(row, change, sd, float(2.0 * ndtr(-abs(change) / sd)) if sd > 0.0 else float("nan"))
-
-
-def responses(ear: Ear, motion: RigidMotion) -> tuple[Array, ComplexArray]:
-    """Return frequencies and the measured piston over the base's piston, (L,)."""
-    run, y = 0, motion.dof.index("y")
-    model = ear.kd.get("model") or {}
-    names = model.get("structure", "stapes"), model.get("base", "base")
-    structure, base = (motion.body(name) for name in names)
-    return motion.freq_hz, motion.q[run, structure, :, y] / motion.q[run, base, :, y]
+    return change, sd, float(2.0 * ndtr(-abs(change) / sd)) if sd > 0.0 else float("nan")
 
 
 def compare_figure(comparison: Comparison) -> Figure:
@@ -126,20 +126,22 @@ def compare_figure(comparison: Comparison) -> Figure:
     with style():
         drawing, grid = panels(1, 2, height=3.0)
         amplitude, phase = grid.ravel()
-        for ear, motion, colour in zip(
-            comparison.ears, comparison.motions, ("#0b6e99", "#b3541e"), strict=True
-        ):
+        for ear, motion, colour in zip(comparison.ears, comparison.motions, _COLOURS, strict=True):
             if motion is None or "y" not in motion.dof:
                 continue
-            freq, ratio = responses(ear, motion)
-            amplitude.plot(freq, 20.0 * np.log10(np.abs(ratio)), color=colour, lw=1.4, label=ear.name)
-            phase.plot(freq, np.degrees(np.unwrap(np.angle(ratio))), color=colour, lw=1.4)
+            model, y = ear.kd.get("model") or {}, motion.dof.index("y")
+            bodies = (motion.body(model.get(role, name)) for role, name in
+                      (("structure", "stapes"), ("base", "base")))  # fmt: skip
+            structure, base = (motion.q[0, body, :, y] for body in bodies)
+            ratio = structure / base
+            amplitude.plot(motion.freq_hz, 20.0 * np.log10(np.abs(ratio)), color=colour, label=ear.name)
+            phase.plot(motion.freq_hz, np.degrees(np.unwrap(np.angle(ratio))), color=colour)
             for axes in (amplitude, phase):
-                frequency_axis(axes, freq)
+                frequency_axis(axes, motion.freq_hz)
         amplitude.set_ylabel("stapes over bone, y (dB)")
         phase.set_ylabel("phase (°)")
         if amplitude.lines:
-            amplitude.legend(fontsize=8, frameon=False)
+            amplitude.legend(fontsize=8)
     return drawing
 
 
@@ -161,22 +163,23 @@ def compare_page(comparison: Comparison) -> Page:
 
 
 def write_comparison(
-    comparison: Comparison, out: Path, inputs: Sequence[Path], force: bool = False
+    found: Comparison | Sequence[Effect], out: Path, inputs: Sequence[Path], force: bool = False
 ) -> list[Path]:
-    """Write compare.html and a numeric compare.csv.
+    """Write a page and a numeric table: compare.html and .csv, or what_if.html and .csv of changes.
 
     Raises
     ------
     StapeskitError
         A file of another origin has one of these names, unless ``force``.
     """
-    import pandas as pd
-
     from stapeskit.outputs import Outputs
 
-    outputs = Outputs("stapeskit compare", out, FILES, inputs, force)
+    if isinstance(found, Comparison):
+        name, made, table = "compare", compare_page(found), found.to_frame()
+    else:
+        name, made, table = "what_if", what_if_page(found), what_if_frame(found)
+    outputs = Outputs(f"stapeskit compare {name}", out, (f"{name}.html", f"{name}.csv"), inputs, force)
     with outputs.staged() as stage:
-        compare_page(comparison).write(stage / FILES[0])
-        rows = [entry.numbers() for entry in comparison.differences]
-        pd.DataFrame(rows).to_csv(stage / FILES[1], index=False, lineterminator="\n")
+        made.write(stage / f"{name}.html")
+        table.to_csv(stage / f"{name}.csv", index=False, lineterminator="\n")
     return list(outputs.paths())

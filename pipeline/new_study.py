@@ -1,4 +1,4 @@
-"""Make a study.toml from the files of a folder; what they do not say is asked, or assumed."""
+"""Make a study.toml from the files of a folder; what they do not say is left off, to be filled in."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ ASSUMED_DENSITY = "1900+-200"
 _TEXTS = (".csv", ".txt", ".asc", ".tsv")
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
-Ask = Callable[[str], str]
 
 
 @dataclass(frozen=True)
@@ -99,73 +98,38 @@ def _is(recognise: Callable[[], object]) -> bool:
     return True
 
 
-def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> Path:
+def new_study(folder: Path, *, force: bool = False) -> Path:
     """Write a study.toml next to the files of an ear and return its path.
-
-    Parameters
-    ----------
-    ask : callable, optional
-        Takes a question, returns the answer, empty for "not known"; None: everything is assumed.
 
     Raises
     ------
     StapeskitError
-        The folder has no scan or no vibrometer file, or several and no answer which; or a study.toml of
-        another origin.
+        The folder has no scan or no vibrometer file, or several of which none has the usual name; or a
+        study.toml of another origin.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise StapeskitError.of("the folder", "an existing folder", folder, "", "Check its name")
     found = look(folder)
-    scan = _one("scan", found.scans, folder, ask)
-    ldv = _one("vibrometer file", found.measurements, folder, ask)
-    unknown = [name for name in QUESTIONS if name != SPACING or _lacks_spacing(scan)]
-    answers = {name: _answer(ask, name, scan) if name in unknown else "" for name in QUESTIONS}
+    scan = _one("scan", found.scans, folder)
+    ldv = _one("vibrometer file", found.measurements, folder)
     outputs = Outputs("stapeskit new", folder, [STUDY], [], force)
     with outputs.staged() as stage:
-        text = study_text(folder.resolve().name, scan, ldv, found.others, answers)
+        text = study_text(folder.resolve().name, scan, ldv, found.others)
         (stage / STUDY).write_text(text, encoding="utf-8")
     return folder / STUDY
 
 
-def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
+def _one(what: str, files: list[Path], folder: Path) -> Path:
     if not files:
         step = f"Put the {what} there, or write the study by hand: scan2kd --template"
         raise StapeskitError.of(f"the folder {folder}", f"one with a {what}", "none", "", step)
-    if len(files) == 1:
-        return files[0]
     usual = [path for path in files if path.name.lower().split(".")[0] in ("scan", "ldv")]
-    if ask is None and len(usual) == 1:
-        return usual[0]
-    listed = ", ".join(f"{number} {path.name}" for number, path in enumerate(files, 1))
-    answer = "" if ask is None else ask(f"Which is the {what}? {listed}: ").strip()
-    chosen = [path for number, path in enumerate(files, 1) if answer in (str(number), path.name)]
-    if not chosen:
-        step = "Name one by its number, or move the others away"
-        raise StapeskitError.of(f"the {what}", "one file", listed, "", step)
-    return chosen[0]
-
-
-SPACING = "spacing_mm"
-QUESTIONS = {
-    SPACING: "Size of a voxel in mm, which the scan does not carry; H or DX,DY,DZ (empty: filled in later): ",
-    "density": "Density of the bone, kg/m3, as VALUE+-SD (empty: 1900+-200 is assumed): ",
-    "side": "Left or right ear (empty: not known): ",
-    "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
-}
-"""What no file says: options of ct2mass, which check the answers."""
-
-
-def _lacks_spacing(scan: Path) -> bool:
-    """Return whether no file says how large the voxels of a scan are."""
-    from ct_inertia.ct2mass import check_inputs
-    from ct_inertia.options import MassOptions
-
-    try:
-        check_inputs(MassOptions.of(scan=scan))
-    except StapeskitError as error:
-        return any(fault.thing == "the voxel spacing" for fault in error.faults)
-    return False
+    for chosen in (files, usual):
+        if len(chosen) == 1:
+            return chosen[0]
+    listed, step = ", ".join(path.name for path in files), "Move the others away, or name it scan or ldv"
+    raise StapeskitError.of(f"the {what}", "one file", listed, "", step)
 
 
 def needs(study: Path) -> str:
@@ -180,25 +144,7 @@ def needs(study: Path) -> str:
     return ""
 
 
-def _answer(ask: Ask | None, name: str, scan: Path) -> str:
-    """Return a right answer, or an empty one; a wrong one is asked again."""
-    from ct_inertia.options import MassOptions
-
-    question = QUESTIONS[name]
-    while ask is not None:
-        answer = ask(question).strip()
-        try:
-            MassOptions.of(scan=scan, **({name: answer} if answer else {}))
-        except StapeskitError as error:
-            question = f"{error} {QUESTIONS[name]}"
-            continue
-        return answer
-    return ""
-
-
-def study_text(
-    name: str, scan: Path, ldv: Path, others: Mapping[str, Path], answers: Mapping[str, str]
-) -> str:
+def study_text(name: str, scan: Path, ldv: Path, others: Mapping[str, Path]) -> str:
     """Return a study of about eleven keys, each with a comment; those that nothing is known of are off."""
 
     def line(key: str, value: object, comment: str, known: bool = True) -> str:
@@ -211,26 +157,18 @@ def study_text(
             if always or key in others
         ]
 
-    spacing, density, side, anterior = (answers[key] for key in QUESTIONS)
-    sizes = [float(part) for part in spacing.split(",")] if spacing else [0.02]
-    direction = [float(part) for part in anterior.split(",")] if anterior else [-1.0, 0.0, 0.0]
-    comment = "of the bone" if density else "is ASSUMED while this line is a comment: state your own"
     found_in_scan = {"labels": "a cut made elsewhere", "landmarks": "landmarks in the scan",
                      "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
     places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
+    assumed = "is ASSUMED while this line is a comment: state your own"
     tables = {
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
-            line(
-                SPACING,
-                sizes if len(sizes) > 1 else sizes[0],
-                "voxel size, where the scan does not carry it",
-                bool(spacing),
-            ),
-            line("density_kg_m3", density or ASSUMED_DENSITY, comment, bool(density)),
-            line("side", side or "left", "names z superior or inferior", bool(side)),
-            line("anterior", direction, "towards anterior in scan axes; its sign counts", bool(anterior)),
+            line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", False),
+            line("density_kg_m3", ASSUMED_DENSITY, assumed, False),
+            line("side", "left", "names z superior or inferior", False),
+            line("anterior", [-1.0, 0.0, 0.0], "towards anterior in scan axes; its sign counts", False),
             *files(found_in_scan, always=False),
         ],
         "ldv": [line("file", ldv.name, "vibrometer file"), *files(places, always=True)],

@@ -37,13 +37,8 @@ _MAIN = (
 
 def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
     """Return verdict, mass, K, D and modes with their uncertainty."""
-    from fitting.report.summary import summary_rows as fit_rows
-    from fitting.rim import rim_stiffness
-
-    verdict, *rows = fit_rows(result.fit)
-    rim = rim_stiffness(result.fit, result.study.scan.side or "")
-    where = [] if rim is None else [("along the rim", rim.sentence())]
-    return [verdict, ("mass", _mass_text(result.mass)), *rows, *where]
+    verdict, *rows = result.fit.summary()
+    return [verdict, ("mass", _mass_text(result.mass)), *rows]
 
 
 def _mass_text(mass: Mapping[str, Any]) -> str:
@@ -55,20 +50,20 @@ def _mass_text(mass: Mapping[str, Any]) -> str:
 def study_page(result: StudyResult) -> page.Page:
     """Return the report of a study."""
     from ct_inertia.report.sections import add_sections, reduced_matrix
-    from fitting.report.page import matrices, report_sections, rim_blocks, verdict_block, without_matrices
+    from fitting.report.page import add_sections as add_fit
+    from fitting.report.page import matrices, rim_blocks, summary_table, verdict_block
     from kinematics.report.page import motion_sections
 
     fit, study = result.fit, result.study
     made = page.Page(result.name, study.about.notes)
-    summary = page.table(("", ""), without_matrices(summary_rows(result)), words=True)
-    made.add(verdict_block(fit), page.beside(summary, *rim_blocks(fit, study.scan.side or "")))
+    made.add(verdict_block(fit), page.beside(summary_table(summary_rows(result)), *rim_blocks(fit)))
     known = [] if study.about.truth is None else [truth_table(result, study.about.truth)]
     made.add(page.beside(*matrices(fit), reduced_matrix(result.mass), *known))
 
     collected = page.Page("all sections")
     add_sections(collected, result.mass, result.pictured)
     motion_sections(collected, result.moved)
-    report_sections(fit, collected)
+    add_fit(fit, collected)
     made.section("The moving stapes", page.viewer(moving_stapes(result)))
     sections = [*collected.sections, *collected.appendix]
     first = [section for name in _MAIN for section in sections if section.name == name]
@@ -139,13 +134,14 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
     StapeskitError
         A file of another origin has the name of a figure, unless ``force``.
     """
+    from fitting.rim import rim_figure
+
     from ct_inertia.report.pictures import slices_figure, views
     from fitting.report.figures import all_figures
-    from fitting.rim import rim_figure, rim_stiffness
     from kinematics.report.figures import residual_figure, spectra_figure
     from stapeskit.report.figures import save_figures
 
-    rim = rim_stiffness(result.fit, result.study.scan.side or "")
+    rim = rim_of(result.fit)
     figures: dict[str, Figure | None] = {
         **all_figures(result.fit),
         "stapes": views(result.mass, result.pictured),

@@ -18,7 +18,7 @@ From a micro-CT and a 3D laser Doppler vibrometer to mass, stiffness and damping
 of a stapes.
 
   sample DIR     copy a complete simulated study into DIR
-  new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
+  new [DIR]      write a study.toml for the files of DIR
   app [FOLDER]   the whole chain in one page in the browser
   compare A B    two results side by side: differences, responses
                  (--what-if K*10: of one or both, what a change would do)
@@ -35,7 +35,7 @@ try it:
 """
 _OWN = {
     "sample": "sample DIR [--force]",
-    "new": "new [DIR] [--yes] [--force]",
+    "new": "new [DIR] [--force]",
     "app": "app [FOLDER] [--no-browser] [--port NUMBER]",
     "compare": "compare A [B] [--what-if K*10|D*2|mass+5mg@head ...] [--out DIR] [--force]",
 }
@@ -110,14 +110,13 @@ def _sample(words: Sequence[str]) -> None:
 
 
 def _new(words: Sequence[str]) -> None:
-    """Write a study.toml for the files of a folder; ask what no file says, unless --yes."""
+    """Write a study.toml for the files of a folder, and say what it still lacks."""
     from pathlib import Path
 
     from pipeline.new_study import needs, new_study
 
-    folders = _folders(words, "new", (0, 1), ("--yes", "--force"))
-    ask = None if "--yes" in words or not sys.stdin.isatty() else input
-    path = new_study(Path(*folders), ask, force="--force" in words)
+    folders = _folders(words, "new", (0, 1), ("--force",))
+    path = new_study(Path(*folders), force="--force" in words)
     missing = needs(path)
     still = f"Before it can run:\n{missing}\n" if missing else ""
     sys.stdout.write(f"{path} written. {still}Look at it, then run: scan2kd {path}\n")
@@ -147,9 +146,8 @@ def _compare(words: Sequence[str]) -> Outcome:
     """Compare two results, or predict the effect of changes on one or both."""
     from pathlib import Path
 
-    from pipeline.cohort.ears import read_ears
-    from pipeline.compare import compare, write_comparison
-    from pipeline.what_if import SENTENCE, effect, read_change, write_what_if
+    from pipeline.compare import compare, read_folders, write_comparison
+    from pipeline.what_if import SENTENCE, effect, read_change
 
     rest, given = _taken(words, "compare", ("--out", "--what-if"))
     out = Path(given["--out"][-1] if given["--out"] else "compare_out")
@@ -167,12 +165,10 @@ def _compare(words: Sequence[str]) -> Outcome:
             for name, first, second, change, p in found.rows()
         ]
     if changes:
-        ears = read_ears((folder, folder.resolve().name, {}) for folder in folders)
-        read = list(zip(ears, folders, strict=True))
+        read = list(zip(read_folders(folders), folders, strict=True))
         effects = [effect(ear, folder, change) for ear, folder in read for change in changes]
-        files += write_what_if(effects, out, inputs, "--force" in rest)
-        for one in effects:
-            rows += [(f"{one.name}, {place}", text) for place, text in one.rows()]
+        files += write_comparison(effects, out, inputs, "--force" in rest)
+        rows += [(f"{one.name}, {place}", text) for one in effects for place, text in one.rows()]
         rows.append(("mind", SENTENCE))
     return Outcome("results side by side", rows, (), files)
 

@@ -17,13 +17,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fitting.causes import point
+from fitting.draws import root_of
+from fitting.entries import join, split
 from fitting.laws import LAWS, Law
-from stapeskit.arrays import Array, ComplexArray
+from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.spatial import DOF_NAMES, matrix_from_parameters
+from stapeskit.spatial import dof_indices, matrix_from_parameters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
     from pipeline.cohort.ears import Ear
     from stapeskit.report.page import Page
@@ -33,7 +37,6 @@ SENTENCE = (
     "This is the piston of the stapes alone: in a whole ear, with incus, drum and cochlea, it does not hold "
     "above about 3 kHz."
 )
-FILES = ("what_if.html", "what_if.csv")
 _COLOURS = ("#0b6e99", "#b3541e", "#4d7a2b", "#6b4c9a")
 _FORMS = "K*FACTOR, D*FACTOR, or mass+MGmg@head (or @X,Y,Z in footplate axes, mm)"
 _DRAWS = 400  # from the joint covariance of K and D: limits of an interval to a tenth of its width
@@ -93,14 +96,12 @@ class Effect:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the change at some frequencies."""
+        curves = (self.change_db, self.low_db, self.high_db)
+        inside = [freq for freq in _SHOWN_HZ if self.freq_hz[0] <= freq <= self.freq_hz[-1]]
         found = []
-        for freq in _SHOWN_HZ:
-            if self.freq_hz[0] <= freq <= self.freq_hz[-1]:
-                value, low, high = (
-                    float(np.interp(freq, self.freq_hz, one))
-                    for one in (self.change_db, self.low_db, self.high_db)
-                )
-                found.append((f"at {freq:g} Hz", f"{value:+.1f} dB ({low:+.1f} to {high:+.1f})"))
+        for freq in inside:
+            value, low, high = (float(np.interp(freq, self.freq_hz, curve)) for curve in curves)
+            found.append((f"at {freq:g} Hz", f"{value:+.1f} dB ({low:+.1f} to {high:+.1f})"))
         return found
 
 
@@ -124,7 +125,7 @@ def read_change(words: str) -> Change:
     raise StapeskitError.of("--what-if", _FORMS, words, "", "For example K*10 or mass+5mg@head")
 
 
-def effect(ear: Ear, folder: Path, change: Change, seed: int = 1) -> Effect:
+def effect(ear: Ear, folder: Path, change: Change) -> Effect:
     """Return what a change does to the response of a finished ear.
 
     Raises
@@ -135,72 +136,41 @@ def effect(ear: Ear, folder: Path, change: Change, seed: int = 1) -> Effect:
     dof = tuple(ear.kd["dof"])
     if "y" not in dof:
         raise StapeskitError.of("the degrees of freedom", "with y for --what-if", ", ".join(dof))
-    place = change.place_mm
-    if change.mass_kg and place is None:
-        place = head_of(folder, ear.mass)
-    at = [DOF_NAMES.index(name) for name in dof]
-    own = np.array(ear.kd["mass_matrix_si"], dtype=float)
-    added = np.zeros((6, 6)) if place is None else point_mass(change.mass_kg, 1e-3 * np.asarray(place))
-    band = (ear.kd.get("model") or {}).get("band_hz") or (200.0, 5000.0)
+    mass, places = np.array(ear.kd["mass_matrix_si"], dtype=float), dof_indices(dof)
+    heavier = mass
+    if change.mass_kg:
+        place = head_of(folder, ear.mass) if change.place_mm is None else change.place_mm
+        added = matrix_from_parameters(point(1e-3 * place, change.mass_kg))
+        heavier = mass + added[np.ix_(places, places)]
+    model = ear.kd.get("model") or {}
+    band = model.get("band_hz") or (200.0, 5000.0)
     freq = np.geomspace(min(200.0, float(band[0])), max(5000.0, float(band[1])), 200)
-    omega, s = 2.0 * np.pi * freq, _law_of(ear.kd).factor(2.0 * np.pi * freq)
-    more, piston = own + added[np.ix_(at, at)], dof.index("y")
+    omega = 2.0 * np.pi * freq
+    loss, square, piston = (
+        _law_of(model).factor(omega)[:, None, None],
+        omega[:, None, None] ** 2,
+        dof.index("y"),
+    )
 
-    def change_db(stiffness: Array, damping: Array) -> Array:
-        before = _response(omega, s, (stiffness, damping, own), piston)
-        after = _response(omega, s, (change.stiffness * stiffness, change.damping * damping, more), piston)
+    def change_db(entries: Array) -> Array:
+        stiffness, damping = split(entries, len(dof))
+        before = stiffness + loss * damping - square * mass
+        after = change.stiffness * stiffness + change.damping * loss * damping - square * heavier
+        before, after = (np.linalg.inv(one)[:, piston, piston] for one in (before, after))
         return np.asarray(20.0 * np.log10(np.abs(after / before)))
 
-    mean = np.array(ear.kd["stiffness_si"], dtype=float), np.array(ear.kd["damping_si"], dtype=float)
-    draws = np.array([change_db(*one) for one in _draws(ear.kd, mean, seed)])
-    low, high = np.percentile(draws, (2.5, 97.5), axis=0)
-    return Effect(ear.name, change, freq, change_db(*mean), low, high)
+    mean = join(np.array(ear.kd["stiffness_si"], dtype=float), np.array(ear.kd["damping_si"], dtype=float))
+    normal = np.random.default_rng(1).standard_normal((_DRAWS, len(mean)))
+    drawn = mean + normal @ root_of(np.array(ear.kd["covariance_si"], dtype=float)).T
+    low, high = np.percentile([change_db(one) for one in drawn], (2.5, 97.5), axis=0)
+    return Effect(ear.name, change, freq, change_db(mean), low, high)
 
 
-def _law_of(kd: Mapping[str, Any]) -> Law:
-    """Return the damping law of a kd.json."""
-    model = kd.get("model") or {}
+def _law_of(model: Mapping[str, Any]) -> Law:
+    """Return the damping law of the block ``model`` of a kd.json."""
     name = str(model.get("damping_law", "viscous"))
     time_s, exponent = model.get("relaxation_time_s"), model.get("damping_exponent", 1.0)
     return Law(name, float(time_s if LAWS[name].is_time and time_s is not None else exponent))
-
-
-def _response(omega: Array, s: ComplexArray, parts: tuple[Array, Array, Array], place: int) -> ComplexArray:
-    """Return the compliance of one degree of freedom, (L,), m/N, of K, D and M (n, n) each."""
-    stiffness, damping, mass = parts
-    dynamic = stiffness + s[:, None, None] * damping - (omega**2)[:, None, None] * mass
-    force = np.zeros((len(omega), len(mass), 1))
-    force[:, place] = 1.0
-    return np.asarray(np.linalg.solve(dynamic, force)[:, place, 0])
-
-
-def _draws(kd: Mapping[str, Any], mean: tuple[Array, Array], seed: int) -> list[tuple[Array, Array]]:
-    """Draw K and D (n, n) from their joint normal distribution."""
-    n = len(kd["dof"])
-    rows, columns = np.triu_indices(n)
-    values = np.concatenate([one[rows, columns] for one in mean])
-    covariance = np.array(kd["covariance_si"], dtype=float)
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    roots, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    spread = size[:, None] * axes * np.sqrt(np.maximum(roots, 0.0))
-    drawn = values + np.random.default_rng(seed).standard_normal((_DRAWS, len(values))) @ spread.T
-    found = []
-    for one in drawn:
-        pair = []
-        for part in np.split(one, 2):
-            matrix = np.zeros((n, n))
-            matrix[rows, columns] = matrix[columns, rows] = part
-            pair.append(matrix)
-        found.append((pair[0], pair[1]))
-    return found
-
-
-def point_mass(mass_kg: float, place_m: Array) -> Array:
-    """Return the mass matrix (6, 6) of a point mass at a place in footplate axes, SI."""
-    x, y, z = place_m
-    inertia = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -y * z, -x * z)
-    parameters = mass_kg * np.array([1.0, x, y, z, *inertia])
-    return np.asarray(matrix_from_parameters(parameters))
 
 
 def head_of(folder: Path, mass: Mapping[str, Any]) -> Array:
@@ -229,7 +199,7 @@ def what_if_figure(effects: Sequence[Effect]) -> Figure:
 
     with style():
         drawing, grid = panels(1, 1, width=6.4, height=3.2)
-        axes = grid.ravel()[0]
+        axes = grid[0, 0]
         for place, one in enumerate(effects):
             colour = _COLOURS[place % len(_COLOURS)]
             axes.plot(one.freq_hz, one.change_db, color=colour, label=one.name)
@@ -256,27 +226,13 @@ def what_if_page(effects: Sequence[Effect]) -> Page:
     return made
 
 
-def write_what_if(
-    effects: Sequence[Effect], out: Path, inputs: Sequence[Path], force: bool = False
-) -> list[Path]:
-    """Write what_if.html and a numeric what_if.csv.
-
-    Raises
-    ------
-    StapeskitError
-        A file of another origin has one of these names, unless ``force``.
-    """
+def what_if_frame(effects: Sequence[Effect]) -> DataFrame:
+    """Return the changes over frequency, the rows of what_if.csv."""
     import pandas as pd
 
-    from stapeskit.outputs import Outputs
-
-    outputs = Outputs("stapeskit compare --what-if", out, FILES, inputs, force)
-    with outputs.staged() as stage:
-        what_if_page(effects).write(stage / FILES[0])
-        parts = [
-            pd.DataFrame({"ear": one.ear, "change": one.change.words, "freq_hz": one.freq_hz,
-                          "change_db": one.change_db, "low_95_db": one.low_db, "high_95_db": one.high_db})
-            for one in effects
-        ]  # fmt: skip
-        pd.concat(parts).to_csv(stage / FILES[1], index=False, lineterminator="\n")
-    return list(outputs.paths())
+    parts = [
+        pd.DataFrame({"ear": one.ear, "change": one.change.words, "freq_hz": one.freq_hz,
+                      "change_db": one.change_db, "low_95_db": one.low_db, "high_95_db": one.high_db})
+        for one in effects
+    ]  # fmt: skip
+    return pd.concat(parts)

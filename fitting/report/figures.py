@@ -1,9 +1,9 @@
-"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals."""
+"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals, rim."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fitting.result import KDFit
+    from fitting.ring import Rim
 
 _CLEAR = 3.0  # standard deviations from which a response is clear of its noise
+_MOST_RUNS = 4  # whose responses are drawn
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,8 @@ def axes_figure(fit: KDFit) -> Figure | None:
         return None
     drawing, panel = panels(1, 1, width=6.2, height=4.2)
     axes = panel[0, 0]
-    if fit.footplate_outline_mm is not None:
-        outline = fit.footplate_outline_mm[:, [0, -1]]
+    if fit.outline_mm is not None:
+        outline = fit.outline_mm
         axes.fill(*outline.T, color=lighten(BODY_COLOURS["stapes"], 0.8), lw=0)
         axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
     stiffness = entries.split(fit.draws.draws[:400], len(fit.dof))[0]
@@ -176,19 +178,44 @@ def axes_figure(fit: KDFit) -> Figure | None:
     return drawing
 
 
+@style()
+def rim_figure(rim: Rim) -> Figure:
+    """Draw the rim with its stiffness as colour and width, and the names of its sides."""
+    from matplotlib.collections import LineCollection
+
+    drawing, grid = panels(1, 1, width=6.4, height=3.8)
+    axes = grid[0, 0]
+    shade = (rim.ratio - rim.ratio.min()) / max(float(np.ptp(rim.ratio)), 1e-9)
+    pieces = np.stack([rim.points_mm, np.roll(rim.points_mm, -1, axis=0)], axis=1)
+    axes.add_collection(
+        LineCollection(list(pieces), array=shade, cmap="viridis", linewidths=3.0 + 7.0 * shade)
+    )
+    best = rim.points_mm[rim.stiffest]
+    axes.annotate(f"{rim.ratio[rim.stiffest]:.2f}", best, ha="center", va="center", fontsize=9)
+    low, high = rim.points_mm.min(axis=0), rim.points_mm.max(axis=0)
+    x, z = 0.5 * (low + high)
+    up, down = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(
+        rim.side, ("+z", "-z")
+    )
+    for text, place in (
+        ("anterior", (high[0] + 0.25, z)),
+        ("posterior", (low[0] - 0.25, z)),
+        (up, (x, high[1] + 0.2)),
+        (down, (x, low[1] - 0.2)),
+    ):
+        axes.text(*place, text, ha="center", va="center", fontsize=9, color="#52606d")
+    axes.set_aspect("equal")
+    axes.set(xlabel="x (mm)", ylabel="z (mm)", xlim=(low[0] - 0.7, high[0] + 0.7))
+    axes.set_ylim(low[1] - 0.45, high[1] + 0.45)
+    return drawing
+
+
 def all_figures(fit: KDFit) -> dict[str, Figure]:
-    """Return every figure of the page by its file name."""
-    makers: dict[str, Any] = {
-        **{
-            f"responses_run_{run + 1}": lambda run=run: response_figure(fit, run) for run in range(_runs(fit))
-        },
-        "principal_axes": lambda: axes_figure(fit),
-        "residuals": lambda: residual_figure(fit),
+    """Return every figure of the page by its file name; the responses of up to four runs."""
+    runs = range(min(len(fit.found.data.runs), _MOST_RUNS))
+    drawn = {
+        **{f"responses_run_{run + 1}": response_figure(fit, run) for run in runs},
+        "principal_axes": axes_figure(fit),
+        "residuals": residual_figure(fit),
     }
-    drawn = {name: make() for name, make in makers.items()}
     return {name: one for name, one in drawn.items() if one is not None}
-
-
-def _runs(fit: KDFit) -> int:
-    """Return the number of runs that are drawn: up to four."""
-    return min(len(np.unique(fit.found.data.run)), 4)

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting import entries
-from fitting.laws import causal_rise
+from fitting.evidence import found_from
 from fitting.model import NORMALISATION
-from fitting.plan import Plan, Way, plan_rows
-from fitting.report.figures import all_figures
-from fitting.report.kd_json import equation, found_from, ring_of, shown_sources
+from fitting.report.figures import all_figures, rim_figure
+from fitting.report.kd_json import equation
 from fitting.report.summary import determined, summary_rows
-from fitting.rim import rim_figure, rim_stiffness
+from fitting.ring import rim_of, ring_of
 from stapeskit.arrays import Array
 from stapeskit.report import page
 from stapeskit.report.quantities import (
+    ANGLE,
+    LENGTH,
     PERCENT,
     ROTATION_STIFFNESS,
     STIFFNESS,
     Quantity,
-    ShownUnit,
     matrix_units,
     plus_minus,
 )
@@ -29,7 +29,6 @@ from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from typing import Any
 
     from markupsafe import Markup
     from matplotlib.figure import Figure
@@ -39,34 +38,46 @@ if TYPE_CHECKING:
 
 _LARGEST = 5  # sources of uncertainty that are listed one by one
 _ABOUT = "about the footplate centre in footplate axes"
+_YES = {True: "yes", False: "no"}
 
 
 def kd_page(fit: KDFit) -> Page:
     """Return the page of a fit."""
-    data = fit.found.data
     lead = (
         f"{', '.join(fit.dof)} {_ABOUT}; estimator {fit.options.estimator}, {fit.law.name} damping "
-        f"({fit.law.formula}), {data.count} lines."
+        f"({fit.law.formula}), {fit.found.data.count} lines."
     )
     made = page.Page("Stiffness and damping of the annular ligament", lead)
-    rim = rim_blocks(fit, "")
-    summary = page.table(("", ""), without_matrices(summary_rows(fit)), words=True)
-    made.add(verdict_block(fit), page.beside(summary, *rim), page.beside(*matrices(fit)))
-    for name, blocks in sections(fit, all_figures(fit)).items():
-        made.section(name, *blocks)
+    made.add(verdict_block(fit), page.beside(summary_table(summary_rows(fit)), *rim_blocks(fit)))
+    made.add(page.beside(*matrices(fit)))
+    add_sections(fit, made)
     made.section("Warnings", page.notices(fit.notices))
     made.appendix_section("Inputs", page.inputs(fit.provenance))
     return made
 
 
-def without_matrices(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the rows of a summary without those that the matrices show."""
-    return [row for row in rows if not row[0].startswith(("K(", "D("))]
+def add_sections(fit: KDFit, into: Page) -> list[Section]:
+    """Add the sections of a fit to a page, also that of a study; return them."""
+    figures = all_figures(fit)
+    made = {
+        "Measured and simulated responses": _responses(fit, figures),
+        "Modes": _modes(fit),
+        "Principal axes and plane of the ligament": [*_axes(fit, figures), *_plane(fit)],
+        "Is the model right?": _causes(fit, figures),
+        "Where the uncertainty comes from": budget_blocks(fit),
+        "What the data determine": _identifiability(fit),
+    }
+    return [into.section(name, *blocks) for name, blocks in made.items() if blocks]
 
 
-def rim_blocks(fit: KDFit, side: str) -> list[Markup]:
-    """Return the stiffness along the rim of the footplate, where it is known; ``side``: left, right or ""."""
-    rim = rim_stiffness(fit, side)
+def summary_table(rows: Sequence[tuple[str, str]]) -> Markup:
+    """Return a summary without the rows that the matrices show."""
+    return page.table(("", ""), [row for row in rows if not row[0].startswith(("K(", "D("))], words=True)
+
+
+def rim_blocks(fit: KDFit) -> list[Markup]:
+    """Return the stiffness along the rim of the footplate, where it is known."""
+    rim = rim_of(fit)
     if rim is None:
         return []
     caption = (
@@ -85,55 +96,33 @@ def verdict_block(fit: KDFit) -> Markup:
 
 def matrices(fit: KDFit) -> list[Markup]:
     """Return K and D with their intervals."""
-    n, law = len(fit.dof), fit.law
-    limits = [entries.split(side, n) for side in fit.intervals.T]
-    blocks = []
-    for place, (letter, values, sds) in enumerate(
-        zip("KD", (fit.stiffness, fit.damping), fit.standard_deviation, strict=True)
-    ):
-        blocks.append(
-            page.matrix(
-                fit.dof,
-                values,
-                sds,
-                matrix_units(letter, fit.dof, law.time_power),
-                f"{letter} {_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources.",
-                title="Stiffness K" if letter == "K" else f"Damping D ({law.formula})",
-                interval_95_si=np.stack([side[place] for side in limits], axis=-1),
-            )
+    titles = {"K": "Stiffness K", "D": f"Damping D ({fit.law.formula})"}
+    values = zip(titles, (fit.stiffness, fit.damping), fit.standard_deviation, strict=True)
+    caption = f"{_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources."
+    return [
+        page.matrix(
+            fit.dof,
+            value,
+            sd,
+            matrix_units(letter, fit.dof, fit.law.time_power),
+            f"{letter} {caption}",
+            title=titles[letter],
         )
-    return blocks
+        for letter, value, sd in values
+    ]
 
 
-def sections(fit: KDFit, figures: Mapping[str, Figure]) -> dict[str, list[Markup]]:
-    """Return the blocks of every section by its heading, in their order; empty ones are left out."""
-    made = {
-        "Measured and simulated responses": _responses(figures),
-        "Modes": _modes(fit),
-        "Principal axes and plane of the ligament": [*_axes(fit, figures), *_plane(fit)],
-        "Is the model right?": _causes(fit, figures),
-        "Where the uncertainty comes from": _budget(fit),
-        "What the data determine": _identifiability(fit),
-    }
-    return {name: blocks for name, blocks in made.items() if blocks}
-
-
-def _drawn(figures: Mapping[str, Figure], name: str, caption: str, alt: str) -> list[Markup]:
-    return [page.figure(figures[name], caption, alt, file=name)] if name in figures else []
-
-
-def _responses(figures: Mapping[str, Figure]) -> list[Markup]:
+def _responses(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     text = (
         "The structure's motion at the footplate centre (dots) against the response of the fitted model "
         "(line) to the measured base motion at the same point and to the load of other measured motion: "
         "paper Eq. 8, Figs. 4 and 5. The band is what the uncertainty of K and D leaves open (95 %); "
         "ripples of the line are noise of the base."
     )
-    blocks = [page.text(text)]
-    for name in figures:
-        if name.startswith("responses"):
-            caption = f"Run {name.rpartition('_')[2]}." if "responses_run_2" in figures else ""
-            blocks += _drawn(figures, name, caption, "measured and simulated responses")
+    blocks, runs = [page.text(text)], [name for name in figures if name.startswith("responses")]
+    for name, run in zip(runs, fit.found.data.runs, strict=False):
+        caption = f"Run {run}." if len(runs) > 1 else ""
+        blocks.append(page.figure(figures[name], caption, "measured and simulated responses", file=name))
     return blocks
 
 
@@ -156,15 +145,14 @@ def _modes(fit: KDFit) -> list[Markup]:
     return [page.table(head, rows, caption)]
 
 
-_MILLIMETRE, _DEGREE = ShownUnit("mm", 1e3), ShownUnit("°", 180.0 / np.pi)
-_AXES = (
-    ("origin x", _MILLIMETRE),
-    ("origin z", _MILLIMETRE),
-    ("angle about +y", _DEGREE),
-    ("along y", STIFFNESS),
-    ("about the axis near x", ROTATION_STIFFNESS),
-    ("about the axis near z", ROTATION_STIFFNESS),
-)
+_AXES = {
+    "origin x": LENGTH,
+    "origin z": LENGTH,
+    "angle about +y": ANGLE,
+    "along y": STIFFNESS,
+    "about the axis near x": ROTATION_STIFFNESS,
+    "about the axis near z": ROTATION_STIFFNESS,
+}
 """Principal axes as people see them (`fitting.axes.NAMES`)."""
 
 
@@ -174,28 +162,22 @@ def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         return []
     rows = [
         (name, Quantity(float(value), float(sd), unit))
-        for (name, unit), value, sd in zip(_AXES, values, sds, strict=True)
+        for (name, unit), value, sd in zip(_AXES.items(), values, sds, strict=True)
     ]
     caption = "The point and the turn about y that uncouple piston and rocking (paper, Fig. 6); not eig(K)."
-    blocks = [page.table(("", "principal axes of K"), rows, caption)]
-    blocks += _drawn(figures, "principal_axes", "Origin and axes on the footplate.", "principal axes")
+    blocks = [
+        page.table(("", "principal axes of K"), rows, caption),
+        page.figure(figures["principal_axes"], "Origin and axes on the footplate.", "principal axes"),
+    ]
     ring = ring_of(fit)
     if ring is not None:
-        shear, loss = (plus_minus(part.value, part.sd) for part in (ring.shear_pa, ring.loss_factor))
+        near_x, near_z = ring.rocking_ratio
         text = (
-            "A uniform ring of the same piston stiffness around this footplate would be {:.2f} (near x) "
-            "and {:.2f} (near z) times less stiff against rocking than measured: 1 is an even ligament. Its "
-            f"shear modulus times thickness over width is {shear} Pa, its loss factor {loss} in the middle "
-            "of the band."
-        ).format(*ring.rocking_ratio)
-        freq = fit.found.data.freq_hz
-        rise = causal_rise(fit.law, ring.loss_factor.value, (float(freq.min()), float(freq.max())))
-        if rise is not None:
-            text += (
-                f" {fit.law.name.capitalize()} damping with a constant K is not causal: with this loss "
-                f"factor K of a real ligament rises by {100.0 * rise:.0f} % over the band (Kramers and "
-                "Kronig)."
-            )
+            f"A uniform ring of the same piston stiffness around this footplate would be {near_x:.2f} (near "
+            f"x) and {near_z:.2f} (near z) times less stiff against rocking than measured: 1 is an even "
+            f"ligament. Its shear modulus times thickness over width is {plus_minus(*ring.shear_pa)} Pa, its "
+            f"loss factor {plus_minus(*ring.loss_factor)} in the middle of the band."
+        )
         blocks.append(page.text(text))
     return blocks
 
@@ -231,9 +213,7 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         rows = [
             (
                 other.title,
-                f"{plus_minus(other.value, other.sd)} {other.unit}".strip()
-                if other.sd
-                else f"{other.value:g}",
+                f"{plus_minus(other.value, other.sd)} {other.unit}" if other.sd else f"{other.value:g}",
                 f"e^{other.log_odds:.0f}",
                 _YES[other.found.explained],
                 Quantity(float(weight), None, PERCENT),
@@ -244,15 +224,15 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         caption = "Intervals of K and D are averaged over these explanations with their weights."
         blocks.append(page.table(head, rows, caption))
     least = [
-        (one.title, Quantity(found_from(score.sd, one.sd, one.chance)), one.unit)
+        (score.unknown.title, Quantity(found_from(score)), score.unknown.unit)
         for score in search.scores
-        if not (one := score.unknown).family and one.only is None
+        if not score.unknown.family and score.unknown.only is None
     ]
     if least:
         table = page.table(("error that these data can reveal", "from", ""), least)
         blocks.append(page.folded("From which size errors are found", table))
     caption = "No pattern (left) and a straight line (right) mean that the model holds."
-    blocks += _drawn(figures, "residuals", caption, "residuals")
+    blocks.append(page.figure(figures["residuals"], caption, "residuals", file="residuals"))
     if fit.solution.laws:
         compared = [
             (name, one.law.formula, float(one.chi2), _YES[one.explained])
@@ -263,17 +243,34 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     return blocks
 
 
-_YES = {True: "yes", False: "no"}
+_SOURCES = {
+    "channel_noise": "channel noise",
+    "registration": "registration of the vibrometer",
+    "plate_frame": "plate frame in the scan",
+    "footplate_frame": "footplate frame (motion and mass together)",
+    "position": "point positions",
+    "laser_gain": "gain of the lasers",
+    "laser_phase": "phase of the lasers",
+    "laser_delay": "delay of the lasers",
+    "inplane_stiffness": "stiffness in the plane of the ligament",
+    "ligament_plane": "height and tilt of the ligament's plane (second order)",
+    "model_error": "what the model may lack, and weak data",
+}
+"""Sources of a budget as people call them."""
 
 
-def _size(value: float, sd: float, unit: str) -> str:
-    return f"{plus_minus(value, sd)} {unit}".strip() if sd else f"{value:g}"
+def _shown_source(source: str) -> str:
+    from stapeskit.records.mass_matrix import source_words
+
+    if source.startswith("mass."):
+        return source_words(source.removeprefix("mass."))
+    return _SOURCES.get(source, source.replace("_", " "))
 
 
-def _budget(fit: KDFit) -> list[Markup]:
+def budget_blocks(fit: KDFit) -> list[Markup]:
+    """Return the largest sources of uncertainty of the diagonal entries; all of them folded."""
     places = entries.diagonals(len(fit.dof))
-    words = shown_sources(fit.budget)
-    variances = {words[source]: np.diag(part)[places] for source, part in fit.budget.items()}
+    variances = {_shown_source(source): np.diag(part)[places] for source, part in fit.budget.items()}
     size = entries.sizes(fit.stiffness, fit.damping)[places]
 
     def row(source: str, variance: Array) -> tuple[str, ...]:
@@ -286,13 +283,15 @@ def _budget(fit: KDFit) -> list[Markup]:
     if rest:
         rows.append(row(f"{len(rest)} others together", np.sum([variances[one] for one in rest], axis=0)))
     rows.append(row("all sources", np.diag(fit.covariance)[places]))
-    names = [f"{fit.parameters[place]}, {letter}({name})" for place, (letter, name) in
-             zip(places, [(letter, name) for letter in "KD" for name in fit.dof], strict=True)]  # fmt: skip
+    shown = [f"{letter}({name})" for letter in "KD" for name in fit.dof]
+    head = (
+        "source",
+        *(f"{fit.parameters[place]}, {name}" for place, name in zip(places, shown, strict=True)),
+    )
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
-    table = page.table(("source", *names), rows, caption)
-    blocks = [table]
+    blocks = [page.table(head, rows, caption)]
     if rest:
-        whole = page.table(("source", *names), [row(one, variances[one]) for one in by_size])
+        whole = page.table(head, [row(one, variances[one]) for one in by_size])
         blocks.append(page.folded("All sources", whole))
     return blocks
 
@@ -314,31 +313,3 @@ def _identifiability(fit: KDFit) -> list[Markup]:
         "Relative to sqrt(Xii Xjj). Bound: smallest sd of any unbiased estimator of this model (Cramer-Rao)."
     )
     return [page.table(("entry", "standard deviation", "bound"), rows, caption)]
-
-
-def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
-    """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
-    fit = ways[0].fit
-    lead = (
-        f"{plan.lines} lines of {plan.band_hz[0]:g} to {plan.band_hz[1]:g} Hz, driven along "
-        f"{', '.join(plan.directions)}."
-    )
-    made = page.Page("What a planned measurement can reach", lead)
-    made.add(page.table(("", ""), plan_rows(ways), words=True), *matrices(fit))
-    rows = [
-        (way.name, *(f"{100.0 * value:.2g} %" for value in way.relative), ", ".join(way.weak) or "none")
-        for way in ways
-    ]
-    head = ("", *fit.parameters, "over 10 %")
-    made.section(
-        "What a change would bring",
-        page.table(head, rows, "Expected sd relative to sqrt(Xii Xjj)."),
-    )
-    made.section("What limits the entries", *_budget(fit))
-    made.appendix_section("Inputs", page.inputs(dict(provenance)))
-    return made
-
-
-def report_sections(fit: KDFit, into: Page) -> list[Section]:
-    """Add the sections of a fit to the page of a study; return them."""
-    return [into.section(name, *blocks) for name, blocks in sections(fit, all_figures(fit)).items()]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting.likelihood import LOAD, PLANE
+from fitting.ring import rim_of
 from stapeskit.report.quantities import diagonal_unit, plus_minus
 
 if TYPE_CHECKING:
@@ -37,6 +38,9 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         angle, angle_sd = np.degrees(derived.axes[2]), float(np.degrees(derived.axes_sd[2]))
         turn = "by an undetermined angle" if angle_sd > _ANY_TURN_DEG else f"{plus_minus(angle, angle_sd)}°"
         rows.append(("principal axes", f"origin x {x}, z {z} mm, turned {turn} about y"))
+    rim = rim_of(fit)
+    if rim is not None:
+        rows.append(("along the rim", rim.sentence()))
     yes = {True: "yes", False: "NO"}
     rows.append(("stable, passive", f"{yes[fit.modes.stable]}, {yes[all(fit.passive)]}"))
     ratio_text = f"{fit.found.level:.3f} ({fit.found.n_dof})" if fit.found.n_dof > 0 else "none left"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,7 @@ from pipeline.cohort.laws import LEAST_EARS, CohortLaw, components_of, fit_laws,
 from pipeline.cohort.logs import LogTable, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
+from stapeskit.records.measured_mass import measured_mass
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, unique
 
@@ -302,19 +302,10 @@ def cohort_of(
     return Cohort(tuple(ears), excluded, table, fitted, components_of(table), unique(notices))
 
 
-def _mass_content(source: object) -> Mapping[str, Any]:
+def _mass_content(source: Any) -> Mapping[str, Any]:
     """Return the content of mass.json out of whatever holds it."""
-    if isinstance(source, str | os.PathLike):
-        path = Path(source)
-        path = path / "mass.json" if path.is_dir() else path
-        try:
-            source = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            step = "Run ct2mass on the scan first"
-            raise StapeskitError.of(str(path), "a mass.json", error, "", step) from error
-    found = getattr(source, "content", None)
-    found = found() if callable(found) else getattr(source, "mass", source)
-    if not isinstance(found, Mapping):
-        expected = "a result of ct2mass or scan2kd, a path or a mapping"
-        raise StapeskitError.of("the mass", expected, type(source).__name__)
-    return found
+    if isinstance(source, Mapping):
+        return source
+    if isinstance(source, str | os.PathLike) and Path(source).is_dir():
+        source = Path(source) / "mass.json"
+    return measured_mass(getattr(source, "measured", source)).record.raw

@@ -1,4 +1,4 @@
-"""Finished studies as the rows and columns of cohort.csv, and whether they differ significantly."""
+"""Finished studies as the rows and columns of cohort.csv."""
 
 from __future__ import annotations
 
@@ -162,25 +162,6 @@ class Quantity:
     def title_with_unit(self) -> str:
         """The same with its unit, where it has one."""
         return f"{self.title} ({self.shown.symbol})" if self.shown.symbol else self.title
-
-    def homogeneity(self) -> tuple[float, int, float]:
-        """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
-
-        Notes
-        -----
-        Q = sum w (x - xw)^2 with w = 1/sd^2 and xw the weighted mean (Cochran 1954, doi:10.2307/3001666),
-        from the errors of each ear alone: an error that all ears share makes them differ in nothing.
-        """
-        from scipy.special import chdtrc
-
-        good = np.isfinite(self.values) & np.isfinite(self.own_sd) & (self.own_sd > 0.0)
-        count = int(np.sum(good)) - 1
-        if count < 1:
-            return float("nan"), 0, float("nan")
-        weight = self.own_sd[good] ** -2.0
-        middle = np.sum(weight * self.values[good]) / np.sum(weight)
-        q = float(np.sum(weight * (self.values[good] - middle) ** 2))
-        return q, count, float(chdtrc(count, q))
 
 
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:

@@ -14,7 +14,7 @@ from pipeline.cohort.ears import SHARED_SOURCES, Ear, common_damping_exponent, s
 from pipeline.cohort.law import LogPairs
 from stapeskit.arrays import Array
 from stapeskit.spatial import central_tensor
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice
 
 _INERTIA = ("mass_kg", "J1_kg_m2", "J2_kg_m2", "J3_kg_m2")
 _LENGTHS = {
@@ -100,7 +100,7 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
     if all((ear.kd.get("principal_axes") or {}).get("stiffness_si") for ear in ears):
         responses += ("K_principal_2", "K_principal_3")
     rows = [_ear_logs(ear, responses) for ear in ears]
-    notices = [notice for row in rows for notice in row.notices]
+    notices = list[Notice]()
     if letters == "K":
         text = "D has no common unit: its power of time differs between damping laws. No law of D is fitted."
         notices.append(Notice("cohort_mixed", text))
@@ -119,7 +119,7 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
         shared.reshape(len(ears), len(sources), -1).swapaxes(1, 2)[:, keep],
         sources,
         np.unique(persons, return_inverse=True)[1],
-        unique(notices),
+        tuple(notices),
         covariates or covariates_of(ears),
     )
 
@@ -131,12 +131,11 @@ class _EarLogs:
     values: Array
     own: Array
     shared: Mapping[str, Array]
-    notices: tuple[Notice, ...]
 
 
 def _ear_logs(ear: Ear, responses: tuple[str, ...]) -> _EarLogs:
     inertia, parts = _inertia_logs(ear.mass)
-    lengths, length_variances, notices = _length_logs(ear.mass)
+    lengths, length_variances = _length_logs(ear.mass)
     kd_values, kd_covariance, kd_parts = _response_logs(ear.kd, responses)
     a, b = len(inertia), len(inertia) + len(lengths)
     values = np.concatenate([inertia, lengths, kd_values])
@@ -162,7 +161,7 @@ def _ear_logs(ear: Ear, responses: tuple[str, ...]) -> _EarLogs:
             # Noise and grey levels of the scan scale the whole body: K follows the error of the mass.
             own[:a, b:] += np.outer(relative, response)
             own[b:, :a] += np.outer(response, relative)
-    return _EarLogs(values, _positive(own), shared, notices)
+    return _EarLogs(values, _positive(own), shared)
 
 
 def _inertia_logs(mass: Mapping[str, Any]) -> tuple[Array, dict[str, Array]]:
@@ -189,7 +188,7 @@ def _derivative(function: Callable[[Array], Array], at: Array, sizes: Array) -> 
     return np.array([(function(at + h) - function(at - h)) / (2.0 * h.sum()) for h in steps]).T
 
 
-def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, ...]]:
+def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array]:
     """Return ln of the lengths that the scan shows, and their variances."""
     found = mass.get("found") or {}
     voxels = (mass.get("segmentation") or {}).get("voxel_size_mm")
@@ -202,10 +201,7 @@ def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, .
         sd_mm = usual_mm if stated is None else float(stated)
         values.append(np.log(value * 1e-3**power))
         variances.append(np.nan_to_num((power * sd_mm / value ** (1.0 / power)) ** 2))
-    assumed = "that of two ends rounded to voxels was taken" if voxels else "those of meshes count as exact"
-    text = f"Lengths of the footplate have no stated standard deviation: {assumed}."
-    notice = Notice("predictor_error_assumed", text)
-    return np.array(values), np.array(variances), (notice,)
+    return np.array(values), np.array(variances)
 
 
 def _response_logs(

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.cohort import Cohort
-from pipeline.cohort.covariates import described
-from pipeline.cohort.ears import Ear, common_damping_exponent, ear_frame, quantities, unique_names
-from pipeline.cohort.ears import Quantity as EarQuantity
+from pipeline.cohort.ears import Ear, Quantity, common_damping_exponent, ear_frame, quantities, unique_names
 from pipeline.cohort.laws import CohortLaw
 from stapeskit.report import page
 from stapeskit.report.figures import panels, plain, style
@@ -22,7 +20,6 @@ from stapeskit.report.quantities import (
     LENGTH,
     MASS,
     ROTATION_STIFFNESS,
-    Quantity,
     ShownUnit,
     diagonal_unit,
 )
@@ -83,7 +80,6 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
             page.figure(laws_figure(cohort, cohort.primary), caption, "responses over predictors"),
         )
     report.section("Ears", *_ear_blocks(cohort, failed))
-    report.section("Do the ears differ?", *_difference_blocks(cohort.ears))
     if cohort.components is not None:
         report.section("Independent parameters", *_component_blocks(cohort))
     if ranges := cohort.normal_ranges():
@@ -169,7 +165,7 @@ def _exploratory_blocks(cohort: Cohort) -> list[Markup]:
 
 
 def _ear_blocks(cohort: Cohort, failed: Mapping[str, str]) -> list[Markup]:
-    """Return the ears with their verdicts, a picture, and a table of their numbers."""
+    """Return the ears with their verdicts, and a picture of their numbers."""
     ears, reasons = cohort.ears, dict(cohort.excluded)
     names = unique_names(ears)
     rows = [
@@ -183,20 +179,10 @@ def _ear_blocks(cohort: Cohort, failed: Mapping[str, str]) -> list[Markup]:
     found = quantities(ears)
     caption = "Each ear with two of its standard deviations; line: mean of the ears."
     blocks.append(page.figure(_ears_figure(names, found), caption, "values of all ears with error bars"))
-    for title, starts in (("Mass and modes", ("mass", "mode")), ("K", ("K_",)), ("D", ("D_",))):
-        part = [row for row in found if row.name.startswith(starts)]
-        cells = [(name, *(_shown(row, place) for row in part)) for place, name in enumerate(names)]
-        table = page.table(("ear", *(row.title for row in part)), cells)
-        blocks.append(page.folded(f"{title} of every ear", table))
     return blocks
 
 
-def _shown(row: EarQuantity, place: int) -> object:
-    value, sd = float(row.values[place]), float(row.sd[place])
-    return Quantity(value, sd if np.isfinite(sd) else None, row.shown) if np.isfinite(value) else "–"
-
-
-def _ears_figure(names: Sequence[str], found: Sequence[EarQuantity]) -> Figure:
+def _ears_figure(names: Sequence[str], found: Sequence[Quantity]) -> Figure:
     """Draw a panel for each diagonal entry and each frequency."""
     rows = [
         row
@@ -215,31 +201,6 @@ def _ears_figure(names: Sequence[str], found: Sequence[EarQuantity]) -> Figure:
         for panel in grid.ravel()[len(rows) :]:
             panel.set_axis_off()
     return drawing
-
-
-def _difference_blocks(ears: Sequence[Ear]) -> list[Markup]:
-    """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
-    if len(ears) < 2:
-        return [page.text("One ear alone cannot be compared.")]
-    comparable = common_damping_exponent(ears) is not None
-    rows = []
-    for row in quantities(ears):
-        q, count, p = row.homogeneity()
-        if count and (comparable or not row.name.startswith("D_")):
-            own = np.sqrt(np.nanmean(row.own_sd**2))
-            numbers = (np.nanmean(row.values), np.nanstd(row.values, ddof=1), own)
-            cells = (f"{float(row.shown.of(float(number))):.4g}" for number in numbers)
-            rows.append((row.title_with_unit, *cells, f"{q:.3g} ({count})", f"{p:.2g}"))
-    head = ("quantity", "mean", "sd between ears", "own sd of one ear (rms)", "Q (n − 1)", "p")
-    words = (
-        "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954), "
-        "without errors that all ears share. No correction is made for the number of rows."
-    )
-    if len({str(described(ear).get("side", "")) for ear in ears}) > 1:
-        words += " Right ears enter as their mirror images on the left."
-    if not comparable:
-        words += " D is not compared: the power of time in its unit differs between the ears."
-    return [page.text(words), page.table(head, rows)]
 
 
 def _component_blocks(cohort: Cohort) -> list[Markup]:

@@ -11,9 +11,8 @@ from functools import cache
 import numpy as np
 
 from fitting.dof2kd import MassSource, fit_of
-from fitting.layout import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
 from fitting.options import KDOptions
-from fitting.plan import StatedMass
+from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
 from fitting.result import KDFit
 from simulate.ligament import (
     PAPER_DAMPING,
@@ -23,6 +22,7 @@ from simulate.ligament import (
     ring_ligament,
     stapes_motion,
 )
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, matrix_from_parameters
 
@@ -79,7 +79,7 @@ def record(freq, q, covariance, dof=DOF_NAMES, shared=None, notices=()):
     )
 
 
-def paper_motion(noise=0.02, seed=0, lines=200, law="viscous", band=(400.0, 5000.0)):
+def paper_motion(noise=0.02, seed=0, lines=200, law="viscous", band=(400.0, 5000.0), stiffness=K, damping=D):
     """The paper's stapes in y, alpha and gamma; exact where seed is None, its covariance stated."""
     scale = {"viscous": 1.0, "hysteretic": 2.0 * np.pi * 2700.0, "fractional": (2.0 * np.pi * 2700.0) ** 0.3}[
         law
@@ -90,7 +90,7 @@ def paper_motion(noise=0.02, seed=0, lines=200, law="viscous", band=(400.0, 5000
     base[:, 0] = 1.0
     base[:, 1:] = 50.0 * np.exp(1j * np.outer(freq, [2.0, 4.0]) / 5000.0)
     base *= (6e-4 / (2.0 * np.pi * freq))[:, None]
-    ligament = Ligament(damping_si=D * scale, law=law, exponent=exponent)
+    ligament = Ligament(stiffness_si=stiffness, damping_si=damping * scale, law=law, exponent=exponent)
     z = ligament.dynamic_stiffness(freq)
     omega = 2.0 * np.pi * freq
     force = (z @ base[..., None])[..., 0]
@@ -106,7 +106,7 @@ def paper_motion(noise=0.02, seed=0, lines=200, law="viscous", band=(400.0, 5000
         if rng is not None:
             draws = rng.standard_normal((2, lines, 3)) * np.sqrt(0.5)
             q[0, body] += level[:, None] * ((draws[0] + 1j * draws[1]) @ np.linalg.cholesky(own).T)
-    return record(freq, q, covariance, DOF), D * scale
+    return record(freq, q, covariance, DOF), damping * scale
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class RingEar:
     """What an experimenter has, and the truth about the footplate centre (12,)."""
 
     motion: RigidMotion
-    mass: StatedMass
+    mass: MassMatrix
     truth: np.ndarray
 
 
@@ -174,7 +174,9 @@ def ring_ear(
     block = np.ix_(ROWS, ROWS)
     truth = [part[block][np.triu_indices(3)] for part in (ligament.stiffness_si, ligament.damping_si)]
     return RingEar(
-        record(freq, q, covariance, shared=known), StatedMass(stated, density), np.concatenate(truth)
+        record(freq, q, covariance, shared=known),
+        MassMatrix(stated, contributions=density),
+        np.concatenate(truth),
     )
 
 

@@ -10,13 +10,13 @@ from fitting.options import KDOptions
 from fitting.plan import read_plan
 from simulate.ligament import ring_ligament
 from stapeskit.faults import StapeskitError
+from stapeskit.records.mass_matrix import MassMatrix
 from tests.fit.fit_cases import (
     DOF,
     ROWS,
     TRUTH,
     K,
     M,
-    StatedMass,
     codes,
     exact_motion,
     fit,
@@ -28,7 +28,7 @@ from tests.fit.fit_cases import (
 )
 
 ESTIMATORS = ("ml", "pinv", "constrained")
-MASS = StatedMass(six_parameters(), {})
+MASS = MassMatrix(six_parameters())
 
 
 def relative(result, truth=TRUTH):

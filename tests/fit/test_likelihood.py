@@ -8,14 +8,14 @@ import pytest
 from fitting import entries
 from fitting.causes import chosen
 from fitting.data import data_of
-from fitting.layout import frame_maps
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.mass import inertia_of
-from fitting.plan import StatedMass
 from fitting.plane import plane_model
+from fitting.planned_motion import frame_maps
 from fitting.solve import bend
 from fitting.solve import fit as solve
 from simulate.ligament import ring_ligament
+from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.motion import SharedErrors
 from stapeskit.spatial import DOF_NAMES
 from tests.fit.fit_cases import (
@@ -72,6 +72,22 @@ def test_qr_form_has_value_gradient_and_information_of_the_whole_problem():
     assert jacobian.T @ jacobian == pytest.approx(slopes.T @ slopes, rel=1e-8, abs=1e-7)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 7])
+def test_a_minimum_at_the_limit_of_passive_matrices_is_reached(seed):
+    motion, _ = paper_motion(1.0, seed, 20)
+    found = fit(motion, M, unknowns="none").found
+    assert found.converged
+    assert found.evaluations < 40
+    theta, at = found.theta, found.at["entries"]
+    gradient = (found.likelihood.jacobian(theta).T @ found.likelihood.residuals(theta))[at]
+    for part, slope in zip(entries.split(theta[at], 3), entries.split(gradient, 3), strict=True):
+        slope = 0.5 * (slope + np.diag(np.diag(slope)))
+        scale = np.abs(slope).max() + 1.0
+        assert np.abs(part @ slope).max() < 1e-2 * scale  # no step within the matrices lowers chi2
+        assert np.linalg.eigvalsh(slope)[0] > -1e-2 * scale
+    assert any(np.linalg.eigvalsh(part)[0] < 1e-6 for part in entries.split(theta[at], 3))
+
+
 def test_objective_is_the_distance_to_the_nearest_consistent_motion():
     own, theta = likelihood(PLAIN)
     white, _, _, fitted = own.look(theta)
@@ -113,7 +129,7 @@ def test_a_shared_error_whose_map_differs_between_runs_is_followed_in_each():
     known = np.stack([np.full((2, 6, 6), np.nan), same]).astype(complex)
     covariance = np.zeros((*q.shape, 6), dtype=complex)
     covariance[..., range(6), range(6)] = 1e-3 * np.mean(np.abs(q) ** 2, axis=(0, 1, 2))
-    inertia = inertia_of(StatedMass(six_parameters(), {}), DOF)
+    inertia = inertia_of(MassMatrix(six_parameters()), DOF)
     for recorded in (known, None):
         powers = None if recorded is None else np.zeros(2, int)
         shared = SharedErrors(("position.1", "registration.x"), np.eye(2), slopes, recorded, powers)
@@ -154,7 +170,7 @@ def test_a_mirrored_ear_gives_the_mirrored_matrices():
         ear.motion, q=ear.motion.q * flip, covariance=ear.motion.covariance * np.outer(flip, flip)
     )
     odd = np.array([1, 1, 1, -1, 1, 1, 1, 1, -1, -1])
-    one, other = fit(ear.motion, ear.mass), fit(mirrored, StatedMass(ear.mass.parameters * odd, {}))
+    one, other = fit(ear.motion, ear.mass), fit(mirrored, MassMatrix(ear.mass.parameters * odd))
     signs = np.array([1, -1, 1, 1, -1, 1] * 2)
     assert other.values * signs == pytest.approx(one.values, rel=1e-4)
 
@@ -162,14 +178,17 @@ def test_a_mirrored_ear_gives_the_mirrored_matrices():
 def test_mass_scale_moves_k_and_d_alike_and_leaves_the_modes():
     ear = ring_ear(4, shared=False)
     one = fit(ear.motion, ear.mass)
-    other = fit(ear.motion, StatedMass(1.03 * ear.mass.parameters, {}))
+    other = fit(ear.motion, MassMatrix(1.03 * ear.mass.parameters))
     assert other.values == pytest.approx(1.03 * one.values, rel=1e-5)
     assert [mode.frequency_hz for mode in other.modes.pairs] == pytest.approx(
         [mode.frequency_hz for mode in one.modes.pairs], rel=1e-6
     )
     scaled = fit(
         ear.motion,
-        StatedMass(ear.mass.parameters, {"density": 0.05**2 * np.outer(*[ear.mass.parameters] * 2)}),
+        MassMatrix(
+            ear.mass.parameters,
+            contributions={"density": 0.05**2 * np.outer(*[ear.mass.parameters] * 2)},
+        ),
     )
     assert scaled.derived.frequency_sd_hz == pytest.approx(one.derived.frequency_sd_hz, rel=0.1)
     assert np.sqrt(scaled.covariance[0, 0]) / scaled.stiffness[0, 0] == pytest.approx(0.05, rel=0.1)
@@ -225,7 +244,7 @@ def test_second_order_of_shared_errors_is_that_of_a_fit_with_them():
     slopes = np.einsum("kbij,rblj->krbli", maps, q)
     covariance = np.broadcast_to(1e-6 * np.eye(6) * np.mean(np.abs(q) ** 2, axis=(0, 1, 2)), (*q.shape, 6))
     motion = record(freq, q, covariance, shared=SharedErrors(names, 1e-8 * np.eye(3), slopes))
-    data = data_of(motion, inertia_of(StatedMass(six_parameters(), {}), DOF_NAMES), DOF_NAMES)
+    data = data_of(motion, inertia_of(MassMatrix(six_parameters()), DOF_NAMES), DOF_NAMES)
     found = solve(data, Model())
     bent, at, ones = bend(found), found.at, np.ones(data.count)
     left = []

@@ -34,22 +34,7 @@ def test_files_are_recognised_and_the_study_can_be_read(files: Path) -> None:
     assert study.scan.density_kg_m3 is None  # assumed, and reported as assumed in every result
 
 
-def test_answers_are_checked_and_asked_again(files: Path) -> None:
-    answers = iter(["heavy", "1850+-40", "upper", "right", "0,0,0", "-1,0.2,0"])
-    asked = []
-
-    def ask(question: str) -> str:
-        asked.append(question)
-        return next(answers)
-
-    study = read_study(new_study(files, ask))
-    assert len(asked) == 6
-    assert (study.scan.density_kg_m3.value, study.scan.density_kg_m3.sd) == (1850.0, 40.0)
-    assert study.scan.side == "right"
-    assert study.scan.anterior == (-1.0, 0.2, 0.0)
-
-
-def test_a_missing_voxel_size_is_asked_for_or_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_voxel_size_is_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import SimpleITK as sitk
     import tifffile
 
@@ -58,11 +43,11 @@ def test_a_missing_voxel_size_is_asked_for_or_named(files: Path, capsys: pytest.
     (files / "slices").mkdir()
     for number, image in enumerate(voxels[:8]):
         tifffile.imwrite(files / "slices" / f"rec_{number:04}.tif", image, photometric="minisblack")
-    work(["new", str(files), "--yes"])
+    work(["new", str(files)])
     said = capsys.readouterr().out
     assert "the voxel spacing must be in the file or given" in said
-    answers = iter(["twenty", "0.04", "", "", ""])
-    study = new_study(files, lambda _question: next(answers))
+    study = files / "study.toml"
+    study.write_text(study.read_text().replace("# spacing_mm = 0.02", "spacing_mm = 0.04"))
     assert read_study(study).scan.spacing_mm == pytest.approx((0.04, 0.04, 0.04))
     assert needs(study) == ""
 
@@ -105,13 +90,24 @@ def test_a_folder_without_a_scan_is_refused_and_a_study_of_mine_is_kept(files: P
 def test_a_result_does_not_differ_from_itself(finished: StudyResult, tmp_path: Path) -> None:
     shutil.copytree(finished.out, tmp_path / "again")
     found = compare(finished.out, tmp_path / "again")
-    assert all(entry.difference == 0.0 for entry in found.differences)
+    assert not found.differences[:, 0].any()
     paths = write_comparison(found, tmp_path / "out", [finished.out / "kd.json"])
     table = pd.read_csv(next(path for path in paths if path.suffix == ".csv"))
     assert {"K_y_y", "D_y_y", "mass"} <= set(table["quantity"])
     assert (table["p_value"].dropna() == 1.0).all()
-    with pytest.raises(StapeskitError):
-        compare(finished.out, tmp_path)
+    for other in (tmp_path, finished.out):
+        with pytest.raises(StapeskitError):
+            compare(finished.out, other)
+
+
+def test_folders_of_one_name_are_told_apart_by_their_paths(finished: StudyResult, tmp_path: Path) -> None:
+    for place in ("before", "after"):
+        shutil.copytree(finished.out, tmp_path / place / "out")
+    outcome = work(["compare", *(str(tmp_path / place / "out") for place in ("before", "after")),
+                    "--out", str(tmp_path / "compared")])  # fmt: skip
+    assert outcome is not None
+    names = [name for name, _ in outcome.rows]
+    assert len(set(names)) == len(names)
 
 
 def test_results_of_earlier_commands_are_no_inputs_of_a_new_study(files: Path, finished: StudyResult) -> None:

@@ -8,10 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fitting.causes import point
 from pipeline.cohort.ears import Ear, read_ears
+from pipeline.compare import write_comparison
 from pipeline.run import StudyResult
-from pipeline.what_if import effect, point_mass, read_change, write_what_if
+from pipeline.what_if import effect, read_change
 from stapeskit.faults import StapeskitError
+from stapeskit.spatial import matrix_from_parameters
 
 K, D, M = 1700.0, 0.02, 3e-6
 
@@ -63,7 +66,7 @@ def test_an_added_mass_at_the_centre_weighs_at_high_frequencies() -> None:
 def test_a_point_mass_has_the_energy_of_its_velocity() -> None:
     place, q = np.array([0.3e-3, 3e-3, -0.2e-3]), np.array([1.0, -2.0, 0.5, 300.0, 100.0, -200.0])
     velocity = q[:3] + np.cross(q[3:], place)
-    assert q @ point_mass(5e-6, place) @ q == pytest.approx(5e-6 * velocity @ velocity)
+    assert q @ matrix_from_parameters(point(place, 5e-6)) @ q == pytest.approx(5e-6 * velocity @ velocity)
 
 
 @pytest.mark.parametrize("words", ["K10", "K*-2", "K*0", "mass+5@head", "mass-5mg@head", "mass+5mg@1,2", ""])
@@ -78,7 +81,7 @@ def test_a_finished_study_answers(finished: StudyResult, tmp_path: Path) -> None
     effects = [effect(ear, finished.out, read_change(one)) for one in ("K*10", "mass+5mg@head")]
     assert effects[0].change_db[0] == pytest.approx(-20.0, abs=0.3)
     assert np.all(effects[0].low_db <= effects[0].high_db)
-    files = write_what_if(effects, tmp_path / "out", [finished.out / "kd.json"])
+    files = write_comparison(effects, tmp_path / "out", [finished.out / "kd.json"])
     table = pd.read_csv(next(path for path in files if path.suffix == ".csv"))
     assert set(table["change"]) == {"K*10", "mass+5mg@head"}
     with pytest.raises(StapeskitError):
