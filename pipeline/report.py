@@ -134,10 +134,10 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
     StapeskitError
         A file of another origin has the name of a figure, unless ``force``.
     """
-    from fitting.rim import rim_figure
 
     from ct_inertia.report.pictures import slices_figure, views
-    from fitting.report.figures import all_figures
+    from fitting.report.figures import all_figures, rim_figure
+    from fitting.ring import rim_of
     from kinematics.report.figures import residual_figure, spectra_figure
     from stapeskit.report.figures import save_figures
 
