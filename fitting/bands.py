@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
@@ -23,6 +22,7 @@ from stapeskit.arrays import Array
 SIGNIFICANT_P = 1e-3
 """Below it K and D do not hold over the band: 1 of 1000 right fits is called frequency dependent."""
 
+_NOTHING = 1e-12  # of the information on both factors: at its limit, zero, one of K and D has none
 _BANDS, _FEWEST_LINES = 5, 8  # bands to see a trend; lines a band: 48 equations for 12 unknowns
 
 
@@ -34,7 +34,6 @@ class BandFactors:
     ----------
     ends_hz : ndarray, (bands, 2)
         First and last line of each band.
-    lines : ndarray, (bands,), int
     factors, sd : ndarray, (2, bands)
         Of K and of D; their means, weighted by information, are 1.
     chi2 : float
@@ -42,7 +41,6 @@ class BandFactors:
     """
 
     ends_hz: Array
-    lines: NDArray[np.intp]
     factors: Array
     sd: Array
     chi2: float
@@ -75,7 +73,10 @@ def _lossier(inside: Array, value: float, parts: Parts, _data: Data) -> None:
 
 
 def band_factors(found: Fit) -> BandFactors | None:
-    """Return the factors of five bands of equally many lines, fewer where lines are few; None below two."""
+    """Return the factors of five bands of equally many lines, fewer where lines are few.
+
+    None below two bands, and where K or D is zero.
+    """
     data, likelihood, theta = found.data, found.likelihood, found.theta
     bands = min(_BANDS, data.count // _FEWEST_LINES)
     if bands < 2:
@@ -89,6 +90,8 @@ def band_factors(found: Fit) -> BandFactors | None:
     ]
     new, free = likelihood.outside(theta, table)
     own = np.sum(new**2, axis=0).reshape(2, bands)
+    if own.sum(axis=1).min() < _NOTHING * own.sum():  # K or D is zero, and has no factors
+        return None
     contrasts = np.linalg.qr(np.column_stack([np.ones(bands), np.eye(bands)[:, 1:]]))[0][:, 1:]
     turned = np.kron(np.eye(2), contrasts)
     free = free @ turned
@@ -103,5 +106,4 @@ def band_factors(found: Fit) -> BandFactors | None:
     sd = np.sqrt(np.maximum(np.diag(middle @ covariance @ middle.T), 0.0)).reshape(2, bands)
     chi2 = float(values @ (free.T @ free) @ values) / level
     ends = np.array([[data.freq_hz[part].min(), data.freq_hz[part].max()] for part in members])
-    counts = np.array([len(part) for part in members])
-    return BandFactors(ends, counts, 1.0 + centred, sd, chi2, 2 * bands - 2)
+    return BandFactors(ends, 1.0 + centred, sd, chi2, 2 * bands - 2)
