@@ -2,8 +2,8 @@
 
 ``x`` (F, Hz) and ``y`` (points x F, complex, or ``y_re`` and ``y_im``) with the struct ``usd`` that
 GetPointData returns or a text ``unit``; ``xyz`` of GetXYZCoordinates (points x 3, m); one value a beam
-(``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x`` ...) or points x F x 3 for beams x, y, z; ``direction``,
-``coherence``, ``sd``, ``n_avg``, ``points``, ``body``. All of it in the file, in one struct, or in a struct
+(``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x`` ...); ``direction``, ``coherence``, ``sd``, ``n_avg``,
+``points``, ``body``. All of it in the file, in one struct, or in a struct
 array with one element a channel.
 """
 
@@ -141,11 +141,10 @@ class Variables:
         return value
 
     def shaped(self, name: str, lines: int) -> NDArray[Any]:
-        """Return an array of points x lines [x 3 beams], in either order, as (point, line, beam)."""
+        """Return an array of points x lines, in either order, as (point, line)."""
         value = np.atleast_2d(self.numbers(name))
-        if value.ndim == 2:
-            value = (value.T if value.shape[1] != lines else value)[:, :, None]
-        if value.ndim != 3 or value.shape[1] != lines:
+        value = value.T if value.shape[1] != lines else value
+        if value.ndim != 2 or value.shape[1] != lines:
             self.refuse(f"the variable {name}", f"points x {lines} frequencies", value.shape)
         return value
 
@@ -204,7 +203,7 @@ class Variables:
             want, step = "complex, or of two parts", "Export Real & Imag.: without phase there is no motion"
             self.refuse(f"the variable {source}", want, "real numbers alone", step)
         value = one if np.iscomplexobj(one) else from_parts(one, np.real(other))
-        count, _, beams = value.shape
+        count, lines = value.shape
         names = self.texts(self.name("points"), count) if self.name("points") else [self.point] * count
         names = names if any(names) else [str(k) for k in range(1, count + 1)]
         bodies, places = self.texts("body", count), np.full((count, 3), np.nan)
@@ -213,27 +212,26 @@ class Variables:
         noise = {}
         for role in ("sd", "coherence", "n_avg"):
             if name := self.name(role, axis):
-                known = np.real(self.numbers(name)).astype(float)
-                known = known.reshape(1, 1, 1) if known.size == 1 else self.shaped(name, len(freq))
-                if known.shape[0] not in (1, count) or known.shape[2] not in (1, beams):
-                    self.refuse(name, "of as many points and beams as the values", known.shape)
-                noise[role] = np.broadcast_to(known, value.shape)
+                known = self.numbers(name)
+                known = known.reshape(1, 1) if known.size == 1 else self.shaped(name, lines)
+                if known.shape[0] not in (1, count):
+                    self.refuse(name, f"of {count} points as the values", known.shape)
+                noise[role] = np.broadcast_to(np.real(known).astype(float), value.shape)
         words = (self.held.get(name, "") for name in (self.name("unit"), "amplitude"))
         unit, amplitude = (word if isinstance(word, str) else "" for word in words)
         unit = f"{unit or usd.get('YUnit', '')} {amplitude}".strip()
+        directions = self._directions(axis, usd, count)
         rows = []
-        for beam in range(beams):
-            directions = self._directions("xyz"[beam] if beams == 3 else axis, usd, count)
-            for k in range(count):
-                channel = Channel(
-                    names[k],
-                    bodies[k],
-                    position_m=places[k],
-                    direction=directions[k],
-                    where=Place(f"{self.where}, {source}", "row", (int(self.point or k + 1),)),
-                )
-                given = {role: matrix[k, :, beam] for role, matrix in noise.items()}
-                rows.append(Row(channel, freq, value[k, :, beam], **given, unit=unit, source=source))
+        for k in range(count):
+            channel = Channel(
+                names[k],
+                bodies[k],
+                position_m=places[k],
+                direction=directions[k],
+                where=Place(f"{self.where}, {source}", "row", (int(self.point or k + 1),)),
+            )
+            given = {role: matrix[k] for role, matrix in noise.items()}
+            rows.append(Row(channel, freq, value[k], **given, unit=unit, source=source))
         return rows
 
     def _directions(self, axis: str, usd: Mapping[str, Any], count: int) -> Array:
