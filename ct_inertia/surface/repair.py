@@ -31,7 +31,7 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
     ----------
     path : Path or str
     close : bool
-        Fill its holes.
+        Fill its holes; a mesh of several open pieces is replaced by where its winding number passes one half.
 
     Raises
     ------
@@ -103,11 +103,10 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     notices = []
     holes = boundary_edges(faces)
     if len(holes):
-        if close:
-            vertices, faces = _filled(vertices, faces)
-        if not close or len(boundary_edges(faces)):
-            raise StapeskitError(_open_fault(vertices, faces, name, close))
-        text = f"{name} was open at {len(holes)} edges; its holes were filled (--close). Look at the surface."
+        if not close:
+            raise StapeskitError(_open_fault(vertices, faces, name))
+        vertices, faces, how = _closed(vertices, faces, name)
+        text = f"{name} was open at {len(holes)} edges; {how} (--close). Look at the surface."
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
@@ -156,6 +155,24 @@ def boundary_edges(faces: Faces) -> Faces:
     return np.asarray(edges[first[count % 2 == 1]])
 
 
+def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str]:
+    """Close an open mesh, and say how: holes of one piece are filled, several open pieces wound around.
+
+    Notes
+    -----
+    Open pieces that overlap would count twice where they do if each were filled on its own.
+    """
+    from ct_inertia.surface.winding import winding_surface
+
+    if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) == 1:
+        corners, filled = _filled(vertices, faces)
+        if not len(boundary_edges(filled)):
+            return corners, filled, "its holes were filled"
+    vertices, faces, step_mm = winding_surface(vertices, faces, name)
+    grid = f"a grid of {step_mm:.2g} mm"
+    return vertices, faces, f"its pieces were replaced by the surface of winding number one half on {grid}"
+
+
 def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Fill the holes of a mesh as far as pymeshlab can.
 
@@ -181,7 +198,7 @@ def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
 
 
-def _open_fault(vertices: Array, faces: Faces, name: str, close: bool) -> Fault:
+def _open_fault(vertices: Array, faces: Faces, name: str) -> Fault:
     """Return the fault of an open mesh: how many holes, and where the largest lie."""
     holes = boundary_edges(faces)
     loops = _split(_groups(holes, len(vertices))[holes[:, 0]])
@@ -192,8 +209,7 @@ def _open_fault(vertices: Array, faces: Faces, name: str, close: bool) -> Fault:
         places.append(f"{width:.3g} mm wide at {', '.join(f'{value:.3f}' for value in centre)} mm")
     more = f" and {len(loops) - 3} more" if len(loops) > 3 else ""
     got = f"{len(loops)} hole{'s' if len(loops) > 1 else ''} ({'; '.join(places)}{more})"
-    step = "Close them in the program that made the surface (a solid fill)"
-    step += "" if close else ", or let --close do it"
+    step = "Close them in the program that made the surface (a solid fill), or let --close do it"
     return Fault("the surface", "closed", f"{got} in {len(faces)} faces", name, step)
 
 

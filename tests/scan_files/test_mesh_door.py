@@ -6,6 +6,7 @@ import trimesh
 
 from ct_inertia.surface.repair import boundary_edges, mend, open_walks, read_mesh
 from ct_inertia.surface.surface import enclosed_moments
+from ct_inertia.surface.winding import winding_number
 from stapeskit.faults import StapeskitError
 
 RNG = np.random.default_rng(7)
@@ -121,14 +122,25 @@ def test_a_hole_is_refused_with_its_place_or_closed_when_asked():
     assert "holes_closed" in codes(mesh)
 
 
-def test_open_pieces_that_cannot_be_filled_are_refused():
-    """A sheet beside an open body encloses nothing, whatever fills its rim."""
-    faces, _ = with_hole()
-    strip = np.array([[0, 1, 2]]) + len(VERTICES)
-    vertices = np.vstack([VERTICES, VERTICES[:3] + 5.0])
-    with pytest.raises(StapeskitError) as caught:
-        mend(vertices, np.vstack([faces, strip]), "a.stl", close=True)
-    assert "--close" not in caught.value.faults[0].next_step
+def test_open_pieces_are_measured_by_their_winding_number():
+    """Half of a box from one mesh, half from another that overlaps it: no rim can be filled."""
+    box = trimesh.creation.box((3.0, 1.0, 1.0)).subdivide().subdivide()
+    middle = box.triangles_center[:, 0]
+    left, right = box.faces[middle < 0.3], box.faces[middle > -0.3]
+    vertices = np.vstack([box.vertices, box.vertices * [1.0, 1.001, 1.001]])
+    mesh = mend(vertices, np.vstack([left, right + len(box.vertices)]), "a.stl", close=True)
+    assert open_walks(mesh.faces) == 0
+    assert signed_volume(mesh.vertices_mm, mesh.faces) == pytest.approx(3.0, rel=0.05)
+    assert "winding number" in " ".join(notice.text for notice in mesh.notices)
+
+
+def test_the_winding_number_is_one_inside_and_zero_outside():
+    points = VERTICES.mean(axis=0) + RNG.uniform(-1.7, 1.7, (400, 3)) * [1, 1, 0.4]
+    away = points - VERTICES.mean(axis=0)
+    depth = 0.4 - np.hypot(np.hypot(away[:, 0], away[:, 1]) - 1.2, away[:, 2])
+    number = winding_number(VERTICES, FACES, points)
+    clear = np.abs(depth) > 0.02
+    assert number[clear] == pytest.approx((depth[clear] > 0).astype(float), abs=0.05)
 
 
 def test_a_band_that_has_no_sides_is_refused():
