@@ -16,12 +16,12 @@ from fitting.ring import rim_of, ring_of
 from stapeskit.arrays import Array
 from stapeskit.report import page
 from stapeskit.report.quantities import (
-    ANGLE,
     LENGTH,
     PERCENT,
     ROTATION_STIFFNESS,
     STIFFNESS,
     Quantity,
+    ShownUnit,
     matrix_units,
     plus_minus,
 )
@@ -148,7 +148,7 @@ def _modes(fit: KDFit) -> list[Markup]:
 _AXES = {
     "origin x": LENGTH,
     "origin z": LENGTH,
-    "angle about +y": ANGLE,
+    "angle about +y": ShownUnit("°", 180.0 / np.pi),
     "along y": STIFFNESS,
     "about the axis near x": ROTATION_STIFFNESS,
     "about the axis near z": ROTATION_STIFFNESS,
