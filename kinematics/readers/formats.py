@@ -95,7 +95,8 @@ FORMATS = (
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
-        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 164 units",
+        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate "
+        "systems, 164 units",
         libraries=("pyuff",),
     ),
     Format(

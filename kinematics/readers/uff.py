@@ -1,4 +1,4 @@
-"""Read universal files (UFF, UNV) by pyuff: functions 58 and 58b, nodes 15 and 2411, units 164.
+"""Read universal files (UFF, UNV) by pyuff: functions 58, 58b with the geometry of 15, 2411, 18, 2420, 164.
 
 The quantity follows from the data characteristic of the ordinate, the unit from its label, without a label
 from dataset 164. Texts such as names of channels are localised and are not read.
@@ -57,8 +57,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     ------
     StapeskitError
         The file is cut short, a function holds fewer values than its header says, a measured direction is a
-        rotation, nodes in coordinates of their own, or there is no function of motion; as `recording_of`. All
-        faults together, one a kind.
+        rotation, or there is no function of motion; as `recording_of`. All faults together, one a kind.
     """
     path = Path(path)
     sets, faults = _read_sets(path)
@@ -76,7 +75,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         faults.append(Fault("the length factor of dataset 164", "positive", f"{factor:g}", path.name))
         factor = 1.0
     notices = _notices(usable, listed, factor is not None, path.name)
-    places_m = _positions(sets, usable, factor or 1.0, path.name, faults, notices)
+    nodes = _nodes(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
     coherences = {
         key: one
         for one in functions
@@ -86,8 +85,8 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     rows = []
     for one in usable:
         gamma = coherences.get(_response(one), coherences.get(_response(one)[:3]))
-        place_m = places_m.get(int(one["rsp_node"]), unknown_vector())
-        rows.append(_row(one, place_m, factor or 1.0, gamma, path.name))
+        node = nodes.get(int(one["rsp_node"]), (unknown_vector(), np.eye(3)))
+        rows.append(_row(one, node, factor or 1.0, gamma, path.name))
     raise_all([*faults, *_row_faults(usable, rows)])
     lengths = "as metres" if factor is None else f"by dataset 164, {factor:g} per metre"
     return recording_of(
@@ -169,51 +168,74 @@ def _response(one: Dataset) -> tuple[int, ...]:
     return one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"]
 
 
-def _positions(
-    sets: Sequence[Dataset],
-    usable: Sequence[Dataset],
-    factor: float,
-    file: str,
-    faults: list[Fault],
-    notices: list[Notice],
-) -> dict[int, Array]:
-    """Return the positions of the nodes that functions refer to, m: SI is the number over the factor.
+def _nodes(
+    sets: Sequence[Dataset], used: set[int], file: str, faults: list[Fault], notices: list[Notice]
+) -> dict[int, tuple[Array, Array]]:
+    """Return positions (3,), in the file's unit, and axes of measurement in rows of the nodes that are used.
 
-    Directions and (dataset 15) positions in a coordinate system that the file describes are refused; one that
-    it does not describe is taken for the global one, with a notice.
+    Dataset 15 gives coordinates in the node's definition system, dataset 2411 in the global one. Where a file
+    describes no system, those of its nodes are taken for the global one, with a notice.
     """
-    used, systems = {int(one["rsp_node"]) for one in usable}, set[int]()
-    nodes: dict[int, Array] = {}
+    systems: dict[int, tuple[Array, Array] | None] = {0: (np.eye(3), np.zeros(3))}
+    for one in sets:
+        systems |= _systems(one) if one["type"] in (18, 2420) else {}
+    nodes: dict[int, tuple[Array, Array]] = {}
+    unknown: set[int] = set()
     for one in sets:
         if one["type"] not in (15, 2411):
             continue
         columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
         for node, defined, measured, *xyz in np.column_stack(columns).astype(float).tolist():
-            place, where = np.array(xyz), Place(file, "dataset", (one["place"],))
             if int(node) not in used:
                 continue
-            known = nodes.setdefault(int(node), place)
-            systems |= {int(measured), int(defined) if one["type"] == 15 else 0} - {0}
+            pair = [int(defined) if one["type"] == 15 else 0, int(measured)]
+            unknown |= {label for label in pair if systems.get(label) is None}
+            (turn, origin), (axes, _) = (systems.get(label) or (np.eye(3), np.zeros(3)) for label in pair)
+            place = np.array(xyz) @ turn + origin
+            known, _ = nodes.setdefault(int(node), (place, axes))
             if not np.allclose(known, place, rtol=1e-5, atol=1e-12):
                 thing, got = f"the position of node {node:.0f}", f"{known.tolist()} and {place.tolist()}"
+                where = Place(file, "dataset", (one["place"],))
                 faults.append(Fault(thing, "one", got, where, "Remove the wrong one"))
-    listed = ", ".join(map(str, sorted(systems)))
-    if systems and any(one["type"] in (18, 2420) for one in sets):
-        want, step = "the global one", "Export the geometry in global cartesian coordinates"
-        faults.append(
-            Fault(f"the coordinate system of nodes in {file}", want, f"system {listed}", file, step)
-        )
-    elif systems:
+    listed = ", ".join(map(str, sorted(unknown)))
+    if unknown and len(systems) > 1:
+        want = "cartesian, right-handed and described in the global one, in dataset 18 or 2420"
+        step = "Export the geometry in global cartesian coordinates"
+        faults.append(Fault(f"coordinate system {listed}", want, "none or another one", file, step))
+    elif unknown:
         text = (
             f"{file}: nodes refer to coordinate system {listed}, and the file describes none: it was taken "
             "for the global one."
         )
         notices.append(Notice("axes_assumed", text))
-    return {node: place / factor for node, place in nodes.items()}
+    return nodes
 
 
-def _row(one: Dataset, place_m: Array, factor: float, coherence: Dataset | None, file: str) -> Row:
-    """Return a function as a row, with its coherence where the file holds it."""
+def _systems(one: Dataset) -> dict[int, tuple[Array, Array] | None]:
+    """Return axes in rows and origin of coordinate systems by their numbers; None for one that is not read."""
+    names = ("cs_num", "cs_type") if one["type"] == 18 else ("CS_sys_labels", "CS_types")
+    labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
+    if one["type"] == 2420:
+        frames = np.asarray(one["CS_matrices"], dtype=float).reshape(-1, 4, 3)
+        turns, origins = frames[:, :3], frames[:, 3]
+    else:  # the origin, a point on +x and one in the half plane of +x and +z
+        points = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
+        origins, on_x, on_xz = points
+        with np.errstate(all="ignore"):
+            x = (on_x - origins) / np.linalg.norm(on_x - origins, axis=1)[:, None]
+            y = np.cross(on_xz - origins, x)
+            y /= np.linalg.norm(y, axis=1)[:, None]
+        turns = np.stack([x, y, np.cross(x, y)], axis=1)
+    nested = np.any(np.asarray(one.get("ref_cs_num", 0), dtype=int))
+    found: dict[int, tuple[Array, Array] | None] = {}
+    for label, kind, turn, origin in zip(labels, kinds, turns, origins, strict=True):
+        rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) and np.linalg.det(turn) > 0.0
+        found[label] = (turn, origin) if kind == 0 and not nested and rotation else None
+    return found
+
+
+def _row(one: Dataset, at: tuple[Array, Array], factor: float, coherence: Dataset | None, file: str) -> Row:
+    """Return a function at a node as a row, with its coherence; SI is the number over the factor."""
     label, per, response = _label(one, "ordinate"), _label(one, "orddenom"), one["func_type"] != SPECTRUM
     unit = motion_unit(label)
     if not label:
@@ -224,8 +246,8 @@ def _row(one: Dataset, place_m: Array, factor: float, coherence: Dataset | None,
     node, code, name = int(one["rsp_node"]), int(one["rsp_dir"]), str(one.get("rsp_ent_name", "")).strip()
     channel = Channel(
         name if node == 0 and not is_none(name) else str(node),
-        position_m=place_m,
-        direction=np.sign(code) * np.eye(3)[abs(code) - 1] if 1 <= abs(code) <= 3 else unknown_vector(),
+        position_m=at[0] / factor,
+        direction=at[1][abs(code) - 1] * np.sign(code) if 1 <= abs(code) <= 3 else unknown_vector(),
         where=Place(file, "dataset", (one["place"],)),
     )
     gamma = np.real(coherence["data"]).astype(float) if coherence is not None and response else None

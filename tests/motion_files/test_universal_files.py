@@ -93,8 +93,18 @@ def test_a_response_is_per_unit_of_its_reference(tmp_path):
     assert recording.velocity is None
 
 
-def test_coordinate_systems_of_nodes(tmp_path):
-    """One that no dataset describes is the global one, with a warning; one that is described is refused."""
+def test_directions_are_those_of_the_displacement_system(tmp_path):
+    """+x of the system points along +y, +z along +z: a third axis follows by the right hand."""
+    turned = system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1))
+    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, 2, -3)]
+    recording = read(tmp_path, units(), turned, nodes_15(PLACE, measured=7), *parts)
+    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
+    shifted = system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1))
+    recording = read(tmp_path, units(), shifted, nodes_15(PLACE, defined=7), function(FREQ_HZ, VALUE))
+    assert np.allclose(recording.points_m[0], [1.0, 0.5, 0.0])
+
+
+def test_a_system_that_no_dataset_describes_is_the_global_one_with_a_warning(tmp_path):
     parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, -3)]
     recording = read(tmp_path, units(), nodes_15(PLACE, measured=7), *parts)
     assert np.array_equal(recording.directions, [[1, 0, 0], [0, 0, -1]])
@@ -151,15 +161,15 @@ REFUSED = {
         "the frequencies",
     ),
     "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
-    "a system": (system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1)), "the coordinate system of nodes in a.uff"),
+    "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals(name, tmp_path):
     part, thing = REFUSED[name]
-    nodes = nodes_15(PLACE, measured=7) if name == "a system" else nodes_2411(PLACE)
-    more = function(FREQ_HZ, VALUE) if name == "a system" else b""
+    nodes = nodes_15(PLACE, measured=7) if name == "a curved system" else nodes_2411(PLACE)
+    more = function(FREQ_HZ, VALUE) if name == "a curved system" else b""
     assert [fault.thing for fault in faults(tmp_path, units(), nodes, part, more)] == [thing]
 
 
