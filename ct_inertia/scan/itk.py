@@ -33,10 +33,13 @@ from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import Box, check_grey_values
 from stapeskit.faults import StapeskitError
 
+_Segment = tuple[int, int, str]
+"""Layer, value in that layer and name of a segment of 3D Slicer."""
+
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "float": "f"}
 _NRRD_PACKED = {"raw": False, **dict.fromkeys(("gzip", "gz", "bzip2", "bz2"), True)}
 _PATIENT = re.compile(r"(ras|las|lps|\w+-(anterior|posterior)-\w+|\w+-\w+-(superior|inferior))(-time)?")
-_FIELD = re.compile(r"^([^:=#\r\n]+?)[ \t]*(:=|[:=])[ \t]*([^\r\n]*?)\r?$", re.MULTILINE)
+_FIELD = re.compile(r"^([^:=#\r\n]+?)[ \t]*[:=](?!=)[ \t]*([^\r\n]*?)\r?$", re.MULTILINE)
 
 
 def open_nrrd(path: Path) -> Header:
@@ -49,7 +52,7 @@ def open_nrrd(path: Path) -> Header:
     StapeskitError
         A damaged header, a missing or too short data file, or several values in a voxel.
     """
-    fields, keys, end = _fields(path, rb"\r?\n\r?\n", "NRRD volume", b"NRRD000")
+    fields, end = _fields(path, rb"\r?\n\r?\n", "NRRD volume", b"NRRD000")
     space = fields.get("space", "").lower().replace("_", "-")
     if space == "3d-left-handed":
         step = "Export it in LPS or RAS"
@@ -58,7 +61,6 @@ def open_nrrd(path: Path) -> Header:
     if encoding not in _NRRD_PACKED or _whole(fields, "lineskip", path):
         wanted, got = f"one of {', '.join(_NRRD_PACKED)} without a line skip", encoding or "none"
         raise StapeskitError.of("the encoding", wanted, got, path.name, "Export it as raw or gzip")
-    segments = _segments(keys)
     units = re.findall(r'"([^"]*)"', fields.get("spaceunits") or fields.get("units", ""))
     factors = {factor for unit in units if (factor := mm_per_unit(unit)) is not None}
     if len(factors) > 1:
@@ -66,7 +68,7 @@ def open_nrrd(path: Path) -> Header:
         raise StapeskitError.of("the units", "the same along all axes", ", ".join(units), path.name, step)
     stated = "spacings" in fields or "spacedirections" in fields
     big = fields.get("endian", "").lower() == "big"
-    header, layers = _geometry(path, factors.pop() if factors else 1.0, stated, big)
+    header, layers, segments = _geometry(path, factors.pop() if factors else 1.0, stated, big)
     header.anatomical = _PATIENT.fullmatch(space) is not None
     named = fields.get("datafile", "")
     file, start = (_data_file(path, named), 0) if named else (path, end)
@@ -90,7 +92,7 @@ def open_metaimage(path: Path) -> Header:
     StapeskitError
         A damaged header, a missing or too short data file, or several values in a voxel.
     """
-    fields, _, end = _fields(path, rb"^ElementDataFile[ \t]*=[^\n]*\n?", "MetaImage volume")
+    fields, end = _fields(path, rb"^ElementDataFile[ \t]*=[^\n]*\n?", "MetaImage volume")
     if fields.get("binarydata", "").lower() == "false":
         step = "Export it as binary data"
         raise StapeskitError.of("the voxels", "binary", "numbers as text", path.name, step)
@@ -100,7 +102,7 @@ def open_metaimage(path: Path) -> Header:
     )
     factor = mm_per_unit(fields.get("distanceunits")) or 1.0
     stated = "elementspacing" in fields or "elementsize" in fields
-    header, components = _geometry(path, factor, stated, big)
+    header, components, _ = _geometry(path, factor, stated, big)
     if components > 1:
         raise several_values(path, f"{components} values (a colour or vector image)")
     header.anatomical = "?" not in fields.get("anatomicalorientation", "?")
@@ -111,10 +113,8 @@ def open_metaimage(path: Path) -> Header:
     return _with_voxels(header, path, _data_file(path, named), start, 0, packed)
 
 
-def _fields(
-    path: Path, end: bytes, kind: str, begin: bytes = b""
-) -> tuple[dict[str, str], dict[str, str], int]:
-    """Return the fields of a text header, in lower case without spaces, its further keys, and where it ends.
+def _fields(path: Path, end: bytes, kind: str, begin: bytes = b"") -> tuple[dict[str, str], int]:
+    """Return the fields of a text header, their names in lower case without spaces, and where it ends.
 
     It ends with the first match of ``end``; a detached NRRD header may do without.
     """
@@ -125,13 +125,9 @@ def _fields(
         raise wrong_header(path, kind, "a file that does not begin as one")
     stop = found.end() if found else len(start)
     fields: dict[str, str] = {}
-    keys: dict[str, str] = {}
-    for name, sign, value in _FIELD.findall(start[:stop].decode("utf-8", "replace")):
-        if sign == ":=":
-            keys[name] = value.strip()
-        elif value.strip():
-            fields.setdefault(name.lower().replace(" ", ""), value.strip())
-    return fields, keys, stop
+    for name, value in _FIELD.findall(start[:stop].decode("utf-8", "replace")):
+        fields.setdefault(name.lower().replace(" ", ""), value.strip())
+    return {name: value for name, value in fields.items() if value}, stop
 
 
 def _whole(fields: dict[str, str], name: str, path: Path) -> int:
@@ -149,8 +145,8 @@ def _data_file(path: Path, named: str) -> Path:
     return beside(path, named)
 
 
-def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Header, int]:
-    """Return what SimpleITK reads of a header, and the number of values in a voxel.
+def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Header, int, list[_Segment]]:
+    """Return what SimpleITK reads of a header, the number of values in a voxel, and Slicer's segments.
 
     ``mm`` is the unit of length; a spacing that is not ``stated`` is SimpleITK's own.
     """
@@ -180,7 +176,8 @@ def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Header, i
         origin_mm=np.array(reader.GetOrigin())[:3] * mm,
         direction=np.array(reader.GetDirection()).reshape(count, count)[:3, :3],
     )
-    return header, int(reader.GetNumberOfComponents())
+    keys = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    return header, int(reader.GetNumberOfComponents()), _segments(keys)
 
 
 def _with_voxels(header: Header, path: Path, file: Path, start: int, skip: int, packed: bool) -> Header:
@@ -216,8 +213,7 @@ def _unpacked(
     return np.frombuffer(content, dtype, prod(shape), begin).reshape(shape)
 
 
-def _segments(keys: dict[str, str]) -> list[tuple[int, int, str]]:
-    """Return layer, value in that layer and name of each segment of a Slicer segmentation."""
+def _segments(keys: dict[str, str]) -> list[_Segment]:
     segments = []
     for number in range(len(keys)):
         value, layer = (keys.get(f"Segment{number}_{key}", "") for key in ("LabelValue", "Layer"))
@@ -227,7 +223,7 @@ def _segments(keys: dict[str, str]) -> list[tuple[int, int, str]]:
     return segments
 
 
-def _flattened(header: Header, layered: Header, segments: list[tuple[int, int, str]], path: Path) -> Header:
+def _flattened(header: Header, layered: Header, segments: list[_Segment], path: Path) -> Header:
     """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
 
     def read(box: Box) -> NDArray[Any]:
