@@ -78,17 +78,14 @@ def _series(folder: Path) -> tuple[list[Path], list[int], int]:
         for path in sorted(folder.iterdir())
         if path.is_file() and path.suffix.lower() in SLICE_SUFFIXES and not _PREVIEW.search(path.stem)
     ]
-    series: dict[tuple[str, str], list[tuple[int, Path]]] = defaultdict(list)
-    for (number, name), path in zip(_numbered([path.stem for path in images]), images, strict=True):
-        if number is not None:
-            series[name, path.suffix.lower()].append((number, path))
+    series = _numbered(images)
     ranked = sorted(series, key=lambda name: (-len(series[name]), name))
     step = "Put the slices of one scan into a folder of their own"
     if not ranked or len(series[ranked[0]]) < 2:
         wanted = "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series"
         raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", folder.name, step)
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
-        listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
+        listed = ", ".join(f"{name} ({len(series[name])} slices)" for name in ranked[:4])
         raise StapeskitError.of("the folder", "one series of numbered slices", listed, folder.name, step)
     chosen = sorted(series[ranked[0]])
     numbers = [number for number, _ in chosen]
@@ -100,26 +97,25 @@ def _series(folder: Path) -> tuple[list[Path], list[int], int]:
     return [path for _, path in chosen], numbers, len(images) - len(chosen)
 
 
-def _numbered(stems: Sequence[str]) -> list[tuple[int | None, str]]:
-    """Return of each name the number that counts slices, and the name with ``#`` in its place.
+def _numbered(images: Sequence[Path]) -> dict[str, list[tuple[int, Path]]]:
+    """Return number and file of the slices of each series, by its name with ``#`` in place of the number.
 
-    Of the names that differ in numbers only, it is the last number that differs: ``ear_0042_8bit`` counts by
-    its first one. A name without a number has none.
+    Of names that differ in numbers only, the last number that differs counts the slices: ``ear_0042_8bit``
+    counts by its first one. A name without a number is no slice.
     """
-    parts = [re.split(r"(\d+)", stem) for stem in stems]
     alike = defaultdict(list)
-    for words in parts:
-        alike[tuple(words[::2])].append(words[1::2])
-    numbered: list[tuple[int | None, str]] = []
-    for words, stem in zip(parts, stems, strict=True):
-        columns = list(zip(*alike[tuple(words[::2])], strict=True))
-        if not columns:
-            numbered.append((None, stem))
-            continue
-        differing = [k for k, column in enumerate(columns) if len(set(column)) > 1]
-        at = 2 * (differing[-1] if differing else len(columns) - 1) + 1
-        numbered.append((int(words[at]), "".join([*words[:at], "#", *words[at + 1 :]])))
-    return numbered
+    for path in images:
+        words = re.split(r"(\d+)", path.stem)  # every second one is a number
+        if len(words) > 1:
+            alike[tuple(words[::2]), path.suffix.lower()].append((words, path))
+    series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
+    for (_, ending), group in alike.items():
+        places = range(1, len(group[0][0]), 2)
+        at = max((k for k in places if len({words[k] for words, _ in group}) > 1), default=places[-1])
+        for words, path in group:
+            name = "".join([*words[:at], "#", *words[at + 1 :], ending])
+            series[name].append((int(words[at]), path))
+    return series
 
 
 def _note_gaps(header: Header, numbers: list[int], name: str) -> None:
