@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
-from ct_inertia.scan.header import Header, planewise, several_values, wrong_header
+from ct_inertia.scan.header import Header, by_planes, several_values, wrong_header
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
@@ -229,7 +229,7 @@ def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
             held[frame.file] = _pixels(frame.file, header)
         return held[frame.file][frame.number]
 
-    header.read = planewise(frames, decode)
+    header.read = by_planes(frames, decode)
 
 
 def _pixels(file: Path, header: Header) -> NDArray[Any]:

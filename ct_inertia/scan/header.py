@@ -41,8 +41,8 @@ class Header:
         As in `Scan`; may be left-handed.
     anatomical : bool
         The file ties its axes to the patient.
-    slope, intercept : float or ndarray, (nz,)
-        Grey value = slope * stored + intercept, for the scan or for every plane.
+    slope, intercept : float
+        Grey value = slope * stored + intercept.
     white_is_zero : bool
         Bright and dark are exchanged in the file.
     known : str
@@ -62,8 +62,8 @@ class Header:
     origin_mm: Array = field(default_factory=lambda: np.zeros(3))
     direction: Array = field(default_factory=lambda: np.eye(3))
     anatomical: bool = False
-    slope: float | Array = 1.0
-    intercept: float | Array = 0.0
+    slope: float = 1.0
+    intercept: float = 0.0
     white_is_zero: bool = False
     known: str = ""
     notices: list[Notice] = field(default_factory=list)
@@ -74,7 +74,7 @@ class Header:
         """Add how the file was read."""
         self.notices.append(Notice("file_read", text))
 
-    def lay(self, file: Path, start: int, header: Path, exact: bool = False) -> None:
+    def set_planes(self, file: Path, start: int, header: Path, exact: bool = False) -> None:
         """Say that the voxels lie in a file, one plane behind the other.
 
         Parameters
@@ -119,12 +119,12 @@ def wrong_size(shape: Sequence[int], needed: int, held: int, file: Path) -> Stap
     return StapeskitError.of("the scan", wanted, f"{max(held, 0)} bytes of voxels", file.name, step)
 
 
-def planewise(planes: Sequence[Any], decode: Callable[[Any], NDArray[Any]]) -> Fetch:
+def by_planes(planes: Sequence[Any], decode: Callable[[Any], NDArray[Any]]) -> Fetch:
     """Return a reader that decodes every plane it is asked for."""
     return lambda box: np.stack([decode(plane)[box[1:]] for plane in planes[box[0]]])
 
 
-def at_once(unpack: Callable[[], NDArray[Any]]) -> Fetch:
+def unpack_once(unpack: Callable[[], NDArray[Any]]) -> Fetch:
     """Return a reader of an array that is unpacked as a whole when it is first asked for."""
     held: list[NDArray[Any]] = []
 

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from ct_inertia.scan.header import (
     HEADER_BYTES,
     Header,
-    at_once,
     beside,
     several_values,
+    unpack_once,
     wrong_header,
     wrong_size,
 )
@@ -185,9 +185,9 @@ def _with_voxels(header: Header, path: Path, file: Path, start: int, skip: int, 
     if packed:
         header.files = (file,)
         exact = file != path  # another one holds nothing behind the voxels
-        header.read = at_once(lambda: _unpacked(file, start, skip, header.shape, header.dtype, exact))
+        header.read = unpack_once(lambda: _unpacked(file, start, skip, header.shape, header.dtype, exact))
     else:
-        header.lay(file, -1 if -1 in (start, skip) else start + skip, path, exact=True)
+        header.set_planes(file, -1 if -1 in (start, skip) else start + skip, path, exact=True)
     return header
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ct_inertia.scan.header import Header, at_once, no_data_file, several_values
+from ct_inertia.scan.header import Header, no_data_file, several_values, unpack_once
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.arrays import Array
@@ -49,9 +49,9 @@ def open_nifti(path: Path) -> Header:
     header.slope, header.intercept = float(voxels.slope), float(voxels.inter)
     _place(header, image.header, path.name)
     if data.suffix.lower() == ".gz":
-        header.read = at_once(lambda: voxels.get_unscaled().reshape(shape, order="F").T)
+        header.read = unpack_once(lambda: voxels.get_unscaled().reshape(shape, order="F").T)
     else:
-        header.lay(data, int(voxels.offset), path, exact=True)
+        header.set_planes(data, int(voxels.offset), path, exact=True)
     return header
 
 

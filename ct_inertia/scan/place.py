@@ -165,18 +165,14 @@ def place_scan(
 def _as_grey_values(header: Header, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
     """Apply slope and intercept, to float32 where they change anything, and exchange bright and dark."""
     dtype = header.dtype.newbyteorder("=")
-    slope, intercept = (
-        np.broadcast_to(np.asarray(values, dtype=float), header.shape[0])[:, None, None]
-        for values in (header.slope, header.intercept)
-    )
-    scaled = bool(np.any(slope != 1.0) or np.any(intercept != 0.0))
+    scaled = (header.slope, header.intercept) != (1.0, 0.0)
     if not scaled and not header.white_is_zero:
         return fetch, dtype
 
     def read(box: Box) -> NDArray[Any]:
         values = fetch(box)
         if scaled:
-            values = np.asarray(values * slope[box[0]] + intercept[box[0]], dtype=np.float32)
+            values = np.asarray(values * header.slope + header.intercept, dtype=np.float32)
         if header.white_is_zero:
             values = -values if values.dtype.kind == "f" else np.invert(values)
         return values

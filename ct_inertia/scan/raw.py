@@ -70,7 +70,7 @@ def open_raw(path: Path, layout: RawLayout | None) -> Header:
             step += f"; --header-bytes {size - needed} would fit if the surplus is a header"
         raise StapeskitError.of("the raw file", wanted, got, path.name, step)
     header = Header(tuple(reversed(layout.shape)), dtype, known="raw voxels do not have it")
-    header.lay(path, layout.header_bytes, path)
+    header.set_planes(path, layout.header_bytes, path)
     return header
 
 

@@ -233,5 +233,5 @@ def _raw(path: Path, size: Sequence[int], kind: str, start: int, file: Path | No
     """Return a volume of x, y, z voxels behind a header in the same file, or in another one."""
     header = Header(tuple(reversed(size)), np.dtype(kind))
     check_grey_values(header.shape, header.dtype, path.name)
-    header.lay(file or path, start, path)
+    header.set_planes(file or path, start, path)
     return header

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.header import Header, planewise
+from ct_inertia.scan.header import Header, by_planes
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.tiff import listening, take_page
+from ct_inertia.scan.tiff import listening, read_page_tags
 from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
 
@@ -48,7 +48,7 @@ def open_slices(folder: Path) -> Header:
         import tifffile
 
         with listening(files[0]), tifffile.TiffFile(files[0]) as tif:
-            take_page(header, tif.pages[0], files[0])
+            read_page_tags(header, tif.pages[0], files[0])
     if logs or not header.known:
         header.spacing_mm = None
         _read_logs(header, logs)
@@ -61,7 +61,7 @@ def open_slices(folder: Path) -> Header:
             raise StapeskitError.of(f"slice {file.name}", wanted, look, next_step=step)
         return image
 
-    header.read = planewise(files, decode)
+    header.read = by_planes(files, decode)
     return header
 
 

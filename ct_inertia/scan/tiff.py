@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from ct_inertia.scan.header import (
     Header,
-    at_once,
     beside,
-    planewise,
+    by_planes,
     several_values,
+    unpack_once,
     wrong_header,
     wrong_size,
 )
@@ -54,7 +54,7 @@ def open_tiff(path: Path) -> Header:
         dtype = np.dtype(page.parent.byteorder + ("u1" if series.dtype.kind == "b" else series.dtype.str[1:]))
         _check_kind(series, page, shape, dtype, path)
         header = Header(shape, dtype, files=files)
-        take_page(header, page, path)
+        read_page_tags(header, page, path)
         if not _ome_place(header, xml, list(tif.series).index(series), len(tif.series)) and meta:
             _imagej_place(header, meta, _resolution(page))
         pages = _pages(series, shape, path)
@@ -68,9 +68,9 @@ def open_tiff(path: Path) -> Header:
         return values.astype(np.uint8 if values.dtype.kind == "b" else values.dtype.newbyteorder("="))
 
     if header.planes is None and pages:
-        header.read = planewise(pages, lambda one: decoded(one, shape[1:]))
+        header.read = by_planes(pages, lambda one: decoded(one, shape[1:]))
     elif header.planes is None:
-        header.read = at_once(lambda: decoded(series, shape))
+        header.read = unpack_once(lambda: decoded(series, shape))
     return header
 
 
@@ -122,7 +122,7 @@ def _check_count(tif: Any, stated: int, path: Path) -> None:
         raise StapeskitError.of("the TIFF", wanted, f"{held} slices", path.name, step)
 
 
-def take_page(header: Header, page: Any, path: Path) -> None:
+def read_page_tags(header: Header, page: Any, path: Path) -> None:
     """Take the exchange of bright and dark, and spacing x, y from the resolution tags, from a page.
 
     Raises
