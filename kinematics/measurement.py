@@ -249,15 +249,7 @@ class Measurement:
         return replace(moved, frame=to_from_here.to)
 
     def mirrored(self, axis: str) -> Measurement:
-        """Return the measurement with one axis of its left-handed coordinates reversed.
-
-        Raises
-        ------
-        StapeskitError
-            The axis is not x, y or z.
-        """
-        if axis not in MIRRORS:
-            raise StapeskitError.of("--mirror", "x, y or z", axis)
+        """Return the measurement with one axis, x, y or z, of its left-handed coordinates reversed."""
         return self._turned(np.diag(MIRRORS[axis]), np.zeros(3))
 
     def _turned(self, turn: Array, shift_m: Array) -> Measurement:

@@ -40,7 +40,7 @@ def _is_made(code: str, parts: set[str]) -> bool:
 
 def test_every_notice_of_the_sources_has_an_entry() -> None:
     known = table()
-    written = re.compile(r'Notice\(\s*"([a-z0-9]+_[a-z0-9_]+)"')
+    written = re.compile(r'(?:Notice|Cause)\(\s*"([a-z0-9]+_[a-z0-9_]+)"')
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.py"):
             for code in written.findall(path.read_text(encoding="utf-8")):
