@@ -212,7 +212,7 @@ def _nodes(
 
 
 def _systems(one: Dataset) -> dict[int, tuple[Array, Array] | None]:
-    """Return axes in rows and origin of coordinate systems by their numbers; None for one that is not read."""
+    """Return axes in rows and origin of coordinate systems by number; None for one that is not read."""
     names = ("cs_num", "cs_type") if one["type"] == 18 else ("CS_sys_labels", "CS_types")
     labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
     if one["type"] == 2420:

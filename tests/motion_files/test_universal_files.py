@@ -25,6 +25,7 @@ from tests.motion_files.written_files import (
     nodes_15,
     nodes_2411,
     system_18,
+    system_2420,
     units,
     universal_file,
 )
@@ -102,6 +103,10 @@ def test_directions_are_those_of_the_displacement_system(tmp_path):
     shifted = system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1))
     recording = read(tmp_path, units(), shifted, nodes_15(PLACE, defined=7), function(FREQ_HZ, VALUE))
     assert np.allclose(recording.points_m[0], [1.0, 0.5, 0.0])
+    turned = system_2420(7, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [1, 1, 1])
+    recording = read(tmp_path, units(), turned, nodes_2411(PLACE, measured=7), *parts)
+    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
+    assert np.allclose(recording.points_m[0], PLACE[1])  # of dataset 2411: in the global one
 
 
 def test_a_system_that_no_dataset_describes_is_the_global_one_with_a_warning(tmp_path):

@@ -57,6 +57,12 @@ def system_18(label, origin, on_x, on_xz, shape=0, parent=0):
     return dataset(18, [head, "SYS", "".join(text[:6]), "".join(text[6:])])
 
 
+def system_2420(label, turn, origin):
+    """Dataset 2420: axes in rows and the origin, format 1P3D25.16."""
+    rows = ["".join(f"{v:25.16E}".replace("E", "D") for v in row) for row in (*turn, origin)]
+    return dataset(2420, [f"{1:10d}", "part", f"{label:10d}{0:10d}{8:10d}", "SYS", *rows])
+
+
 def function(
     x, y, node=1, direction=3, *, kind=FRF, quantity=VELOCITIES, unit="m/s", per=0, per_unit="NONE",
     reference=(0, 0), names=("Response", "Vib  Geschwindigkeit"), form=6, even=True, binary="", load_case=0,
