@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks._table import NOTHING, Before, arguments, print_table
-from kinematics.faults.diagnose import diagnose
+from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import channel_verdicts
 from kinematics.fit.beams import beam_set
 from kinematics.fit.noise import fit_with_noise

@@ -12,9 +12,8 @@ import numpy as np
 
 from kinematics.faults.checks import Screened, check_measurement, empty_faults, screen_zeros
 from kinematics.faults.correct import Correction, corrected
-from kinematics.faults.diagnose import diagnose
 from kinematics.faults.other_body import points_of_other_bodies
-from kinematics.faults.search import Diagnosis
+from kinematics.faults.search import Diagnosis, diagnose
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import fit_with_noise

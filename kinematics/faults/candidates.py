@@ -1,58 +1,28 @@
-"""Fit the faults that may explain a misfit, and weigh them by their evidence."""
+"""Fit the faults that may explain a misfit, exchanged names among them, and weigh them by their evidence."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
-from kinematics.faults.exchanges import Exchange, exchanges
-from kinematics.faults.kinds import Place, free
+from kinematics.faults.kinds import Finding, Place, free
 from kinematics.faults.rounds import Round
 from kinematics.joint.estimate import State, joint
-from stapeskit.arrays import Array
+from kinematics.joint.tangents import Geometry
 
 _CHANCE_SD = 3.0  # standard deviations that the squares of values left out may differ from their mean
 _LEAST_EXPLAINED = 0.9  # of what leaving the channels out explains, for a kind to be believed
-_CANDIDATES = {"channel": 3, "point": 2, "laser": 2, "body": 1}
+_CANDIDATES = {"channel": 3, "point": 2, "laser": 3, "body": 1}
 _MOST_EXCHANGES = 3  # that are fitted in full: the most likely by their score, for time only
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A fault that may explain the misfit.
-
-    Attributes
-    ----------
-    kind : str
-        Of `kinds.Finding`.
-    place : Place
-    evidence : float
-        Of `Round.evidence`.
-    fall : float
-        Fall of chi2.
-    values, sd : ndarray, (k,)
-        Size, in units of the tangents of the kind; of noise its factor.
-    count : int
-        Number of values that an omission takes away.
-    exchange : Exchange or None
-    """
-
-    kind: str
-    place: Place
-    evidence: float
-    fall: float = 0.0
-    values: Array = field(default_factory=lambda: np.zeros(0))
-    sd: Array = field(default_factory=lambda: np.zeros(0))
-    count: int = 0
-    exchange: Exchange | None = None
-
-
-def fit_candidates(now: Round) -> list[Candidate]:
+def fit_candidates(now: Round) -> list[Finding]:
     """Fit the faults whose tests or whose omission explain most, the likeliest first."""
-    fitted: list[Candidate] = []
-    unlike: list[Candidate] = []
+    fitted: list[Finding] = []
+    unlike: list[Finding] = []
     for owner, most in _CANDIDATES.items():
         tests = [now.tests[k] for k in np.argsort(now.log_p) if now.tests[k].place.owner == owner]
         places = list(dict.fromkeys(test.place for test in tests))
@@ -62,41 +32,37 @@ def fit_candidates(now: Round) -> list[Candidate]:
             fitted += [_fitted(now, test.kind, place) for test in tests if test.place == place]
             if owner in ("channel", "point"):
                 unlike.append(without[place])
-    level = now.noise.level
     named = [
         one for one in fitted
-        if all(_replaces(one, other, level) for other in unlike if other.place == one.place)
+        if all(_replaces(now, one, other) for other in unlike if other.place == one.place)
     ]  # fmt: skip
-    unlike = [one for one in unlike if not any(_replaces(kind, one, level) for kind in named)]
-    suspects = [channel for place in _places_tried(fitted) for channel in place.channels]
+    suspects = [channel for one in unlike for channel in one.channels]
+    unlike = [one for one in unlike if not any(_replaces(now, kind, one) for kind in named)]
     found = [*named, *unlike, *_exchanged(now, suspects), *_louder(now)]
-    return sorted(found, key=lambda candidate: -candidate.evidence)
+    return sorted(found, key=lambda one: -one.evidence)
 
 
-def _places_tried(fitted: Sequence[Candidate]) -> list[Place]:
-    """Return the channels and points that were tried."""
-    return [one for one in dict.fromkeys(c.place for c in fitted) if one.owner in ("channel", "point")]
-
-
-def _replaces(named: Candidate, unlike: Candidate, level: float) -> bool:
+def _replaces(now: Round, named: Finding, unlike: Finding) -> bool:
     """Return whether a kind at some of the channels explains about what leaving all of them out does."""
-    if not set(named.place.channels) <= set(unlike.place.channels):
+    if not set(named.channels) <= set(unlike.channels):
         return False
-    own = unlike.fall / level - unlike.count
-    return named.fall / level >= _LEAST_EXPLAINED * own - _CHANCE_SD * np.sqrt(2.0 * unlike.count)
+    own = unlike.fall / now.noise.level - unlike.count
+    chance = _CHANCE_SD * np.sqrt(2.0 * unlike.count)
+    return bool(named.fall / now.noise.level >= _LEAST_EXPLAINED * own - chance)
 
 
-def _unlike_others(now: Round, place: Place) -> Candidate:
-    """Return the candidate that these channels do not follow the motion of the others."""
-    packed = now.packed
-    few = 2 * len(place.channels) < len(packed.live)
-    fall = now.state.leave_out(place.channels) if few else 0.0
-    used = packed.w[:, list(place.channels)] > 0.0
-    count = int(2 * np.sum(used * packed.columns[:, None]))
-    return Candidate("elsewhere", place, now.evidence(fall, count), fall, count=count)
+def _unlike_others(now: Round, place: Place) -> Finding:
+    """Return the finding that these channels do not follow the motion of the others."""
+    packed, own = now.packed, list(place.channels)
+    fall = now.state.leave_out(own) if 2 * len(own) < len(now.live) else 0.0
+    count = int(2 * np.sum((packed.w[:, own] > 0.0) * packed.columns[:, None]))
+    log_p = float(now.noise.log_tail(max(fall, 0.0), max(count, 1)))
+    return Finding(
+        "elsewhere", place, log_p=log_p, evidence=now.evidence(fall, count), fall=fall, count=count
+    )
 
 
-def _fitted(now: Round, kind: str, place: Place) -> Candidate:
+def _fitted(now: Round, kind: str, place: Place) -> Finding:
     """Fit a kind at a place; factors from the reversed sign where that fits better."""
     packed = now.packed
     parameters = free(kind, place.channels, len(now.layout.points))
@@ -105,41 +71,77 @@ def _fitted(now: Round, kind: str, place: Place) -> Candidate:
     if kind in ("gain", "phase", "drift"):
         reverse = np.zeros(len(start))
         reverse[0] = -2.0
-        moved = packed.geometry.moved(parameters + now.expected, reverse, packed.tau, packed.rho)
+        moved = packed.geometry.moved(parameters + now.expected, reverse, packed.tau, packed.omega)
         start = reverse if State(packed, moved).energy < State(packed).energy else start
     fit = joint(packed, parameters + now.expected, start)
     fall = now.estimate.chi2 - fit.chi2
     sd = np.sqrt(np.maximum(np.diag(fit.covariance)[:count] * now.noise.level, 0.0))
-    return Candidate(kind, place, now.evidence(fall, count), fall, fit.values[:count], sd)
+    log_p = float(now.noise.log_tail(max(fall, 0.0), count))
+    return Finding(kind, place, fit.values[:count], sd, log_p, now.evidence(fall, count), fall, count)
 
 
-def _exchanged(now: Round, suspects: Sequence[int]) -> list[Candidate]:
+def _exchanged(now: Round, suspects: Sequence[int]) -> list[Finding]:
     """Fit the likeliest exchanges of names."""
-    packed = now.packed
-    some = exchanges(packed.geometry, now.layout, now.live, suspects)
-    some.sort(key=lambda one: State(packed, one.geometry).energy)
+    some = sorted(_exchanges(now, suspects), key=lambda one: State(now.packed, one[1]).energy)
     found = []
-    for one in some[:_MOST_EXCHANGES]:
-        fall = now.estimate.chi2 - joint(packed, now.expected, geometry=one.geometry).chi2
-        evidence = now.evidence(fall, 0) - np.log(len(set(now.layout.points)))
-        found.append(Candidate("label_swap", Place(one.what, one.channels), evidence, fall, exchange=one))
+    for place, geometry in some[:_MOST_EXCHANGES]:
+        fall = now.estimate.chi2 - joint(now.packed, now.expected, geometry=geometry).chi2
+        evidence = now.evidence(fall, 0) - float(np.log(len(set(now.layout.points))))
+        log_p = float(now.noise.log_tail(max(fall, 0.0), 1))
+        found.append(
+            Finding("label_swap", place, log_p=log_p, evidence=evidence, fall=fall, geometry=geometry)
+        )
     return found
 
 
-def _louder(now: Round) -> list[Candidate]:
-    """Return the candidates of channels that are louder than stated, by their likelihood."""
+def _exchanges(now: Round, suspects: Sequence[int]) -> Iterator[tuple[Place, Geometry]]:
+    """Yield the exchanges in which a suspected channel takes part, and that change anything.
+
+    Two points change places when they have equally many channels: their positions alone (names in points.csv)
+    or with their beams (names of rows). Two lasers change with all their channels, two beams at one point.
+    """
+    points, given = now.layout.by_point(now.live), now.packed.geometry
+    names = {now.layout.points[channel] for channel in suspects} & set(points)
+    pairs = [
+        (what, points[one], points[other])
+        for one, other in combinations(points, 2)
+        if one in names or other in names
+        for what in ("points", "rows")
+    ]
+    pairs += [("beams", [a], [b]) for name in names for a, b in combinations(points[name], 2)]
+    pairs += [("lasers", *pair) for pair in combinations(now.layout.by_laser(now.live).values(), 2)]
+    seen = {_key(given)}
+    for what, one, other in pairs:
+        if len(one) != len(other):
+            continue
+        positions, directions = given.positions_m.copy(), given.directions.copy()
+        if what in ("points", "rows"):
+            positions[one], positions[other] = given.positions_m[other[0]], given.positions_m[one[0]]
+        if what != "points":
+            directions[one], directions[other] = given.directions[other], given.directions[one]
+        changed = replace(given, positions_m=positions, directions=directions)
+        if _key(changed) not in seen:
+            seen.add(_key(changed))
+            yield Place("points" if what == "rows" else what, (*one, *other)), changed
+
+
+def _key(geometry: Geometry) -> bytes:
+    """Return a key that is equal for geometries equal within 1 nm and 1 urad."""
+    whole = np.hstack([geometry.positions_m * 1e9, geometry.directions * 1e6])
+    return bytes((np.round(whole) + 0.0).tobytes())
+
+
+def _louder(now: Round) -> list[Finding]:
+    """Return channels that are louder than stated or than the others, by their likelihood."""
     energy, freedom = now.state.channel_energy
     found = []
-    for channel in now.live:
-        ratio = energy[channel] / now.noise.level / max(freedom[channel], 1e-9)
-        if now.levels is not None:
-            ratio *= now.levels[channel] ** 2
-        if freedom[channel] > 8.0 and ratio > 1.0:
+    for channel in np.flatnonzero(now.loudness > 1.0):
+        ratio, log_p = float(now.loudness[channel]), float(now.channel_noise[channel])
+        evidence = -log_p - 0.5 * float(np.log(now.packed.values))
+        if now.stated:
             fall = energy[channel] * (1.0 - 1.0 / ratio)
-            evidence = now.evidence(fall, 1) - 0.5 * freedom[channel] * np.log(ratio)
-            if now.levels is not None:
-                evidence = -now.channel_noise[channel] - 0.5 * np.log(now.packed.values)
-            size = np.array([np.sqrt(ratio)])
-            sd = size / np.sqrt(2.0 * freedom[channel])
-            found.append(Candidate("noise", Place("channel", (channel,)), evidence, 0.0, size, sd))
+            evidence = now.evidence(fall, 1) - 0.5 * freedom[channel] * float(np.log(ratio))
+        size = np.array([np.sqrt(ratio)])
+        sd = size / np.sqrt(2.0 * freedom[channel])
+        found.append(Finding("noise", Place("channel", (int(channel),)), size, sd, log_p, evidence, count=1))
     return found

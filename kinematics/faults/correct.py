@@ -11,7 +11,7 @@ from kinematics.faults.search import Diagnosis
 from kinematics.faults.sentences import culprit, describe
 from kinematics.joint.estimate import joint
 from kinematics.joint.expected import ChannelError
-from kinematics.joint.tangents import DELAY, Geometry, Parameters
+from kinematics.joint.tangents import Geometry, Parameters
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -58,11 +58,9 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
     last = diagnosis.last
     readings = last.readings
     parameters = sum((free(one.kind, one.channels, count) for one in estimated), Parameters.of(count))
-    mean_hz = float(np.mean(readings.freq_hz))
-    unit = np.where(parameters.tangent == DELAY, 2.0 * np.pi * mean_hz, 1.0)
-    values = unit * np.concatenate([np.zeros(0), *(one.values for one in estimated)])
+    values = np.concatenate([np.zeros(0), *(one.values for one in estimated)])
     base = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
-    moved = base.moved(parameters, values, np.linspace(-1.0, 1.0, len(freq_hz)), freq_hz / mean_hz)
+    moved = base.moved(parameters, values, np.linspace(-1.0, 1.0, len(freq_hz)), 2.0 * np.pi * freq_hz)
     left_out = ~np.isfinite(readings.noise_factor)
     value = body.value / moved.factor.T
     value[:, left_out] = np.nan
@@ -80,7 +78,7 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
     )
     fit = joint(last.packed, parameters + last.expected, np.concatenate([0.0 * values, last.estimate.values]))
     size = len(parameters)
-    covariance = fit.covariance[:size, :size] * last.noise.level / np.outer(unit, unit)
+    covariance = fit.covariance[:size, :size] * last.noise.level
     return Correction(changed, _errors(body, estimated, first), covariance, tuple(
         Notice("corrected", f"{culprit(one, body)}: {_how(one)} ({describe(one, body)}).")
         for one in diagnosis.findings

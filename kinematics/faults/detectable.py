@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -40,28 +41,20 @@ def detectable(now: Round) -> list[Detectable]:
     free). It is found where that is as large as the alarm level and the power ask for; the level of noise
     that is not stated counts with its own degrees of freedom.
     """
-    live = now.live
-    owned = informations(
-        now.state, now.expected, places(now.layout, live, len(live) == len(now.layout.points))
-    )
-    number = {one.places[0].owner: 0.0 for one in owned}
-    for test in now.tests:
-        number[test.place.owner] += 1.0 / SHARE[test.place.owner]
-    mean_omega = 2.0 * np.pi * float(np.mean(now.readings.freq_hz))
+    owners = [test.place.owner for test in now.tests]
     found = []
-    for one in owned:
-        chance = ALARM / max(number[one.places[0].owner], 1.0)
-        for kind, entry in KINDS.items():
-            tangents = np.array(entry.tangents)
+    for place, kinds, _, information in informations(now.state, now.expected, places(now.layout, now.live)):
+        chance = ALARM * SHARE[place.owner] / max(owners.count(place.owner), 1)
+        for kind in kinds:
+            tangents = list(KINDS[kind].tangents)
             need = noncentrality(len(tangents), chance, now.noise) * now.noise.level
-            for k in one.with_kind(kind, now.state):
-                value = np.linalg.eigvalsh(one.information[k][np.ix_(tangents, tangents)])
-                seen = value[0] > 1e-9 * max(value[-1], 1e-300)
-                size = float(np.sqrt(need / value[0])) if seen else float("inf")
-                found.append(Detectable(one.places[k], kind, size / (mean_omega if kind == "delay" else 1.0)))
+            value = np.linalg.eigvalsh(information[np.ix_(tangents, tangents)])
+            seen = value[0] > 1e-9 * max(value[-1], 1e-300)
+            found.append(Detectable(place, kind, float(np.sqrt(need / value[0])) if seen else float("inf")))
     return found
 
 
+@cache
 def noncentrality(freedom: int, chance: float, noise: Noise) -> float:
     """Return the non-centrality at which a test of level ``chance`` has the power `POWER`."""
     from scipy.special import chdtri, chndtrinc, fdtri

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinematics.faults.lines import line_residuals
+from kinematics.faults.noise import line_residuals
 from kinematics.faults.rounds import Round
 from kinematics.faults.scores import pattern_gain
 from kinematics.fit.reference import format_stretches
 from kinematics.joint.estimate import inverse, system
-from kinematics.joint.pack import Readings
 from kinematics.joint.tangents import GAIN, PHASE, SHIFT, Parameters
 from stapeskit.arrays import Array
 
@@ -41,19 +40,18 @@ class Cause:
 
 def other_causes(now: Round) -> list[Cause]:
     """Look for random errors of gains or positions, then for loud lines, then for single values far off."""
-    readings, state = now.readings, now.state
-    bending = pattern_gain(state, now.noise)
-    found = _scatter(now, bending)
-    if found or bending > 0.25 * state.energy / now.noise.level:
+    bending = pattern_gain(now.state, now.noise.level)
+    found = _scatter(now, max(_LEAST_GAIN, bending))
+    if found or bending > 0.25 * now.state.energy / now.noise.level:  # half of the squares
         return found
-    lines = line_residuals(readings, state)
+    lines = line_residuals(now.readings, now.state)
     squares = np.abs(lines.scaled) ** 2 / np.maximum(lines.own, 0.05)[:, None]
     if np.count_nonzero(np.isfinite(squares)) < _LEAST_VALUES:
         return []
-    return _loud_lines(readings, squares) or _single_values(squares)
+    return _loud_lines(now.readings.freq_hz, squares) or _single_values(squares)
 
 
-def _loud_lines(readings: Readings, squares: Array) -> list[Cause]:
+def _loud_lines(freq_hz: Array, squares: Array) -> list[Cause]:
     """Look for few lines, apart from each other, that all channels read louder; tell multiples of mains."""
     some = np.flatnonzero(np.isfinite(squares).any(axis=0))
     middle = np.nanmedian(squares[:, some], axis=0)
@@ -66,14 +64,13 @@ def _loud_lines(readings: Readings, squares: Array) -> list[Cause]:
     part = squares[:, loud]
     if np.median(np.nanmax(part, axis=0) / np.nansum(part, axis=0)) >= _ONE_CHANNEL:
         return []
-    freq, every = np.unique(readings.freq_hz[loud]), np.unique(readings.freq_hz)
-    where = format_stretches(every, np.isin(every, freq))
+    freq, every = np.unique(freq_hz[loud]), np.unique(freq_hz)
+    text, step = f"{len(freq)} lines do not fit a rigid motion", "Leave them out"
     for mains in _MAINS_HZ:
         if np.all(np.abs(freq - mains * np.round(freq / mains)) < _NEAR_MAINS_HZ):
+            text = f"{len(freq)} lines at multiples of {mains:.0f} Hz do not fit a rigid motion"
             step = f"Leave them out, or average longer between multiples of {mains:.0f} Hz"
-            text = f"lines at multiples of {mains:.0f} Hz do not fit a rigid motion: {where}"
-            return [Cause("loud_lines", text, step)]
-    return [Cause("loud_lines", f"{len(freq)} lines do not fit a rigid motion: {where}", "Leave them out")]
+    return [Cause("loud_lines", f"{text}: {format_stretches(every, np.isin(every, freq))}", step)]
 
 
 def _single_values(squares: Array) -> list[Cause]:
@@ -83,36 +80,34 @@ def _single_values(squares: Array) -> list[Cause]:
     count = np.count_nonzero(far)
     if not 3 + 1e-3 * number < count < _MOST_FAR * number:
         return []
-    worst = int(np.argmax(far.sum(axis=1)))
     text = f"{count} of {number} values lie far off the rigid motion"
     step = "Fit with --robust huber, or look for drop-outs of the signal"
-    return [Cause("sparse_outliers", text, step, worst)]
+    return [Cause("sparse_outliers", text, step, int(np.argmax(far.sum(axis=1))))]
 
 
 def _scatter(now: Round, least: float) -> list[Cause]:
-    """Look for random errors of one kind at all channels or points that gain more log likelihood."""
+    """Look for random errors of one kind at all channels or points that gain most log likelihood."""
     points = list(now.layout.by_point(now.live).values())
-    gains = ("channels_scattered", "%", 100.0, "Calibrate the channels, or state larger errors of gains")
-    step = "State them as sd_mm in points.csv, or measure the points again"
-    places = ("channels_scattered", "mm", 1e3, step)
-    trials = (
+    gains = ("%", 100.0, "Calibrate the channels, or state larger errors of gains")
+    places = ("mm", 1e3, "State them as sd_mm in points.csv, or measure the points again")
+    found = []
+    for name, own, tangents, (unit, factor, step) in (
         ("factors of points", points, (GAIN, PHASE), gains),
         ("gains of channels", [[channel] for channel in now.live], (GAIN,), gains),
         ("positions", points, SHIFT, places),
-    )
-    best, found = max(_LEAST_GAIN, least), []
-    for name, own, tangents, (code, unit, factor, step) in trials:
+    ):
         sd, gain, sizes = random_errors(now, own, tangents)
-        if gain < best:
+        if gain < least:
             continue
-        text = f"the {name} differ by {factor * sd:.2g} {unit} (standard deviation)"
+        code, text = (
+            "channels_scattered",
+            f"the {name} differ by {factor * sd:.2g} {unit} (standard deviation)",
+        )
         order = np.argsort(np.argsort(sizes[:: len(tangents)]))
         if len(points) > 5 and abs(np.corrcoef(order, np.arange(len(order)))[0, 1]) > _IN_ORDER:
             code, text = "drift_between_points", f"{text}, growing in the order of the file"
-            step = (
-                "The sample or the excitation changed during the scan: repeat it, or use a reference channel"
-            )
-        best, found = gain, [Cause(code, text, step)]
+            step = "The sample or the excitation changed during the scan: repeat it, or use a reference"
+        least, found = gain, [Cause(code, text, step)]
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from kinematics.joint.tangents import (
     PHASE_DRIFT,
     SHIFT,
     TURN,
+    Geometry,
     Parameters,
 )
 from stapeskit.arrays import Array
@@ -29,18 +30,7 @@ are of single channels or lasers."""
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault.
-
-    Attributes
-    ----------
-    tangents : tuple of int
-    owners : tuple of str
-        Of `SHARE`.
-    verdict : str
-        Word in dof.channels.csv.
-    courses : bool
-        Whether it changes over the lines.
-    """
+    """A kind of fault: tangents, owners (of `SHARE`), word in dof.channels.csv, whether it needs a course."""
 
     tangents: tuple[int, ...]
     owners: tuple[str, ...]
@@ -61,32 +51,79 @@ KINDS: dict[str, Kind] = {
 
 
 @dataclass(frozen=True)
+class Place:
+    """Channels that can have a fault together: one channel, a point, a laser or the body."""
+
+    owner: str
+    channels: tuple[int, ...]
+
+    def kinds(self, groups: int, parallel: bool) -> list[str]:
+        """List the kinds that so many groups of lines, and beams that are parallel or not, can show."""
+        alone = self.owner == "point" and len(self.channels) == 1
+        return [
+            name
+            for name, kind in KINDS.items()
+            if self.owner in kind.owners
+            and not (alone and name != "position")
+            and not (kind.courses and groups < 4)
+            and not (parallel and name in ("direction", "axes"))
+        ]
+
+
+def places(layout: Layout, live: Sequence[int]) -> list[Place]:
+    """List channels, points and lasers in use, and the body where nothing is left out."""
+    lasers = layout.by_laser(live)
+    found = [Place("channel", (int(channel),)) for channel in live]
+    found += [Place("point", tuple(own)) for own in layout.by_point(live).values()]
+    found += [Place("laser", tuple(own)) for own in lasers.values() if len(own) > 2]
+    if len(live) == len(layout.points) and lasers:
+        found.append(Place("body", tuple(int(channel) for channel in live)))
+    return found
+
+
+@dataclass(frozen=True)
 class Finding:
-    """What is wrong, and where.
+    """A fault that may explain a misfit, or does.
 
     Attributes
     ----------
     kind : str
-        Of `KINDS`, or ``label_swap``, ``noise``, ``zeros``, ``elsewhere`` (moves unlike the others),
-        ``flexible``.
-    owner : str
-        ``channel``, ``point``, ``laser``, ``body``; of exchanged names ``points``, ``beams``, ``lasers``.
-    channels : tuple of int
+        Of `KINDS`, or ``label_swap``, ``noise``, ``elsewhere`` (moves unlike the others), ``flexible``.
+    place : Place
+        Its owner is ``points``, ``beams`` or ``lasers`` of exchanged names.
     values, sd : ndarray, (k,)
-        Size, by the tangents of the kind (a delay in s); of noise its factor.
+        Size, by the tangents of the kind; of noise its factor.
     log_p : float
         Natural logarithm of the probability of data like these without it.
-    share : float
-        Of the misfit that it explains.
+    evidence : float
+        Log likelihood that it gains, less what its numbers cost.
+    fall : float
+        Of chi2.
+    count : int
+        Numbers that it takes from the data: values that are left out, or its size.
+    geometry : Geometry or None
+        With exchanged names back in place.
     """
 
     kind: str
-    owner: str
-    channels: tuple[int, ...]
-    values: Array
-    sd: Array
+    place: Place
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    sd: Array = field(default_factory=lambda: np.zeros(0))
     log_p: float = 0.0
-    share: float = 1.0
+    evidence: float = 0.0
+    fall: float = 0.0
+    count: int = 0
+    geometry: Geometry | None = None
+
+    @property
+    def owner(self) -> str:
+        """What has the fault."""
+        return self.place.owner
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """All channels of it."""
+        return self.place.channels
 
     @property
     def verdict(self) -> str:
@@ -106,33 +143,3 @@ def is_reversed(values: Array) -> bool:
 def free(kind: str, own: Sequence[int], channels: int) -> Parameters:
     """Return the free parameters of a kind at some of so many channels."""
     return Parameters.of(channels, [(own, tangent, np.inf) for tangent in KINDS[kind].tangents])
-
-
-@dataclass(frozen=True)
-class Place:
-    """Channels that can have a fault together: one channel, a point, a laser or the body."""
-
-    owner: str
-    channels: tuple[int, ...]
-
-    def kinds(self, groups: int, parallel: bool) -> list[str]:
-        """List the kinds of faults that this number of groups of lines can distinguish."""
-        return [
-            name
-            for name, kind in KINDS.items()
-            if self.owner in kind.owners
-            and not (self.owner == "point" and len(self.channels) == 1 and name != "position")
-            and not (kind.courses and groups < 4)
-            and not (parallel and name in ("direction", "axes"))
-        ]
-
-
-def places(layout: Layout, live: Sequence[int], complete: bool) -> list[Place]:
-    """List channels, points and lasers in use; with ``complete`` (nothing is left out) also the body."""
-    lasers = layout.by_laser(live)
-    found = [Place("channel", (int(channel),)) for channel in live]
-    found += [Place("point", tuple(own)) for own in layout.by_point(live).values()]
-    found += [Place("laser", tuple(own)) for own in lasers.values() if len(own) > 2]
-    if complete and lasers:
-        found.append(Place("body", tuple(int(channel) for channel in live)))
-    return found

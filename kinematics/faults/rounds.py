@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.scores import Noise, Test, score_tests, structure
-from kinematics.faults.unstated_noise import channel_levels, group_levels, own_noise, unknown_noise
+from kinematics.faults.noise import channel_levels, group_levels, own_noise, unknown_noise
+from kinematics.faults.scores import Noise, Test, score_tests
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout, Priors, expected_errors
 from kinematics.joint.pack import Packed, Readings, pack
@@ -25,8 +25,8 @@ ALARM_SHARES = (0.6, 0.25, 0.1)
 """Shares of it of the tests of kinds, of the noise of channels, and of the sum of all squares. Tests of kinds
 that contain each other are weighted as if each were alone and the owners independent (`SHARE`), which makes
 1.1 times as many alarms (2 000 simulated files); the sum is 1.0."""
-_NO_PATTERN = np.log(1e-3)
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
+_LEAST_FREEDOM = 8.0  # of a channel: fewer say nothing of its noise
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Round:
     noise: Noise
     stated: bool
     tests: tuple[Test, ...]
-    levels: Array | None = None
-    spread: float = 0.0
+    levels: Array
+    spread: float
 
     @property
     def state(self) -> State:
@@ -61,28 +61,33 @@ class Round:
     @cached_property
     def log_p(self) -> Array:
         """Logarithm of the p-value of each test, weighted so that all together are one test (tests,)."""
-        if not self.tests:
-            return np.zeros(0)
+        owners = [test.place.owner for test in self.tests]
+        number = {owner: owners.count(owner) / share for owner, share in SHARE.items()}
         tail = self.noise.log_tail(
             np.array([test.statistic for test in self.tests]), np.array([test.freedom for test in self.tests])
         )
-        owners = [test.place.owner for test in self.tests]
-        number = {owner: owners.count(owner) / share for owner, share in SHARE.items()}
         return np.asarray(tail + np.log([number[owner] for owner in owners]))
+
+    @cached_property
+    def loudness(self) -> Array:
+        """Variance of each channel's noise over the stated or usual one, (c,); 1 where unknown."""
+        energy, freedom = self.state.channel_energy
+        ratio = energy * self.levels**2 / np.maximum(freedom, 1.0) / self.noise.level
+        return np.where(freedom > _LEAST_FREEDOM, ratio, 1.0)
 
     @cached_property
     def channel_noise(self) -> Array:
         """Logarithm of the probability that a channel is as loud as it is by chance, (c,); 0 if unknown."""
         from scipy.special import log_ndtr
 
-        energy, freedom = self.state.channel_energy
-        some = freedom > 8.0
-        tail = self.noise.log_tail(energy, np.where(some, freedom, 1.0))
-        if self.levels is not None:
-            ratio = np.maximum(energy, 1e-300) / np.maximum(freedom, 1.0) / self.noise.level
-            width = np.sqrt(self.spread**2 + 0.5 / np.maximum(freedom, 1.0))
-            tail = log_ndtr(-(0.5 * np.log(ratio) + np.log(self.levels)) / width)
-        return np.where(some, tail, 0.0)
+        _, freedom = self.state.channel_energy
+        freedom = np.maximum(freedom, 1.0)
+        if self.stated:
+            tail = self.noise.log_tail(self.loudness * self.noise.level * freedom, freedom)
+        else:
+            width = np.sqrt(self.spread**2 + 0.5 / freedom)
+            tail = log_ndtr(-0.5 * np.log(np.maximum(self.loudness, 1e-300)) / width)
+        return np.where(freedom > _LEAST_FREEDOM, tail, 0.0)
 
     def channel_log_p(self) -> Array:
         """Return the log of each channel's smallest p-value, corrected for the number of its tests."""
@@ -95,13 +100,20 @@ class Round:
                 count[channel] += 1.0
         return np.minimum(out + np.log(count), 0.0)
 
+    @property
+    def _whole(self) -> tuple[float, float]:
+        """Sum of all squares, and its degrees of freedom."""
+        energy, freedom = (float(part.sum()) for part in self.state.noise_energy)
+        return self.estimate.chi2 + energy, self.state.freedom + freedom
+
     @cached_property
     def log_whole(self) -> float:
         """Logarithm of the probability of the sum of all squares; 0 where no noise is known apart from it."""
-        energy, freedom = (float(part.sum()) if self.stated else 0.0 for part in self.state.noise_energy)
-        if not self.stated and not (np.isfinite(self.noise.freedom) and self.packed.turned):
+        if self.stated:
+            return float(self.noise.log_tail(*self._whole))
+        if not self.packed.turned:
             return 0.0
-        return float(self.noise.log_tail(self.estimate.chi2 + energy, self.state.freedom + freedom))
+        return float(self.noise.log_tail(self.estimate.chi2, self.state.freedom))
 
     def evidence(self, fall: float, count: int) -> float:
         """Return the log likelihood gained by a fall of chi2, less what so many parameters cost.
@@ -111,8 +123,7 @@ class Round:
         Schwarz 1978, doi:10.1214/aos/1176344136. What a fault leaves beyond the noise, other faults for
         instance, counts as noise of a size that is not known: it must not be explained by more parameters.
         """
-        energy, freedom = (float(part.sum()) for part in self.state.noise_energy)
-        whole, freedom = self.estimate.chi2 + energy, self.state.freedom + freedom
+        whole, freedom = self._whole
 
         def log_likelihood(chi2: float) -> float:
             level = max(chi2 / freedom, self.noise.level)
@@ -121,11 +132,6 @@ class Round:
         gained = log_likelihood(whole - fall) - log_likelihood(whole)
         return gained - 0.5 * count * float(np.log(self.packed.values))
 
-    @property
-    def excess(self) -> float:
-        """Squares beyond what noise makes."""
-        return self.estimate.chi2 / self.noise.level - self.state.freedom
-
     def clean(self) -> bool:
         """Return whether nothing is wrong, at the level of alarms of `ALARM`."""
         loudest = np.min(self.channel_noise) + np.log(max(len(self.live), 1))
@@ -133,41 +139,22 @@ class Round:
         return bool(np.all(smallest > np.log(ALARM * np.array(ALARM_SHARES))))
 
 
-def null_fit(
-    readings: Readings, layout: Layout, priors: Priors, stated: bool, noise: Noise | None = None
-) -> Round:
+def null_fit(readings: Readings, layout: Layout, priors: Priors, stated: bool) -> Round:
     """Fit motion and expected errors, find the level of the noise, and test everything."""
     packed = pack(readings)
     live = packed.live.tolist()
-    expected = expected_errors(layout, live, priors, float(np.mean(readings.freq_hz)))
+    expected = expected_errors(layout, live, priors)
     estimate = joint(packed, expected)
-    levels, spread = None, 0.0
+    levels, spread = np.ones(len(layout.points)), 0.0
     if not stated:
         for _ in range(_LEVEL_ROUNDS):
             energy, freedom = own_noise(estimate.state)
-            levels, spread = channel_levels(energy if levels is None else energy * levels**2, freedom)
+            levels, spread = channel_levels(energy * levels**2, freedom)
             packed = pack(replace(readings, noise_factor=readings.noise_factor * levels))
             estimate = joint(packed, expected, estimate.values)
         if packed.turned:
             packed = packed.scaled(group_levels(estimate.state))
             estimate = joint(packed, expected, estimate.values)
-    complete = len(live) == len(layout.points)
-    tests = score_tests(estimate.state, expected, places(layout, live, complete))
-    if noise is None:
-        noise = Noise() if stated else unknown_noise(estimate, tests)
-    return Round(readings, layout, packed, expected, estimate, noise, stated, tuple(tests), levels, spread)
-
-
-def noise_level(now: Round) -> float:
-    """Return the noise over the stated one where all channels are louder or quieter alike, else 1."""
-    energy, freedom = now.state.noise_energy
-    energy, freedom = energy.sum(axis=0), freedom.sum(axis=0)
-    some = freedom > 8.0
-    if np.count_nonzero(some) < 3:
-        return 1.0
-    ratio = energy[some] / freedom[some]
-    middle = float(np.median(ratio))
-    spread = 1.25 * np.sqrt(2.0 / np.median(freedom[some]) / np.count_nonzero(some))
-    if abs(np.log(middle)) < 5.0 * spread or structure(now.state, middle) < _NO_PATTERN:
-        return 1.0
-    return float(np.sqrt(middle))
+    tests = tuple(score_tests(estimate.state, expected, places(layout, live)))
+    noise = Noise() if stated else unknown_noise(estimate, tests)
+    return Round(readings, layout, packed, expected, estimate, noise, stated, tests, levels, spread)

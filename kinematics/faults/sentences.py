@@ -141,12 +141,6 @@ def _elsewhere(finding: Finding, body: BodyChannels) -> str:
     return f"does not move with the others (point {points}): it bends, or its rows are wrong"
 
 
-def _flexible(finding: Finding, _body: BodyChannels) -> str:
-    return (
-        f"does not move as a rigid body (share of the misfit without a cause: {100.0 * finding.share:.0f} %)"
-    )
-
-
 SENTENCES: dict[str, Callable[[Finding, BodyChannels], str]] = {
     "gain": _factor,
     "phase": _factor,
@@ -158,7 +152,7 @@ SENTENCES: dict[str, Callable[[Finding, BodyChannels], str]] = {
     "label_swap": _exchange,
     "noise": _noise,
     "elsewhere": _elsewhere,
-    "flexible": _flexible,
+    "flexible": lambda _finding, _body: "does not move as a rigid body",
     "zeros": lambda _finding, _body: "reads zero throughout",
 }
 """What describes each kind of finding."""

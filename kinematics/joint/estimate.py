@@ -133,8 +133,8 @@ class State:
         read = weight * ((self.rows @ lift) @ z)
         shape = (COUNT, read.shape[1], *read.shape[::2])
         t = np.empty(shape, dtype=complex)
-        tau, rho = packed.tau[:, None, None], packed.rho[:, None, None]
-        simple = {GAIN: read, PHASE: 1j * read, DELAY: -1j * rho * read, GAIN_DRIFT: tau * read}
+        tau, omega = packed.tau[:, None, None], packed.omega[:, None, None]
+        simple = {GAIN: read, PHASE: 1j * read, DELAY: -1j * omega * read, GAIN_DRIFT: tau * read}
         simple[PHASE_DRIFT] = 1j * simple[GAIN_DRIFT]
         for kind, values in simple.items():
             t[kind] = values.swapaxes(0, 1)
@@ -254,7 +254,7 @@ def joint(
     prior = parameters.prior
 
     def at(values: Array) -> tuple[State, float]:
-        moved = base.moved(parameters, values, packed.tau, packed.rho) if len(parameters) else base
+        moved = base.moved(parameters, values, packed.tau, packed.omega) if len(parameters) else base
         state = State(packed, moved)
         return state, state.energy + float(prior @ values**2)
 

@@ -92,15 +92,14 @@ class Priors:
     beam_rad: float = 0.0
 
 
-def expected_errors(layout: Layout, live: Sequence[int], priors: Priors, mean_freq_hz: float) -> Parameters:
+def expected_errors(layout: Layout, live: Sequence[int], priors: Priors) -> Parameters:
     """Return the expected errors of the channels in use, with their standard deviations."""
     entries: list[tuple[list[int], int, float]] = []
     if priors.position_m.size:
         for own in layout.by_point(live).values():
             sd = float(priors.position_m[own[0]])
             entries += [(own, tangent, sd) for tangent in SHIFT if sd > 0.0]
-    lag = 2.0 * np.pi * mean_freq_hz * priors.laser_delay_s
-    sizes = ((GAIN, priors.laser_gain), (PHASE, priors.laser_phase_rad), (DELAY, lag))
+    sizes = ((GAIN, priors.laser_gain), (PHASE, priors.laser_phase_rad), (DELAY, priors.laser_delay_s))
     for own in layout.by_laser(live).values():
         entries += [(own, tangent, sd) for tangent, sd in sizes if sd > 0.0]
     if priors.beam_rad > 0.0:

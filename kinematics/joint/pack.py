@@ -80,9 +80,9 @@ class Readings:
         )
 
     @property
-    def rho(self) -> Array:
-        """Frequency over its mean, (N,)."""
-        return self.freq_hz / float(np.mean(self.freq_hz))
+    def omega(self) -> Array:
+        """Angular frequency (N,), rad/s."""
+        return 2.0 * np.pi * self.freq_hz
 
     def without(self, channels: Sequence[int]) -> Readings:
         """Return the readings without channels."""
@@ -98,7 +98,7 @@ class Readings:
 
     def corrected(self, parameters: Parameters, values: Array) -> Readings:
         """Return the readings under a geometry with parameters (p,) of the given values."""
-        return replace(self, geometry=self.geometry.moved(parameters, values, self.tau, self.rho))
+        return replace(self, geometry=self.geometry.moved(parameters, values, self.tau, self.omega))
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Packed:
         Root weights 1 / (sqrt 2 sd), up to a factor per line that is in ``y``.
     columns : ndarray, (G,), int
         Columns in use of each group.
-    tau, rho : ndarray, (G,)
+    tau, omega : ndarray, (G,)
         As in `Readings`.
     rest : ndarray, (G, c, k), complex
         Columns without motion: noise alone.
@@ -131,7 +131,7 @@ class Packed:
     w: Array
     columns: NDArray[np.intp]
     tau: Array
-    rho: Array
+    omega: Array
     rest: ComplexArray
     rest_columns: NDArray[np.intp]
     geometry: Geometry
@@ -196,7 +196,7 @@ def pack(readings: Readings) -> Packed:
         w=root[:, [lines[0] for lines in groups]].T,
         columns=np.array([part.y.shape[1] for part in parts]),
         tau=mean(readings.tau),
-        rho=mean(readings.rho),
+        omega=mean(readings.omega),
         rest=_stack([part.rest for part in parts]),
         rest_columns=np.array([part.rest.shape[1] for part in parts]),
         geometry=geometry,

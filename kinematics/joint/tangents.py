@@ -23,10 +23,9 @@ GAIN, PHASE, DELAY, GAIN_DRIFT, PHASE_DRIFT, BEAM_U, BEAM_V = range(7)
 SHIFT = (7, 8, 9)
 TURN = (10, 11, 12)
 COUNT = 13
-UNITS = ("1", "rad", "rad at the mean frequency", "1", "rad", "rad", "rad", *["m"] * 3, *["rad"] * 3)
-"""Tangents: factor 1 + g + i h (gain, phase), delay as a phase at the mean frequency, both growing from -1 at
-the first line to 1 at the last (drift), a beam turned towards its two normals (u, v), the point shifted along
-x, y, z, all beams turned about x, y, z."""
+"""Tangents: factor 1 + g + i h (gain, phase), delay in s, both growing from -1 at the first line to 1 at the
+last (drift), a beam turned towards its two normals (u, v; rad), the point shifted along x, y, z (m), all
+beams turned about x, y, z (rad)."""
 
 
 def normals(directions: Array) -> tuple[Array, Array]:
@@ -108,10 +107,10 @@ class Geometry:
         """Return the observation rows (c, 6)."""
         return point_rows(self.positions_m, self.directions)
 
-    def moved(self, parameters: Parameters, values: Array, tau: Array, rho: Array) -> Geometry:
+    def moved(self, parameters: Parameters, values: Array, tau: Array, omega: Array) -> Geometry:
         """Return the geometry with parameters (p,) of the given values.
 
-        ``tau`` (G,) runs from -1 to 1 over the lines, ``rho`` (G,) is the frequency over its mean. Factors
+        ``tau`` (G,) runs from -1 to 1 over the lines, ``omega`` (G,) is in rad/s. Factors
         multiply as 1 + x, so that -2 reverses a sign.
         """
         sums = np.zeros((COUNT, len(self.positions_m)))
@@ -130,7 +129,7 @@ class Geometry:
             change = 1.0 + sums[GAIN] + 1j * sums[PHASE]
             if used[[DELAY, GAIN_DRIFT, PHASE_DRIFT]].any():
                 change = change + (sums[GAIN_DRIFT] + 1j * sums[PHASE_DRIFT]) * tau[:, None]
-                change = change * np.exp(-1j * sums[DELAY] * rho[:, None])
+                change = change * np.exp(-1j * sums[DELAY] * omega[:, None])
             factor = factor * change
         return Geometry(positions, directions, factor)
 

@@ -237,36 +237,26 @@ def estimate_errors(
     beams = lasers_of(placed)[1]
     if not packs:
         return ErrorEstimate(tuple(errors), 0.0 * stated, np.diag(stated**2), beams)
-    unit = _si_units(placed, errors)
     found = joint(_side_by_side(placed, packs), parameters_of(placed, errors))
-    covariance = found.covariance * np.outer(unit, unit)
-    return ErrorEstimate(tuple(errors), found.values * unit, covariance, beams)
+    return ErrorEstimate(tuple(errors), found.values, found.covariance, beams)
 
 
 def parameters_of(placed: Measurement, errors: Sequence[ChannelError]) -> Parameters:
     """Return the parameters (p,) of errors out of the channels of all bodies."""
-    units = _si_units(placed, errors)
-    entries = [(one.channels, one.tangent, one.sd / unit) for one, unit in zip(errors, units, strict=True)]
+    entries = [(one.channels, one.tangent, one.sd) for one in errors]
     return Parameters.of(body_starts(placed)[-1], entries)
-
-
-def _si_units(placed: Measurement, errors: Sequence[ChannelError]) -> Array:
-    """Return the factors (p,) from parameters to SI: delays are phases at the mean frequency."""
-    mean_omega = 2.0 * np.pi * float(np.mean(placed.freq_hz))
-    return np.array([1.0 / mean_omega if error.tangent == DELAY else 1.0 for error in errors])
 
 
 def with_errors(placed: Measurement, found: ErrorEstimate) -> Measurement:
     """Return the measurement with positions, directions and values as an estimate makes them."""
     parameters = parameters_of(placed, found.errors)
-    values = found.values / _si_units(placed, found.errors)
-    rho = placed.freq_hz / float(np.mean(placed.freq_hz))
+    omega = 2.0 * np.pi * placed.freq_hz
     bodies = []
     for start, body in zip(body_starts(placed), placed.bodies, strict=False):
         count = len(body.points)
         own = replace(parameters, mask=parameters.mask[:, start : start + count])
         as_given = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
-        moved = as_given.moved(own, values, np.zeros(len(rho)), rho)
+        moved = as_given.moved(own, found.values, np.zeros(len(omega)), omega)
         factor = moved.factor.T
         changed = replace(
             body,
@@ -308,6 +298,6 @@ def _side_by_side(placed: Measurement, packs: Mapping[int, Packed]) -> Packed:
     scale = np.max([packed.scale for packed in packs.values()], axis=0)
     live = [starts[number] + packed.live for number, packed in packs.items()]
     return Packed(
-        y, w, joined("columns"), joined("tau"), joined("rho"), *nothing, geometry, np.eye(6), scale,
+        y, w, joined("columns"), joined("tau"), joined("omega"), *nothing, geometry, np.eye(6), scale,
         np.concatenate(live),
     )  # fmt: skip

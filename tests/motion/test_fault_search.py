@@ -7,7 +7,7 @@ import pytest
 
 from kinematics.faults.correct import corrected
 from kinematics.faults.detectable import detectable
-from kinematics.faults.diagnose import diagnose
+from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
 from simulate import KINDS as SIMULATED
 from tests.motion.bodies import as_measurement, fitted, recorded

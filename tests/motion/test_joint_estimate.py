@@ -23,10 +23,10 @@ def test_scores_are_derivatives_of_the_squares(tangent, missing):
     packed = pack(readings_of(1, missing=missing))
     parameters = Parameters.of(27, [([4, 5], tangent, np.inf)])
     score = system(State(packed), parameters)[0][0]
-    step = {True: 1e-9, False: 1e-6}[tangent in SHIFT]
+    step = 1e-9 if tangent in (*SHIFT, DELAY) else 1e-6
     moved = [
         State(
-            packed, packed.geometry.moved(parameters, np.array([sign * step]), packed.tau, packed.rho)
+            packed, packed.geometry.moved(parameters, np.array([sign * step]), packed.tau, packed.omega)
         ).energy
         for sign in (1.0, -1.0)
     ]
@@ -58,7 +58,7 @@ def test_estimates_are_unbiased_and_state_their_covariance():
     pulls = []
     for seed in range(40):
         readings = readings_of(seed, lines=60)
-        wrong = readings.geometry.moved(parameters, size, readings.tau, readings.rho)
+        wrong = readings.geometry.moved(parameters, size, readings.tau, readings.omega)
         truth = readings.geometry.rows()
         turned = np.linalg.lstsq(truth, readings.value, rcond=None)[0]
         change = (wrong.factor.T * (wrong.rows() @ turned)) - truth @ turned
@@ -90,10 +90,10 @@ def test_turn_of_all_beams_is_found_against_the_positions():
 def test_expected_errors_are_those_of_points_and_lasers():
     layout = Layout(("a", "a", "b", "b"), np.array([0, 1, 0, 1]))
     priors = Priors(position_m=np.array([1e-5, 1e-5, 0.0, 0.0]))
-    expected = expected_errors(layout, [0, 1, 2, 3], priors, 1000.0)
+    expected = expected_errors(layout, [0, 1, 2, 3], priors)
     assert len(expected) == 3 + 2 * 3
-    assert expected.sd[expected.tangent == DELAY] == pytest.approx(2e3 * np.pi * 1e-6)
-    alone = expected_errors(Layout(("a", "b"), np.zeros(2, dtype=int)), [0, 1], Priors(), 1000.0)
+    assert expected.sd[expected.tangent == DELAY] == pytest.approx(1e-6)
+    alone = expected_errors(Layout(("a", "b"), np.zeros(2, dtype=int)), [0, 1], Priors())
     assert len(alone) == 0
 
 

@@ -20,17 +20,15 @@ def drawn(seed, position_sd=2e-5):
     true = measurement(seed, points=8, lines=60, position_sd=position_sd)
     rng = np.random.default_rng([seed, 5])
     body = true.bodies[0]
-    mean_hz = float(np.mean(true.freq_hz))
     stated = stated_errors(true, LASER_SD, calibrate=True)
     parameters = parameters_of(true, stated)
-    units = np.array([error.sd for error in stated]) / parameters.sd
     off = 1.0
     while off > 1e-9:  # the normals of a beam jump where two of its components are alike: draw again
         errors = parameters.sd * rng.normal(size=len(parameters))
         directions = body.directions  # those from which the drawn errors lead to the true ones
         for _ in range(8):
             assumed = Geometry(body.arms_m, directions, np.ones((1, len(body.points)), dtype=complex))
-            moved = assumed.moved(parameters, errors, np.zeros(60), true.freq_hz / mean_hz)
+            moved = assumed.moved(parameters, errors, np.zeros(60), 2.0 * np.pi * true.freq_hz)
             directions = directions + body.directions - moved.directions
             directions = directions / np.linalg.norm(directions, axis=1)[:, None]
         off = np.max(np.abs(moved.directions - body.directions))
@@ -44,7 +42,7 @@ def drawn(seed, position_sd=2e-5):
         value=value,
         sd=np.full(value.shape, sd),
     )
-    return replace(true, bodies=(given,)), errors * units, [error.name for error in stated]
+    return replace(true, bodies=(given,)), errors, [error.name for error in stated]
 
 
 def calibrate(placed):

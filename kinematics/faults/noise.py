@@ -1,23 +1,28 @@
-"""Estimate the noise of groups of lines, and of channels, where the file does not state it.
+"""The noise that a file does not state: of groups of lines, of channels, and in proportion to amplitude.
 
-Shapes: c channels, G groups.
+Shapes: c channels, G groups, N lines of all runs, r motions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinematics.faults.scores import Noise, Test
+from kinematics.fit.lsq import solve
 from kinematics.joint.estimate import Estimate, State
-from stapeskit.arrays import Array
+from kinematics.joint.pack import Readings
+from stapeskit.arrays import Array, ComplexArray
 
 _REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
 _QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
-_FAR_SD = 3.0  # standard deviations from which on a channel is not one of the others
 _LEAST_OWN = 1e-6  # share of a channel's noise in its residual
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
+_SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 33)])  # of the amplitude, over the constant part
+_LEAST_GAIN = 3.0  # log likelihood of the middle channel: e^3 in each of half the channels
+_LEAST_LINES = 4  # for each motion
 
 
 def group_levels(state: State) -> Array:
@@ -64,7 +69,7 @@ def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
     -----
     Levels are shrunk towards the middle one (Efron and Morris 1975, doi:10.1080/01621459.1975.10479864) by
     the scatter of the middle half of channels, which a faulty one does not move, and which is at least that
-    of reflecting surfaces. A channel far off keeps the usual level: that it is louder is then for the search.
+    of reflecting surfaces.
     """
     some = freedom > 8.0
     levels = np.ones(len(freedom))
@@ -81,7 +86,12 @@ def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
 
 
 def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
-    """Return the level of noise that is not stated: from columns without motion, else from residuals."""
+    """Return the level of noise that is not stated: from columns without motion, else from residuals.
+
+    Notes
+    -----
+    Squares over the variance that f others show are f / (f - 2) in the mean (Fisher's F).
+    """
     state = estimate.state
     energy, freedom = (float(part.sum()) for part in state.noise_energy)
     if freedom < _LEAST_LEVEL_DOF:
@@ -89,7 +99,71 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         taken = (top.statistic, top.freedom) if top else (0.0, 0)
         energy += max(estimate.chi2 - taken[0], 0.0)
         freedom += max(state.freedom - taken[1], 1)
-    own = state.noise_energy[1].sum(axis=0)
+    own = own_noise(state)[1]
     own = own[own > 8.0]
-    by = float(np.sum(own) / np.sum(own - 2.0)) if own.size and own.sum() >= _LEAST_LEVEL_DOF else 1.0
-    return Noise(by * max(energy, 1e-300) / max(freedom, 1.0), freedom)
+    larger = float(np.sum(own) / np.sum(own - 2.0)) if own.size else 1.0
+    return Noise(larger * max(energy, 1e-300) / max(freedom, 1.0), freedom)
+
+
+@dataclass(frozen=True)
+class LineResiduals:
+    """What the rigid motion leaves of the readings at every line.
+
+    Attributes
+    ----------
+    motion : ndarray, (r, N), complex
+    scaled : ndarray, (c, N), complex
+        Residuals over their noise; NaN where missing.
+    size : ndarray, (c, N)
+        |Fitted value| over the noise.
+    own : ndarray, (c,)
+        Share of the noise of a channel that stays in its residual, in the mean.
+    """
+
+    motion: ComplexArray
+    scaled: ComplexArray
+    size: Array
+    own: Array
+
+
+def line_residuals(readings: Readings, state: State) -> LineResiduals:
+    """Fit the motion of every line under the geometry of a state."""
+    rows = state.rows @ state.packed.visible
+    factor = readings.geometry.factor.T
+    live = np.isfinite(readings.noise_factor)[:, None]
+    value = np.where(live, readings.value / np.where(factor == 0.0, 1.0, factor), np.nan)
+    sd = readings.sd * np.where(live, readings.noise_factor[:, None], 1.0)
+    found = solve(rows, value, sd)
+    fitted = rows @ found.z
+    own = found.freedom / (2.0 * np.maximum(found.used, 1))
+    return LineResiduals(found.z, (value - fitted) / sd, np.abs(fitted) / sd, own)
+
+
+def amplitude_noise(readings: Readings, state: State) -> Readings | None:
+    """Return the readings with noise that grows with their amplitude.
+
+    None where noise of one size in each channel explains the residuals as well.
+
+    Notes
+    -----
+    The variance of a value a is taken as sd^2 + (share a)^2, up to a factor of each channel. What follows the
+    motion in a channel is subtracted before, so that faults that are the same at all lines do not matter, and
+    the middle channel decides, so that few channels do not.
+    """
+    lines = line_residuals(readings, state)
+    gains = []
+    for rest, size, factor in zip(lines.scaled, lines.size, readings.sd, strict=True):
+        used = np.flatnonzero(np.isfinite(rest))
+        if len(used) < _LEAST_LINES * len(lines.motion):
+            continue
+        course = np.linalg.qr((lines.motion[:, used] / factor[used]).T)[0]
+        square = np.abs(rest[used] - course @ (course.conj().T @ rest[used])) ** 2
+        variance = 1.0 + (_SHARES[:, None] * size[used]) ** 2
+        likelihood = -np.log(variance).sum(axis=1) - len(used) * np.log(np.mean(square / variance, axis=1))
+        gains.append(likelihood - likelihood[0])
+    middle = np.median(gains, axis=0) if len(gains) > 2 else np.zeros(len(_SHARES))
+    best = int(np.argmax(middle))
+    if middle[best] < _LEAST_GAIN:
+        return None
+    amplitude = np.where(np.isfinite(lines.size), lines.size, 0.0)
+    return replace(readings, sd=readings.sd * np.sqrt(1.0 + (_SHARES[best] * amplitude) ** 2))
