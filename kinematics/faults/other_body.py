@@ -20,34 +20,23 @@ _CURED = 0.1  # share of the squares that the motion of the other body may leave
 def points_of_other_bodies(
     placed: Measurement, fits: Mapping[tuple[int, int], LineFit], diagnoses: Mapping[int, Diagnosis]
 ) -> Iterator[Notice]:
-    """Return the points at fault that move with another body.
-
-    Parameters
-    ----------
-    placed : Measurement
-        About the reference point.
-    fits : mapping of (run, body) to LineFit
-    diagnoses : mapping of int to Diagnosis
-        By body.
-    """
-    bodies = range(len(placed.bodies))
+    """Return the points at fault that move with another body; fits by (run, body), diagnoses by body."""
     for number, found in diagnoses.items():
         body = placed.bodies[number]
         accused = {c for one in found.findings if one.owner in ("channel", "point") for c in one.channels}
-        left = [_squares(placed, fits, number, other) for other in bodies] if accused else []
-        for other in bodies if accused else ():
-            points = []
-            for point in dict.fromkeys(body.points[channel] for channel in sorted(accused)):
-                own = body.channels_of(point)
-                if np.sum(left[other][own]) < _CURED * np.sum(left[number][own]):
-                    points.append(point)
-            if points:
+        points = list(dict.fromkeys(body.points[channel] for channel in sorted(accused)))
+        alone = _squares(placed, fits, number, number) if points else np.zeros(0)
+        for other, mover in enumerate(placed.bodies if points else ()):
+            left = _squares(placed, fits, number, other)
+            own = {point: body.channels_of(point) for point in points}
+            moved = [
+                point for point in points if np.sum(left[own[point]]) < _CURED * np.sum(alone[own[point]])
+            ]
+            if moved:
                 text = (
-                    f"{list_some(points)} of body {body.body} move as body {placed.bodies[other].body} does"
+                    f"points {list_some(moved)} of body {body.body} move as body {mover.body} does at their"
                 )
-                yield Notice(
-                    "channel_label_swap", f"points {text} at their positions: their rows belong to it."
-                )
+                yield Notice("channel_label_swap", f"{text} positions: their rows belong to it.")
 
 
 def _squares(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], number: int, mover: int) -> Array:
@@ -58,7 +47,5 @@ def _squares(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], numbe
         own, other = fits[run, number], fits[run, mover]
         rows = point_rows(body.arms_m, body.directions)[:, dof_indices(other.beams.dof)]
         left = own.value - rows @ (other.q.T * placed.per_displacement)
-        sd = own.sd * own.factor
-        used = np.isfinite(left) & np.isfinite(sd)
-        total += np.sum(np.abs(np.where(used, left, 0.0) / np.where(used, sd, 1.0)) ** 2, axis=1)
+        total += np.nansum(np.abs(left / (own.sd * own.factor)) ** 2, axis=1)
     return total

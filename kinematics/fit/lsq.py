@@ -122,23 +122,13 @@ def solve(
         ``none``, ``huber`` or ``t4``; see `robust_weight`.
     line_scale : ndarray, (L,), optional
         Weights of ``Solution.square``.
-
-    Notes
-    -----
-    Lines whose channels keep the ratios of their noise share one QR factorisation. The others have Gram
-    matrices, made by one matrix product for all lines and refined once; where their condition passes 1e7,
-    each line has its own QR factorisation (Golub and Van Loan 2013, Matrix Computations, 5.3).
     """
     channels, lines = value.shape
     sd = np.broadcast_to(sd, value.shape)
     scale = np.ones(lines) if line_scale is None else line_scale
     out = Solution.empty(channels, basis.shape[1], lines)
     for part in blocks(channels, lines):
-        y, s = value[:, part], sd[:, part]
-        rows = _separable(y, s) if robust == "none" else None
-        if rows is not None and _fit_block(basis, y, s, rows, part, scale, out):
-            continue
-        _fit_lines(basis, y, s, robust, part, scale, out)
+        _fit_block(basis, value[:, part], sd[:, part], robust, part, scale, out)
     out.weight /= max(int(np.sum(out.good)), 1)
     if robust != "none":
         out.variance_factor = _variance_factor(basis, value, sd, robust, out)
@@ -146,70 +136,14 @@ def solve(
     return out
 
 
-def _separable(y: ComplexArray, sd: Array) -> NDArray[np.bool_] | None:
-    """Return the channels (c,) in use where sd is a product of channel and line and none has gaps."""
-    rows: NDArray[np.bool_] = np.ones(len(y), dtype=bool)
-    if not np.isfinite(y.sum()) or not np.isfinite(sd.sum()):
-        used = np.isfinite(y) & np.isfinite(sd)
-        rows = np.asarray(used.all(axis=1))
-        if not np.array_equal(rows, used.any(axis=1)):
-            return None
-    if not rows.any():
-        return None
-    if sd.strides[0] and sd.strides[1]:
-        some = sd[rows]
-        product = some[:, :1] / some[0, 0] * some[0]
-        if np.any(np.abs(some - product) > _SAME_RATIO * product):
-            return None
-    return rows
-
-
 def _fit_block(
-    basis: Array,
-    y: ComplexArray,
-    sd: Array,
-    rows: NDArray[np.bool_],
-    part: slice,
-    scale: Array,
-    out: Solution,
-) -> bool:
-    """Fit lines that share the ratios of their noise by one QR; return whether they are determined."""
-    own = np.flatnonzero(rows)
-    share, line = sd[own, 0] / sd[own[0], 0], sd[own[0]]
-    weight = 1.0 / share
-    if len(own) < basis.shape[1]:
-        return False
-    q, r = np.linalg.qr(basis[own] * weight[:, None])
-    diagonal = np.abs(np.diag(r))
-    if diagonal.min() <= 1e-9 * diagonal.max():
-        return False
-    white = y if len(own) == len(y) else y[own]
-    flat = np.ascontiguousarray(white * weight[:, None]).view(float)
-    seen = q.T @ flat
-    flat -= q @ seen
-    np.square(flat, out=flat)
-    noise = np.repeat(line**-2.0, 2)
-    inverse = np.linalg.inv(r.T @ r)
-    out.z[:, part] = np.linalg.solve(r, seen).view(complex)
-    out.covariance[part] = 2.0 * line[:, None, None] ** 2 * inverse
-    out.chi2[part] = (flat.sum(axis=0) * noise).reshape(-1, 2).sum(axis=1)
-    out.count[part], out.good[part] = len(own), True
-    out.energy[own] += flat @ noise
-    out.freedom[own] += 2.0 * len(line) * (1.0 - np.sum(q**2, axis=1))
-    out.weight[own] += len(line) * weight**2 / np.max(weight**2)
-    out.square[own] += share**2 * (flat @ np.repeat(scale[part], 2))
-    out.used[own] += len(line)
-    out.explained += float(np.sum(seen**2 @ noise))
-    return True
-
-
-def _fit_lines(
     basis: Array, y: ComplexArray, sd: Array, robust: str, part: slice, scale: Array, out: Solution
 ) -> None:
-    """Fit lines with weights of their own."""
+    """Fit some lines and enter them."""
     used = np.isfinite(y) & np.isfinite(sd) & (sd > 0.0)
-    y = np.where(used, y, 0.0)
-    noise = np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
+    whole = bool(used.all())
+    y = y if whole else np.where(used, y, 0.0)
+    noise = 1.0 / sd**2 if whole else np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
     z, inverse, good = _weighted(basis, y, noise)
     weight, plain = noise, inverse
     if robust != "none":
@@ -219,51 +153,66 @@ def _fit_lines(
         weight = _reweight(basis, y, noise, z, start, robust, tolerance=1e-3)
         inverse = _weighted(basis, y, weight)[1]
     z[:, ~good] = 0.0
-    left = y - basis @ z
+    fitted = basis @ z
+    left = y - fitted
     residual = left.real**2 + left.imag**2
     normal = residual * noise
-    pairs = basis[:, :, None] * basis[:, None, :]
-    leverage = weight * np.einsum("cij,lij->cl", pairs, inverse, optimize=True)
-    chosen = used & good
+    leverage = weight * (_pairs(basis) @ inverse.reshape(len(inverse), -1).T)
+    chosen = (used & good).astype(float)
     largest = np.max(weight, axis=0)
     out.z[:, part] = np.where(good, z, np.nan)
     out.covariance[part] = np.where(good[:, None, None], 2.0 * plain, np.nan)
     out.chi2[part] = np.where(good, normal.sum(axis=0), np.nan)
     out.count[part], out.good[part] = used.sum(axis=0), good
-    out.energy += (normal * good).sum(axis=1)
+    out.energy += normal @ good.astype(float)
     out.freedom += 2.0 * np.sum(chosen * (1.0 - leverage), axis=1)
-    out.weight += np.sum(weight * good / np.where(largest > 0.0, largest, 1.0), axis=1)
+    out.weight += weight @ (good / np.where(largest > 0.0, largest, 1.0))
     out.square += (residual * chosen) @ scale[part]
-    out.used += chosen.sum(axis=1)
-    out.explained += float(np.sum(np.abs(basis @ z) ** 2 * noise * good))
+    out.used += chosen.sum(axis=1).astype(int)
+    out.explained += float(np.sum((fitted.real**2 + fitted.imag**2) * noise * good))
+
+
+def _pairs(basis: Array) -> Array:
+    """Return the products of the columns (c, m), (c, m * m)."""
+    return np.asarray((basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1))
 
 
 def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray, Array, NDArray[np.bool_]]:
-    """Return coefficients (m, n), inverse Gram matrices (n, m, m) and which lines are determined."""
+    """Return coefficients (m, n), inverse Gram matrices (n, m, m) and which lines are determined.
+
+    Notes
+    -----
+    Lines whose channels keep the ratios of their weights share one Gram matrix; those of the others are made
+    by one matrix product. All are refined once; where the condition passes 1e7, the rows are factorised
+    instead (Golub and Van Loan 2013, Matrix Computations, 5.3).
+    """
     size = basis.shape[1]
     top = np.maximum(noise.max(axis=0), 1e-300)
     w = noise / top
-    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
-    gram = (products.T @ w).T.reshape(-1, size, size)
+    shared = bool(np.all(np.abs(w - w[:, :1]) <= _SAME_RATIO * w[:, :1]))
+    some = w[:, :1] if shared else w
+    gram = (some.T @ _pairs(basis)).reshape(-1, size, size)
     trace = np.trace(gram, axis1=1, axis2=2)
     ridge = 1e-14 * np.where(trace > 0.0, trace, 1.0)
     inverse = np.linalg.inv(gram + ridge[:, None, None] * np.eye(size))
     condition = np.linalg.norm(inverse, axis=(1, 2)) * trace
-    good = (condition < _CONDITION) & (np.count_nonzero(noise, axis=0) >= size)
+    enough = np.count_nonzero(some, axis=0) >= size
+    good = (condition < _CONDITION) & enough
     z = np.zeros((size, y.shape[1]), dtype=complex)
     left = y
     for _ in range(2):
-        right = (basis.T @ np.ascontiguousarray(w * left).view(float)).view(complex)
-        z = z + np.einsum("lij,jl->il", inverse, right)
+        right = (basis.T @ np.ascontiguousarray(some * left).view(float)).view(complex)
+        z = z + (inverse[0] @ right if shared else np.einsum("lij,jl->il", inverse, right))
         left = y - basis @ z
-    for line in np.flatnonzero(~good & (np.count_nonzero(noise, axis=0) >= size)):
-        root = np.sqrt(w[:, line])
-        q, r = np.linalg.qr(basis * root[:, None])
+    for k in np.flatnonzero(~good & enough):
+        root = np.sqrt(some[:, k, None])
+        q, r = np.linalg.qr(basis * root)
         diagonal = np.abs(np.diag(r))
         if diagonal.min() > 1e-9 * diagonal.max():
-            turn = np.linalg.inv(r)
-            z[:, line], inverse[line], good[line] = turn @ (q.T @ (root * y[:, line])), turn @ turn.T, True
-    return z, inverse / top[:, None, None], good
+            turn, own = np.linalg.inv(r), slice(None) if shared else slice(k, k + 1)
+            z[:, own] = turn @ (q.T @ (root * y[:, own]))
+            inverse[k], good[k] = turn @ turn.T, True
+    return z, inverse / top[:, None, None], np.broadcast_to(good, top.shape)
 
 
 def robust_weight(size: Array, kind: str) -> Array:
@@ -325,7 +274,7 @@ def _variance_factor(basis: Array, value: ComplexArray, sd: Array, kind: str, ou
     s, used = np.tile(s, repeat), np.tile(used, repeat)
     noise = s * np.random.default_rng(0).normal(size=(*s.shape, 2)).view(complex)[..., 0]
     trial = Solution.empty(len(value), basis.shape[1], s.shape[1])
-    _fit_lines(basis, noise, np.where(used, s, np.nan), kind, slice(None), np.ones(s.shape[1]), trial)
+    _fit_block(basis, noise, np.where(used, s, np.nan), kind, slice(None), np.ones(s.shape[1]), trial)
     whole = np.einsum("il,lij,jl->l", trial.z.conj(), np.linalg.inv(trial.covariance), trial.z).real
     counted = float(np.nanmean(whole)) / basis.shape[1]
     seen = [

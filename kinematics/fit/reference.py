@@ -67,88 +67,68 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
         motion = motion.with_common_noise(np.zeros(1))
     runs, bodies, lines, n = motion.q.shape
     ref = motion.q[:, body, :, place]
+    covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = motion.q / ref[:, None, :, None]
-    own = ratio[:, body, :, place]
-    own[np.isfinite(own)] = 1.0
-    covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)
-    for run in range(runs):
-        for start in range(0, lines, _LINES):
-            part = slice(start, start + _LINES)
-            alone = motion.covariance[run, :, part]
-            covariance[run, part] = _joint_covariance(alone, ratio[run, :, part], ref[run, part], body, place)
-    shared = None if motion.shared is None else _shared_errors(motion.shared, ratio, ref, body, place)
-    notices = [*motion.notices]
-    moved = np.any(np.all(np.isfinite(motion.q), axis=3), axis=1)
-    lost = np.asarray(moved & ~np.isfinite(ref))
-    if np.any(lost):
-        text = (
-            f"the reference {reference} has no motion at {int(np.sum(lost))} of {ref.size} lines where other "
-            f"bodies have one, {_places(motion, lost)}: no response is written there. Measure it there too, "
-            "or leave --reference out."
-        )
-        notices.append(Notice("lines_undetermined", text))
-    with np.errstate(invalid="ignore"):
+        own = ratio[:, body, :, place]
+        own[np.isfinite(own)] = 1.0
+        for run in range(runs):
+            for start in range(0, lines, _LINES):
+                part = slice(start, start + _LINES)
+                alone = motion.covariance[run, :, part]
+                covariance[run, part] = _joint(alone, ratio[run, :, part], ref[run, part], body * n + place)
+        shared = motion.shared
+        if shared is not None:  # maps of one body cannot express the errors of ratios
+            moved = shared.derivatives[:, :, body, None, :, place, None]
+            change = shared.derivatives - ratio[None] * moved
+            shared = SharedErrors(shared.names, shared.covariance, change / ref[None, :, None, :, None])
+        moves = np.any(np.all(np.isfinite(motion.q), axis=3), axis=1)
         weak = np.abs(ref) < LEAST_SIGNAL_TO_NOISE * motion.standard_deviation[:, body, :, place]
-    if np.any(weak):
-        text = (
-            f"the reference {reference} is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise at "
-            f"{int(np.sum(weak))} of {ref.size} lines, {_places(motion, weak)}; the covariance of the ratio "
-            "is widened there, and good down to three times. Leave these lines out of a fit, or take a "
-            "reference that is not near zero there."
-        )
-        notices.append(Notice("reference_noisy", text))
     ratio[~np.isfinite(ratio)] = np.nan
+    lost = (
+        "lines_undetermined", moves & ~np.isfinite(ref), "has no motion where other bodies have one",
+        "no response is written there. Measure it there too, or leave --reference out.",
+    )  # fmt: skip
+    noisy = (
+        "reference_noisy", weak, f"is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise",
+        "the covariance of the ratio is widened there, and good down to three times. Leave these lines out of "
+        "a fit, or take a reference that is not near zero there.",
+    )  # fmt: skip
+    notices = [*motion.notices]
+    for code, chosen, what, step in (lost, noisy):
+        if np.any(chosen):
+            count = f"at {int(np.sum(chosen))} of {ref.size} lines"
+            text = f"the reference {reference} {what}, {count}, {_places(motion, chosen)}; {step}"
+            notices.append(Notice(code, text))
     return replace(
         motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=tuple(notices)
     )
 
 
-def _joint_covariance(
-    own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
-) -> ComplexArray:
-    """Return the joint covariance of ratios, (freq, body*dof, body*dof).
+def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, at: int) -> ComplexArray:
+    """Return the joint covariance of ratios to motion ``at``, (freq, body*dof, body*dof).
 
-    ``own`` is (body, freq, dof, dof), ``ratio`` (body, freq, dof). With c the column of the reference,
-    |q_ref|^2 C' = C - H c^H - c H^H + H var(q_ref) H^H. NaN where a motion or its noise is not known.
+    ``own`` is (body, freq, dof, dof), ``ratio`` (body, freq, dof). NaN where a motion or its noise is not
+    known.
     """
     bodies, lines, n = ratio.shape
-    flat = ratio.transpose(1, 0, 2).reshape(lines, bodies * n)
-    missing = ~np.isfinite(flat)
-    h = np.where(missing, 0.0, flat)
+    h = ratio.transpose(1, 0, 2).reshape(lines, bodies * n)
     joint = np.zeros((lines, bodies * n, bodies * n), dtype=complex)
+    missing = ~np.isfinite(h)
     for number in range(bodies):
         part = slice(number * n, (number + 1) * n)
-        known = np.isfinite(own[number])
-        joint[:, part, part] = np.where(known, own[number], 0.0)
-        missing[:, part] |= ~np.all(known, axis=(1, 2))[:, None]
-    at = body * n + place
+        joint[:, part, part] = np.nan_to_num(own[number])
+        missing[:, part] |= ~np.isfinite(own[number]).all(axis=(1, 2))[:, None]
     missing |= missing[:, at, None]
-    column = joint[:, :, at].copy()
-    variance = column[:, at].real[:, None, None]
-    cross = h[:, :, None] * column.conj()[:, None, :]
-    joint -= cross
-    joint -= cross.conj().transpose(0, 2, 1)
-    joint += h[:, :, None] * variance * h.conj()[:, None, :]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        square = (np.abs(ref) ** 2)[:, None, None]
-        second = np.minimum(2.0 * variance / square, _MOST_SECOND_ORDER)
-        h[:, at] = 0.0
-        joint += second * variance * h[:, :, None] * h.conj()[:, None, :]
-        joint /= square
-    joint[missing[:, :, None] | missing[:, None, :]] = np.nan
-    return joint
-
-
-def _shared_errors(
-    shared: SharedErrors, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
-) -> SharedErrors:
-    """Return the shared errors of ratios by their derivatives; maps of one body cannot express them."""
-    moved = shared.derivatives[:, :, body, :, place]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = shared.derivatives - ratio[None] * moved[:, :, None, :, None]
-        derivatives = change / ref[None, :, None, :, None]
-    return SharedErrors(shared.names, shared.covariance, derivatives)
+    h = np.where(missing, 0.0, h)
+    variance = joint[:, at, at].real[:, None, None]
+    change = np.eye(bodies * n) - h[:, :, None] * np.eye(bodies * n)[at]
+    joint = change @ joint @ change.conj().transpose(0, 2, 1)
+    square = (np.abs(ref) ** 2)[:, None, None]
+    h[:, at] = 0.0
+    second = np.minimum(2.0 * variance / square, _MOST_SECOND_ORDER)
+    joint = (joint + second * variance * h[:, :, None] * h[:, None].conj()) / square
+    return np.where(missing[:, :, None] | missing[:, None, :], np.nan, joint)
 
 
 def _places(motion: RigidMotion, chosen: NDArray[np.bool_]) -> str:
