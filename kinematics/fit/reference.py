@@ -91,8 +91,8 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     )  # fmt: skip
     noisy = (
         "reference_noisy", weak, f"is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise",
-        "the covariance of the ratio is widened there, and good down to three times. Leave these lines out of "
-        "a fit, or take a reference that is not near zero there.",
+        "the covariance of the ratio is widened there, and good down to three times. Leave these lines "
+        "out of a fit, or take a reference that is not near zero there.",
     )  # fmt: skip
     notices = [*motion.notices]
     for code, chosen, what, step in (lost, noisy):
