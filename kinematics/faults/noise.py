@@ -18,7 +18,6 @@ from stapeskit.arrays import Array, ComplexArray
 
 _REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
 _QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
-_LEAST_OWN = 1e-6  # share of a channel's noise in its residual
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 33)])  # of the amplitude, over the constant part
 _LEAST_GAIN = 3.0  # log likelihood of the middle channel: e^3 in each of half the channels
@@ -37,29 +36,6 @@ def group_levels(state: State) -> Array:
     root = np.sqrt(freedom[some])
     course = np.linalg.lstsq(base[some] * root[:, None], logs * root, rcond=None)[0]
     return np.asarray(np.exp(0.5 * base @ course))
-
-
-def own_noise(state: State) -> tuple[Array, Array]:
-    """Return the energy of each channel that does not follow the motion, and its degrees of freedom, (c,).
-
-    In lines of their own, what is proportional to the motion at all lines is subtracted from the residuals.
-    """
-    if state.packed.turned:
-        energy, freedom = state.noise_energy
-        return energy.sum(axis=0), freedom.sum(axis=0)
-    motion = state.motion[:, :, 0]
-    channels = state.packed.w.shape[1]
-    energy, freedom = np.zeros(channels), np.zeros(channels)
-    for channel in state.packed.live:
-        used = np.flatnonzero(state.packed.w[:, channel] > 0.0)
-        own = float(np.mean(1.0 - state.leverage[used, channel]))
-        if len(used) > 2 * motion.shape[1] and own > _LEAST_OWN:
-            course = np.linalg.qr(motion[used] * state.packed.w[used, channel, None])[0]
-            rest = state.e[used, channel, 0]
-            rest = rest - course @ (course.conj().T @ rest)
-            energy[channel] = 2.0 * float(np.sum(np.abs(rest) ** 2)) / own
-            freedom[channel] = 2.0 * (len(used) - course.shape[1])
-    return energy, freedom
 
 
 def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
@@ -99,7 +75,7 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         taken = (top.statistic, top.freedom) if top else (0.0, 0)
         energy += max(estimate.chi2 - taken[0], 0.0)
         freedom += max(state.freedom - taken[1], 1)
-    own = own_noise(state)[1]
+    own = state.own_noise[1]
     own = own[own > 8.0]
     larger = float(np.sum(own) / np.sum(own - 2.0)) if own.size else 1.0
     return Noise(larger * max(energy, 1e-300) / max(freedom, 1.0), freedom)

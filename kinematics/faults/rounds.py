@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.noise import channel_levels, group_levels, own_noise, unknown_noise
+from kinematics.faults.noise import channel_levels, group_levels, unknown_noise
 from kinematics.faults.scores import Noise, Test, score_tests
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout, Priors, expected_errors
@@ -148,7 +148,7 @@ def null_fit(readings: Readings, layout: Layout, priors: Priors, stated: bool) -
     levels, spread = np.ones(len(layout.points)), 0.0
     if not stated:
         for _ in range(_LEVEL_ROUNDS):
-            energy, freedom = own_noise(estimate.state)
+            energy, freedom = estimate.state.own_noise
             levels, spread = channel_levels(energy * levels**2, freedom)
             packed = pack(replace(readings, noise_factor=readings.noise_factor * levels))
             estimate = joint(packed, expected, estimate.values)

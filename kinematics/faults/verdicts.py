@@ -125,13 +125,12 @@ def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
     """Write ``dof.channels.csv``."""
     from stapeskit.tables import write_columns
 
-    table: dict[str, list[object]] = {
-        name: [getattr(verdict, name) for verdict in verdicts] for name in ("run", "body", "point")
-    }
+    def cells(name: str) -> list[object]:
+        column = [getattr(verdict, name) for verdict in verdicts]
+        return [f"{cell:.9g}" if isinstance(cell, float) and cell == cell else cell for cell in column]
+
+    table = {name: cells(name) for name in ("run", "body", "point")}
     for k, axis in enumerate("xyz"):
-        table[f"dir_{axis}"] = [round(float(verdict.direction[k]), 9) + 0.0 for verdict in verdicts]
-    for name in ("residual_rms_m", "weight", "verdict", "estimate", "p_value"):
-        table[name] = [getattr(verdict, name) for verdict in verdicts]
-    for name, column in table.items():
-        table[name] = [f"{cell:.9g}" if isinstance(cell, float) and cell == cell else cell for cell in column]
-    write_columns(path, table)
+        table[f"dir_{axis}"] = [f"{round(verdict.direction[k], 9) + 0.0:.9g}" for verdict in verdicts]
+    names = ("residual_rms_m", "weight", "verdict", "estimate", "p_value")
+    write_columns(path, table | {name: cells(name) for name in names})

@@ -57,27 +57,17 @@ def leak_matrix(fit: LineFit, channel_weight: Array) -> Array:
 
 
 def _hidden_texts(leak: Array, dof: tuple[str, ...], hidden: list[str], lever: float) -> list[str]:
-    """Describe motions that the beams cannot separate from the fitted ones."""
+    """Describe motions that the beams cannot separate from the fitted ones; turns count as lengths."""
     length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     texts = []
     for name in hidden:
         own = leak[:, DOF_NAMES.index(name)]
         share = np.abs(own) * length[dof_indices(dof)] / length[DOF_NAMES.index(name)]
         large = [k for k in np.argsort(-share) if share[k] > LEAST_LEAK]
-        parts = " and ".join(_entering(own[k], dof[k], name) for k in large)
+        parts = " and ".join(f"{100.0 * share[k]:.2g} % of it enters {dof[k]}" for k in large)
         if parts:
             texts.append(f"the beams cannot tell {name} from the fitted motion: {parts}")
     return texts
-
-
-def _entering(leak: float, into: str, name: str) -> str:
-    """Write how much of a motion enters a fitted one."""
-    turns, turned = into in DOF_NAMES[3:], name in DOF_NAMES[3:]
-    if turns == turned:
-        return f"{100.0 * abs(leak):.2g} % of it enters {into}"
-    if turns:
-        return f"{1e-3 * abs(leak):.2g} urad enter {into} per nm of it"
-    return f"{1e3 * abs(leak):.2g} nm enter {into} per urad of it"
 
 
 def _measured_texts(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]) -> list[str]:

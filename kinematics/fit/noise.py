@@ -11,6 +11,8 @@ from kinematics.fit.beams import BeamSet
 from kinematics.fit.lasers import laser_numbers
 from kinematics.fit.lsq import blocks
 from kinematics.fit.rigid_fit import LineFit, fit_lines
+from kinematics.joint.estimate import State
+from kinematics.joint.pack import Readings, pack
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.warnings import Notice
@@ -21,7 +23,6 @@ FLOOR = 1e-12
 _POOLED_DOF = 400  # residuals pooled at each line: the level is known to 1 / sqrt(2 * 400), 3.5 %
 _ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 _CHANCE = 1e-3  # probability that lasers of equal noise are given different levels
-_MOST_LINES = 2048  # lines looked at for the levels of lasers
 
 
 def fit_with_noise(
@@ -55,7 +56,7 @@ def fit_with_noise(
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, False, [Notice("noise_unknown", text)]
     if body.sd is None:
-        levels = laser_levels(fit, body.directions)
+        levels = laser_levels(fit, body, measurement.freq_hz)
         fit = fit if levels is None else fit_lines(beams, value, levels[:, None] * sd, rate)
     for _ in range(1 if robust == "none" else _ROUNDS):
         level = _pooled_level(fit) if robust == "none" else _median_level(fit)
@@ -86,7 +87,7 @@ def above_floor(sd: Array, value: ComplexArray) -> Array:
     return sd if float(np.fmin.reduce(view, axis=None)) >= floor else np.maximum(sd, floor)
 
 
-def laser_levels(fit: LineFit, directions: Array) -> Array | None:
+def laser_levels(fit: LineFit, body: BodyChannels, freq_hz: Array) -> Array | None:
     """Return the noise of each channel's laser over the mean of lasers, (c,); None when lasers look alike.
 
     Notes
@@ -97,15 +98,18 @@ def laser_levels(fit: LineFit, directions: Array) -> Array | None:
     """
     from scipy.special import fdtrc
 
-    laser = laser_numbers(directions)
-    level = _noise_energy(fit)
-    known = np.isfinite(level) & (level > 0.0)
-    names, group = np.unique(laser, return_inverse=True)
+    names, group = np.unique(laser_numbers(body.directions), return_inverse=True)
+    if len(names) < 2 or fit.solution.is_rounding():
+        return None
+    sd = (fit.sd * fit.factor)[None]
+    readings = Readings.of(fit.value[None], sd, freq_hz, body.arms_m, body.directions)
+    energy, freedom = State(pack(readings)).own_noise
+    known = (energy > 0.0) & (freedom > 0.0)
     number = np.bincount(group[known], minlength=len(names))
     within = int(np.sum(number)) - len(names)
-    if len(names) < 2 or np.any(number == 0) or within < 1 or fit.solution.is_rounding():
+    if np.any(number == 0) or within < 1:
         return None
-    logs = np.log(np.where(known, level, 1.0))
+    logs = np.log(np.where(known, energy, 1.0) / np.where(known, freedom, 1.0))
     middle = np.array([np.median(logs[known & (group == k)]) for k in range(len(names))])
     whole = float(np.average(middle, weights=number))
     mean = np.bincount(group[known], logs[known], minlength=len(names)) / number
@@ -115,26 +119,6 @@ def laser_levels(fit: LineFit, directions: Array) -> Array | None:
     if fdtrc(len(names) - 1, within, ratio) > _CHANCE:
         return None
     return np.asarray(np.exp(0.5 * (middle - whole))[group])
-
-
-def _noise_energy(fit: LineFit) -> Array:
-    """Return the residual energy of each channel over that of its noise, without what follows the motion.
-
-    A fault that is the same at all lines, or drifts, leaves the motion times a factor in the residuals: what
-    is proportional to the motion of all lines is subtracted where no value is missing and lines suffice.
-    """
-    lines = np.unique(np.linspace(0, len(fit.q) - 1, min(len(fit.q), _MOST_LINES)).astype(int))
-    motion = fit.solution.z[:, lines] / fit.factor[lines]
-    if not fit.complete or len(lines) < 4 * len(motion):
-        return fit.solution.level
-    if len(lines) >= 8 * len(motion):
-        motion = np.vstack([motion, motion * np.linspace(-1.0, 1.0, len(lines))])
-    across = np.linalg.qr(motion.conj().T)[0]
-    white = fit.value[:, lines] / (fit.sd[:, lines] * fit.factor[lines])
-    rest = white - (white @ across) @ across.conj().T
-    own = fit.solution.freedom / (2.0 * np.maximum(fit.solution.used, 1))
-    energy = 0.5 * np.sum(np.abs(rest) ** 2, axis=1) / (len(lines) - across.shape[1])
-    return np.asarray(np.where(own > 1e-9, energy / np.maximum(own, 1e-9), np.nan))
 
 
 def _pooled_level(fit: LineFit) -> Array:

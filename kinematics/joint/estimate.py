@@ -112,6 +112,28 @@ class State:
         return energy, free
 
     @cached_property
+    def own_noise(self) -> tuple[Array, Array]:
+        """Energy of each channel that does not follow the motion, and its degrees of freedom, (c,).
+
+        In lines of their own, what is proportional to the motion at all lines is subtracted from residuals.
+        """
+        if self.packed.turned:
+            energy, freedom = self.noise_energy
+            return energy.sum(axis=0), freedom.sum(axis=0)
+        motion, weight = self.motion[:, :, 0], self.packed.w
+        energy, freedom = np.zeros(weight.shape[1]), np.zeros(weight.shape[1])
+        for channel in self.packed.live:
+            used = np.flatnonzero(weight[:, channel] > 0.0)
+            own = float(np.mean(1.0 - self.leverage[used, channel]))
+            if len(used) > 2 * motion.shape[1] and own > _LEAST_OWN:
+                course = np.linalg.qr(motion[used] * weight[used, channel, None])[0]
+                rest = self.e[used, channel, 0]
+                rest = rest - course @ (course.conj().T @ rest)
+                energy[channel] = 2.0 * float(np.sum(np.abs(rest) ** 2)) / own
+                freedom[channel] = 2.0 * (len(used) - course.shape[1])
+        return energy, freedom
+
+    @cached_property
     def channel_energy(self) -> tuple[Array, Array]:
         """Energy of all columns over its expectation, and the number of real values, of every channel, (c,).
 
