@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,16 +15,11 @@ POWER = 0.9
 """Probability with which a fault of the reported size is found."""
 
 
-@dataclass(frozen=True)
-class Detectable:
+class Detectable(NamedTuple):
     """The smallest fault that is found with a probability of 90 %.
 
-    Attributes
-    ----------
-    place : Place
-    kind : str
-    size : float
-        1, rad, s or m, along the least visible direction of the kind; infinite where one never shows.
+    Its size is in 1, rad, s or m, along the least visible direction of the kind; infinite where one never
+    shows.
     """
 
     place: Place

@@ -187,10 +187,10 @@ def _believed(now: Round, best: Finding) -> Readings:
         geometry = replace(readings.geometry, positions_m=changed.positions_m, directions=changed.directions)
         return replace(readings, geometry=geometry)
     if best.kind == "noise":
-        return readings.louder(own[0], float(best.values[0]))
+        return readings.louder(own, float(best.values[0]))
     if best.owner in ("laser", "body") and best.kind in KINDS:
         return readings.corrected(free(best.kind, own, len(now.layout.points)), best.values)
-    return readings.without(own)
+    return readings.louder(own)
 
 
 def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | None:
@@ -218,7 +218,7 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
     left = len(first.live) - sum(len(points[point]) for point in off)
     if not 0 < 2 * len(off) < len(points) or left < _LEAST_CHANNELS:
         return None
-    sound = first.readings.without([channel for point in off for channel in points[point]])
+    sound = first.readings.louder([channel for point in off for channel in points[point]])
     found: list[Finding] = []
     last = null_fit(sound, first.layout, priors, first.stated)
     if not last.clean():

@@ -84,16 +84,10 @@ class Readings:
         """Angular frequency (N,), rad/s."""
         return 2.0 * np.pi * self.freq_hz
 
-    def without(self, channels: Sequence[int]) -> Readings:
-        """Return the readings without channels."""
+    def louder(self, channels: Sequence[int], by: float = np.inf) -> Readings:
+        """Return the readings with larger noise of channels; without them, where it is infinite."""
         factor = self.noise_factor.copy()
-        factor[list(channels)] = np.inf
-        return replace(self, noise_factor=factor)
-
-    def louder(self, channel: int, by: float) -> Readings:
-        """Return the readings with larger noise of a channel."""
-        factor = self.noise_factor.copy()
-        factor[channel] *= by
+        factor[list(channels)] *= by
         return replace(self, noise_factor=factor)
 
     def corrected(self, parameters: Parameters, values: Array) -> Readings:
@@ -175,50 +169,37 @@ def pack(readings: Readings) -> Packed:
     root = used / spread
     value = np.asarray(np.where(used, readings.value, 0.0) * root, dtype=complex)
     rows = geometry.rows() / scale
-    visible = _visible(rows[live])
+    _, strength, motions = np.linalg.svd(rows[live], full_matrices=False)
+    visible = motions[strength > _VISIBLE * strength[0]].T
     factor = geometry.factor.T
     groups, single = _groups(used, root, readings.run)
     room = max(48, _MOST_SINGLE // len(root))
     single = single[np.unique(np.linspace(0, len(single) - 1, min(room, len(single))).astype(int))]
     groups += [single[k : k + 1] for k in range(len(single))]
     parts = [_turned(value, root, factor, rows @ visible, lines) for lines in groups]
-    weights = [part.power / part.power.sum() for part in parts]
+    y, rest, power = zip(*parts, strict=True)
 
     def mean(course: Array) -> Array:
-        return np.array([weight @ course[lines] for weight, lines in zip(weights, groups, strict=True)])
+        pairs = zip(power, groups, strict=True)
+        return np.array([own @ course[lines] / own.sum() for own, lines in pairs])
 
     if len(geometry.factor) > 1:
         geometry = replace(
             geometry, factor=np.array([geometry.factor[lines].mean(axis=0) for lines in groups])
         )
     return Packed(
-        y=_stack([part.y for part in parts]),
+        y=_stack(y),
         w=root[:, [lines[0] for lines in groups]].T,
-        columns=np.array([part.y.shape[1] for part in parts]),
+        columns=np.array([part.shape[1] for part in y]),
         tau=mean(readings.tau),
         omega=mean(readings.omega),
-        rest=_stack([part.rest for part in parts]),
-        rest_columns=np.array([part.rest.shape[1] for part in parts]),
+        rest=_stack(rest),
+        rest_columns=np.array([part.shape[1] for part in rest]),
         geometry=geometry,
         visible=visible,
         scale=scale,
         live=np.flatnonzero(root.any(axis=1)),
     )
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Columns with motion, columns of noise, and the power of the motion at each line of a group."""
-
-    y: ComplexArray
-    rest: ComplexArray
-    power: Array
-
-
-def _visible(rows: Array) -> Array:
-    """Return orthonormal motions (6, r) that rows (c, 6) see."""
-    _, s, vt = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(vt[s > _VISIBLE * s[0]].T)
 
 
 def _groups(
@@ -247,14 +228,15 @@ def _groups(
 
 def _turned(
     value: ComplexArray, root: Array, factor: ComplexArray, rows: Array, lines: NDArray[np.intp]
-) -> _Part:
+) -> tuple[ComplexArray, ComplexArray, Array]:
     """Turn the lines of a group so that few columns hold the motion.
 
-    A factor that changes within the group is replaced by its mean there, in values and model alike.
+    Return these columns, columns of noise, and the power of the motion at each line. A factor that changes
+    within the group is replaced by its mean there, in values and model alike.
     """
     y = value[:, lines]
     if len(lines) == 1:
-        return _Part(y, y[:, :0], np.ones(1))
+        return y, y[:, :0], np.ones(1)
     own = factor
     if factor.shape[1] > 1:
         own = factor[:, lines].mean(axis=1, keepdims=True)
@@ -265,10 +247,10 @@ def _turned(
     draw = np.random.default_rng(len(lines)).normal(size=(len(lines), noise))
     turned = y @ np.linalg.qr(np.hstack([z.conj().T, draw]))[0]
     power = np.sum(np.abs(z) ** 2, axis=0)
-    return _Part(turned[:, :number], turned[:, number:], power if power.any() else np.ones(len(lines)))
+    return turned[:, :number], turned[:, number:], power if power.any() else np.ones(len(lines))
 
 
-def _stack(parts: list[ComplexArray]) -> ComplexArray:
+def _stack(parts: Sequence[ComplexArray]) -> ComplexArray:
     """Stack matrices (c, n) of different widths, filled up with zeros."""
     width = max(part.shape[1] for part in parts)
     out = np.zeros((len(parts), len(parts[0]), width), dtype=complex)

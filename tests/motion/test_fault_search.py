@@ -10,6 +10,7 @@ from kinematics.faults.detectable import detectable
 from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
 from simulate import KINDS as SIMULATED
+from stapeskit.spatial import DOF_NAMES
 from tests.motion.bodies import as_measurement, fitted, recorded
 
 ONE_BODY = (
@@ -21,7 +22,8 @@ ONE_BODY = (
 def diagnosed(recording, stated=True):
     """Return body, fits and diagnosis of a recording."""
     measurement = as_measurement(recording, stated)
-    body, fits, known = fitted(measurement)
+    dof = DOF_NAMES if recording.laser.max() else ("y", "alpha", "gamma")
+    body, fits, known = fitted(measurement, dof)
     return body, fits, diagnose(body, fits, recording.freq_hz, known)
 
 
@@ -68,13 +70,20 @@ def test_stated_errors_of_positions_are_expected():
     assert alarms <= 2
 
 
-def test_a_body_that_bends_is_flexible():
+@pytest.mark.parametrize(("points", "lasers", "size"), [(8, 3, 0.06), (20, 1, 0.03)])
+def test_a_body_that_bends_is_flexible(points, lasers, size):
     named = 0
     for seed in (1, 2):
-        recording = recorded(seed, points=8, lines=60, faults=[{"kind": "flexible"}])
-        found = diagnosed(recording)[2]
+        bends = [{"kind": "flexible", "size": size}]
+        found = diagnosed(recorded(seed, points=points, lines=60, lasers=lasers, faults=bends))[2]
         named += set(verdicts(found).values()) == {"flexible"}
     assert named == 2
+
+
+def test_points_at_fault_that_hide_each_other_are_named():
+    faults = [{"kind": "point_gain", "size": 1.0, "point": point} for point in "2468"]
+    recording = recorded(3, points=10, lines=60, faults=faults)
+    assert verdicts(diagnosed(recording)[2]) == dict(recording.culprits)
 
 
 def test_a_point_that_moves_on_its_own_is_the_only_one_accused():
