@@ -84,29 +84,25 @@ def phase_notices(
     """
     if structure not in motion.bodies or base not in motion.bodies:
         return []
-    first, second = motion.body(structure), motion.body(base)
-    places = dof_indices(motion.dof)
+    places, size = dof_indices(motion.dof), len(motion.dof)
     inertia = np.diag([float(name == "y") for name in motion.dof])
     if mass is not None:
         inertia = mass.mass_matrix.matrix[np.ix_(places, places)]
-    total = size = weight = 0.0
-    lines = 0
     sd = motion.standard_deviation
-    for run in range(len(motion.runs)):
-        q, b = motion.q[run, first], motion.q[run, second]
-        good = np.all(np.isfinite(q) & np.isfinite(b), axis=1)
-        q, b = q[good], b[good]
-        power = np.einsum("li,ij,lj->l", b.conj(), inertia, q)
-        variance = np.sum((np.abs(b @ inertia) * sd[run, first][good]) ** 2, axis=1)
-        variance += np.sum((np.abs(q @ inertia) * sd[run, second][good]) ** 2, axis=1)
-        total += float(np.sum(power.imag))
-        size += float(np.sum(np.abs(power)))
-        weight += float(np.sum(variance))
-        lines += int(good.sum())
-    if lines < _LEAST_LINES or not total > max(_SURE * np.sqrt(weight), _LEAST_LEAD * size):
+    (q, q_sd), (b, b_sd) = (
+        (motion.q[:, body].reshape(-1, size), sd[:, body].reshape(-1, size))
+        for body in (motion.body(structure), motion.body(base))
+    )
+    good = np.all(np.isfinite(q) & np.isfinite(b), axis=1)
+    q, b = q[good], b[good]
+    power = np.einsum("li,ij,lj->l", b.conj(), inertia, q)
+    variance = (np.abs(b @ inertia) * q_sd[good]) ** 2 + (np.abs(q @ inertia) * b_sd[good]) ** 2
+    total, whole = float(np.sum(power.imag)), float(np.sum(np.abs(power)))
+    sure = _SURE * float(np.sqrt(np.sum(variance)))
+    if len(q) < _LEAST_LINES or not total > max(sure, _LEAST_LEAD * whole):
         return []
     text = (
-        f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / size, 1.0))):.2g} degrees in the "
+        f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / whole, 1.0))):.2g} degrees in the "
         "mean, where a passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate "
         "them), or the two bodies are exchanged."
     )
