@@ -24,14 +24,7 @@ from kinematics.joint.expected import Priors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
-from kinematics.place.errors import (
-    ErrorEstimate,
-    body_starts,
-    estimate_errors,
-    sound_values,
-    stated_errors,
-    with_errors,
-)
+from kinematics.place.errors import ErrorEstimate, agreement, body_starts, with_errors
 from kinematics.place.handedness import check_axes
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
@@ -115,9 +108,8 @@ def measure_motion(
     if options.correct:
         fitted, corrections = _correct(fitted, diagnoses, options)
         notices += [notice for one in corrections for notice in one.notices]
-    estimate = None
-    if errors := stated_errors(fitted.placed, options.laser_sd, options.calibrate):
-        estimate = estimate_errors(fitted.placed, errors, sound_values(diagnoses, options.calibrate))
+    estimate = agreement(fitted.placed, diagnoses, options.laser_sd, options.calibrate)
+    if estimate is not None:
         notices += estimate.notices()
         if options.calibrate:
             fitted = _fit(with_errors(fitted.placed, estimate), options)

@@ -202,20 +202,40 @@ def stated_errors(
     return errors
 
 
-def sound_values(diagnoses: Mapping[int, Diagnosis], calibrate: bool = False) -> dict[int, Packed]:
-    """Return the values of each body without channels at fault; faults of whole lasers are left in.
+def agreement(
+    placed: Measurement,
+    diagnoses: Mapping[int, Diagnosis],
+    laser_sd: Mapping[str, float],
+    calibrate: bool = False,
+) -> ErrorEstimate | None:
+    """Estimate the stated errors from values without channels at fault; faults of whole lasers are left in.
 
-    Bodies that bend say nothing, except to calibrate: a wrong geometry looks like bending.
+    Bodies that bend say nothing, except to calibrate: a wrong geometry looks like bending. Positions alone
+    remain as stated.
+
+    Parameters
+    ----------
+    diagnoses : mapping of int to Diagnosis
+        By body.
+    laser_sd, calibrate
+        As in `stated_errors`.
+
+    Returns
+    -------
+    ErrorEstimate or None
+        None where nothing is stated.
     """
+    errors = stated_errors(placed, laser_sd, calibrate)
+    alone = all(error.kind == "position" for error in errors)
     packs = {}
-    for number, found in diagnoses.items():
+    for number, found in diagnoses.items() if not alone else ():
         bends = bool(found.causes) or any(finding.kind == "flexible" for finding in found.findings)
         if calibrate or not bends:
             readings = found.last.readings
             factor = np.ones((1, len(readings.noise_factor)), dtype=complex)
             packed = pack(replace(readings, geometry=replace(readings.geometry, factor=factor)))
             packs[number] = packed.scaled(np.full(len(packed.y), np.sqrt(found.last.noise.level)))
-    return packs
+    return estimate_errors(placed, errors, packs) if errors else None
 
 
 def estimate_errors(
