@@ -15,7 +15,7 @@ from stapeskit.report.quantities import Quantity, ShownUnit
 from stapeskit.warnings import VERDICTS, Notice, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from markupsafe import Markup
 
@@ -48,7 +48,11 @@ def motion_page(result: MotionResult) -> Page:
         f"exp(+i omega t); {len(motion.freq_hz)} lines."
     )
     made = page.Page(result.title, lead)
-    made.add(verdict_block(result), page.table(("", ""), summary_rows(result), words=True))
+    level, reasons = verdict_of(result.notices)
+    made.add(
+        page.verdict(level, _SENTENCES[level], reasons),
+        page.table(("", ""), summary_rows(result), words=True),
+    )
     made.add(page.viewer(motion_scene(result)))
     some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
     caption = f"Amplitude and phase; {some}bands are 95 % of the channel noise."
@@ -60,25 +64,12 @@ def motion_page(result: MotionResult) -> Page:
     return made
 
 
-def motion_level(notices: tuple[Notice, ...]) -> str:
-    """Return ``believe``, ``check`` or ``do not use`` by the worst of the warnings."""
+def verdict_of(notices: Sequence[Notice]) -> tuple[str, list[Notice]]:
+    """Return ``believe``, ``check`` or ``do not use`` by the worst warning, and those that lower it."""
     known = table()
-    found = {known[notice.code].verdict if notice.code in known else "check" for notice in notices}
-    worst = next((level for level in reversed(VERDICTS) if level in found), VERDICTS[0])
-    return "believe" if worst == VERDICTS[0] else worst
-
-
-def verdict_block(result: MotionResult) -> Markup:
-    """Return the verdict with the warnings that lower it."""
-    level = motion_level(result.notices)
-    known = table()
-    reasons = [
-        notice
-        for notice in result.notices
-        if level != "believe"
-        and (known[notice.code].verdict if notice.code in known else "check") != VERDICTS[0]
-    ]
-    return page.verdict(level, _SENTENCES[level], reasons)
+    found = [known[notice.code].verdict if notice.code in known else "check" for notice in notices]
+    reasons = [one for one, level in zip(notices, found, strict=True) if level != VERDICTS[0]]
+    return max(found, key=VERDICTS.index) if reasons else "believe", reasons
 
 
 def motion_sections(made: Page, result: MotionResult) -> None:
