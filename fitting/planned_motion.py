@@ -142,7 +142,7 @@ def planned_motion(plan: Plan, mass: Array, rng: np.random.Generator | None = No
                 q[run, body] += level[:, None] * ((draws[0] + 1j * draws[1]) @ inverse.T)
     derivatives = np.einsum("kl,kbij,rblj->krbli", _growth(powers, omega), maps, q)
     shared = SharedErrors(tuple(names), np.diag(np.square(sds)), derivatives, maps, np.array(powers))
-    none = np.full((runs, 2, plan.lines), np.nan)
+    none = np.zeros((runs, 2, plan.lines))
     labels = tuple(f"run {run + 1}, driven along {name}" for run, name in enumerate(plan.directions))
     return RigidMotion(labels, ("stapes", "base"), DOF_NAMES, freq, q, covariance, none, none, shared=shared)
 
