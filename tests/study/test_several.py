@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -77,3 +78,36 @@ def test_studies_run_on_the_workers_of_a_dask_scheduler(small: tuple[Path, Truth
         result = run_studies([tmp_path / "ear" / "study.toml"], tmp_path / "out", runner)
     assert result.ends["study"].code == 2
     assert "scan.nrrd" in result.ends["study"].fault
+
+
+_KILLER = """
+import os, signal, sys
+mark = os.environ.get("KILLED_ONCE", "")
+if "killer" in " ".join(sys.orig_argv) and "pipeline.cli" in sys.orig_argv and not os.path.exists(mark):
+    open(mark, "w").close()
+    os.kill(os.getppid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_worker_costs_the_time_of_one_ear(
+    small: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process of one study kills the worker that runs it, once: the study is run again."""
+    distributed = pytest.importorskip("distributed")
+    studies = []
+    for name in ("killer", "other"):
+        shutil.copytree(small[0], tmp_path / name)
+        (tmp_path / name / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")  # ends at once, with its fault
+        studies.append((tmp_path / name / "study.toml").rename(tmp_path / name / f"{name}.toml"))
+    (tmp_path / "start").mkdir()
+    (tmp_path / "start" / "sitecustomize.py").write_text(_KILLER)
+    root = str(Path(__file__).parents[2])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "start"), root]))
+    monkeypatch.setenv("KILLED_ONCE", str(tmp_path / "killed"))
+    with distributed.LocalCluster(
+        1, processes=True, threads_per_worker=1, dashboard_address=None, scheduler_port=0
+    ) as cluster:
+        result = run_studies(studies, tmp_path / "out", run_on_dask(cluster.scheduler_address))
+    assert (tmp_path / "killed").exists()
+    assert {name: end.code for name, end in result.ends.items()} == {"killer": 2, "other": 2}
+    assert all("scan.nrrd" in end.fault for end in result.ends.values())
