@@ -20,8 +20,9 @@ from fitting.likelihood import LOAD, PLAIN, Model
 from fitting.mass import Inertia, inertia_of
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import InPlane, applies, in_plane, plane_model
-from fitting.solve import Fit, bic, compare_laws, fit, weak_spread, with_covariance
+from fitting.solve import Fit, bic, compare_laws, fit, with_covariance
 from fitting.textbook import Textbook, estimate
+from fitting.weak import weak_spread
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from fitting.draws import root_of
 from fitting.likelihood import Likelihood, Prior
 from fitting.plane import in_plane, posterior
 from fitting.solve import fit
-from stapeskit.arrays import Array, ComplexArray
+from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
@@ -39,17 +39,6 @@ class Scatter:
         """Root mean square error of every parameter, (p,), SI."""
         return np.asarray(np.sqrt(np.mean(self.errors**2, axis=0)))
 
-    def as_json(self, result: KDFit) -> dict[str, Any]:
-        """Return the block ``monte_carlo`` of kd.json."""
-        stated = np.sqrt(np.diag(result.covariance))
-        ratio = self.standard_deviation / np.where(stated > 0.0, stated, np.inf)
-        return {
-            "refits": len(self.errors),
-            "failed": self.failed,
-            "rms_error_si": dict(zip(result.parameters, self.standard_deviation.tolist(), strict=True)),
-            "rms_error_over_stated_sd": dict(zip(result.parameters, ratio.tolist(), strict=True)),
-        }
-
 
 def scatter(
     result: KDFit, refits: int, seed: int = 0, report: Callable[[str, float | None], None] | None = None
@@ -69,7 +58,8 @@ def scatter(
     """
     found, rng, started = result.found, np.random.default_rng(seed), time.monotonic()
     data, model, at = found.data, found.likelihood.model, found.at
-    noise = root_of_lines(max(1.0, found.level) * data.covariance)
+    values, vectors = np.linalg.eigh(max(1.0, found.level) * data.covariance)
+    noise = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     settled = replace(data, y=found.likelihood.look(found.theta)[3])
     errors, failed = [], 0
     for number in range(refits):
@@ -80,10 +70,9 @@ def scatter(
         y = exact + (noise @ (draws[0] + 1j * draws[1])[:, :, None])[:, :, 0]
         drawn = model
         if model.coupling is not None:
-            off = root_of(model.coupling.covariance) @ rng.standard_normal(
-                at["coupling"].stop - at["coupling"].start
-            )
-            drawn = replace(model, coupling=Prior(truth[at["coupling"]] + off, model.coupling.covariance))
+            prior = model.coupling
+            off = root_of(prior.covariance) @ rng.standard_normal(len(prior.mean))
+            drawn = replace(model, coupling=Prior(truth[at["coupling"]] + off, prior.covariance))
         try:
             tried = fit(replace(data, y=y), drawn, truth, robust=found.weights is not None)
             plane = in_plane(tried) if model.coupling is not None else None
@@ -95,9 +84,3 @@ def scatter(
             whole = (time.monotonic() - started) * refits
             report(f"refitting {refits} repetitions, about {whole:.0f} s", None)
     return Scatter(np.array(errors).reshape(-1, len(result.values)), failed)
-
-
-def root_of_lines(covariance: ComplexArray) -> ComplexArray:
-    """Return R (lines, m, m) with R R^H the covariance of each line, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

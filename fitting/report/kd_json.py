@@ -63,7 +63,13 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
         "provenance": {key: value for key, value in fit.provenance.items() if key != "motion_provenance"},
     }  # fmt: skip
     if fit.scatter is not None:
-        content["monte_carlo"] = fit.scatter.as_json(fit)
+        rms, stated = fit.scatter.standard_deviation, _sd_of(fit.covariance)
+        content["monte_carlo"] = {
+            "refits": len(fit.scatter.errors),
+            "failed": fit.scatter.failed,
+            "rms_error_si": _named(fit, rms),
+            "rms_error_over_stated_sd": _named(fit, rms / np.where(stated > 0.0, stated, np.inf)),
+        }
     plain: dict[str, Any] = as_json(content)
     return plain
 

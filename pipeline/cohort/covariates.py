@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,19 +19,20 @@ class Coding:
 
     Attributes
     ----------
-    centre, scale : float
-        Mean and standard deviation over the ears, of a number.
-    groups, shares : tuple of str, tuple of float
-        Values of a text, and the share of the ears in each but the first, which centres its column.
+    groups : tuple of str
+        Values of a text.
+    centre : ndarray, (columns,)
+        Mean of each column over the ears.
+    scale : float
+        Standard deviation of a number over the ears.
     """
 
     name: str
-    centre: float = 0.0
-    scale: float = 1.0
     groups: tuple[str, ...] = ()
-    shares: tuple[float, ...] = ()
+    centre: Array | float = 0.0
+    scale: float = 1.0
 
-    def columns(self, value: Any) -> list[float]:
+    def columns(self, value: Any) -> Array:
         """Return the entries of one ear.
 
         Raises
@@ -42,10 +43,8 @@ class Coding:
         wanted = f"one of {', '.join(self.groups)}" if self.groups else "a number"
         if str(value) not in self.groups if self.groups else not _is_number(value):
             raise StapeskitError.of(f"the covariate {self.name}", wanted, value)
-        if not self.groups:
-            return [(float(value) - self.centre) / self.scale]
-        pairs = zip(self.groups[1:], self.shares, strict=True)
-        return [float(str(value) == group) - share for group, share in pairs]
+        own = [str(value) == group for group in self.groups[1:]] if self.groups else [value]
+        return (np.array(own, dtype=float) - self.centre) / self.scale
 
 
 @dataclass(frozen=True)
@@ -110,10 +109,10 @@ def _coding(name: str, values: Mapping[str, Any]) -> Coding | Fault:
     groups = tuple(sorted(set(texts)))
     if len(groups) < 2:
         return Fault(thing, "different in some ears", f"{groups[0]} in all", "", "Leave the covariate out")
-    if True in numeric:
-        numbers = np.array(list(values.values()), dtype=float)
-        return Coding(name, float(numbers.mean()), float(numbers.std(ddof=1)))
-    if len(groups) > len(texts) // 2:
+    if True not in numeric and len(groups) > len(texts) // 2:
         step = "A text must name groups of ears; a quantity must be a number"
         return Fault(thing, "the same in groups of ears", f"{len(groups)} values", "", step)
-    return Coding(name, groups=groups, shares=tuple(texts.count(group) / len(texts) for group in groups[1:]))
+    plain = Coding(name) if True in numeric else Coding(name, groups)
+    columns = np.array([plain.columns(value) for value in values.values()])
+    scale = float(columns.std(ddof=1)) if True in numeric else 1.0
+    return replace(plain, centre=columns.mean(axis=0), scale=scale)

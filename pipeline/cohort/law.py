@@ -42,11 +42,6 @@ class LogPairs:
         Which ears belong to one person; every ear is its own subject when left out.
     covariates : ndarray, (n, c)
         Further predictors of both x and y (age, sex, ...), centred.
-
-    Raises
-    ------
-    ValueError
-        Shapes differ, or numbers are not finite.
     """
 
     x: Array
@@ -62,11 +57,6 @@ class LogPairs:
         for name, value in defaults.items():
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, value)
-        shapes = (self.y.shape, self.own.shape, self.shared.shape[:2], self.subject.shape)
-        if shapes != ((n,), (n, 2, 2), (n, 2), (n,)) or len(self.covariates) != n:
-            raise ValueError(f"arrays of {n} ears must agree in length; got {shapes}")
-        if not all(np.all(np.isfinite(a)) for a in (self.x, self.y, self.own, self.shared, self.covariates)):
-            raise ValueError("logarithms and their covariances must be finite")
 
     @property
     def n(self) -> int:
