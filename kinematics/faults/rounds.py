@@ -59,14 +59,22 @@ class Round:
         return self.packed.live.tolist()
 
     @cached_property
+    def tails(self) -> Array:
+        """Logarithm of the p-value of each test alone, (tests,), by the noise that its channels show."""
+        statistic = np.array([test.statistic for test in self.tests])
+        freedom = np.array([test.freedom for test in self.tests])
+        if self.stated:
+            return self.noise.log_tail(statistic, freedom)
+        own = self.state.own_noise[1] + 0.5 / self.spread**2
+        known = {test.place: own[list(test.place.channels)].sum() for test in self.tests}
+        return self.noise.log_tail(statistic, freedom, np.array([known[test.place] for test in self.tests]))
+
+    @cached_property
     def log_p(self) -> Array:
         """Logarithm of the p-value of each test, weighted so that all together are one test (tests,)."""
         owners = [test.place.owner for test in self.tests]
         number = {owner: owners.count(owner) / share for owner, share in SHARE.items()}
-        tail = self.noise.log_tail(
-            np.array([test.statistic for test in self.tests]), np.array([test.freedom for test in self.tests])
-        )
-        return np.asarray(tail + np.log([number[owner] for owner in owners]))
+        return np.asarray(self.tails + np.log([number[owner] for owner in owners]))
 
     @cached_property
     def loudness(self) -> Array:
@@ -93,10 +101,10 @@ class Round:
         """Return the log of each channel's smallest p-value, corrected for the number of its tests."""
         out = np.minimum(self.channel_noise, 0.0)
         count = np.ones(len(out))
-        for test in self.tests:
+        for test, tail in zip(self.tests, self.tails, strict=True):
             if test.place.owner == "channel":
                 (channel,) = test.place.channels
-                out[channel] = min(out[channel], self.noise.log_tail(test.statistic, test.freedom))
+                out[channel] = min(out[channel], tail)
                 count[channel] += 1.0
         return np.minimum(out + np.log(count), 0.0)
 

@@ -43,18 +43,22 @@ class Noise:
     level: float = 1.0
     freedom: float = np.inf
 
-    def log_tail(self, statistic: Array | float, freedom: Array | float) -> Array:
+    def log_tail(
+        self, statistic: Array | float, freedom: Array | float, known: Array | float | None = None
+    ) -> Array:
         """Return log P(statistic or more) of a sum of squares over noise of this level.
 
-        The tail is that of chi2, or of F; beyond the range of doubles it is continued by its leading terms.
+        The tail is that of chi2, or of F where the level has degrees of freedom, ``known`` for channels whose
+        own noise was estimated; beyond the range of doubles it is continued by its leading terms.
         """
         from scipy.special import chdtrc, fdtrc, gammaln
 
         statistic = np.maximum(np.asarray(statistic) / self.level, 1e-300)
         freedom = np.maximum(np.asarray(freedom), 1e-9)
         if np.isfinite(self.freedom):
-            tail = fdtrc(freedom, self.freedom, statistic / freedom)
-            far = -0.5 * self.freedom * np.log1p(statistic / self.freedom)
+            known = self.freedom if known is None else known
+            tail = fdtrc(freedom, known, statistic / freedom)
+            far = -0.5 * known * np.log1p(statistic / known)
         else:
             tail = chdtrc(freedom, statistic)
             half = 0.5 * statistic

@@ -165,7 +165,7 @@ def _search(first: Round, priors: Priors) -> tuple[list[Finding], Round]:
         now = null_fit(readings, now.layout, priors, now.stated)
     if len(found) > 1:
         others = _disagreeing(first, priors)
-        if others and (not now.clean() or _numbers(others[0]) < _numbers(found)):
+        if others and others[1].clean() and (not now.clean() or _numbers(others[0]) < _numbers(found)):
             found, now = others
     if _bends(found, first, now):
         every = Place("body", tuple(range(len(first.layout.points))))
@@ -196,7 +196,6 @@ def _believed(now: Round, best: Finding) -> Readings:
 def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | None:
     """Find the points without which the others agree, and what each has; None where half of them are off.
 
-
     Notes
     -----
     Each point has a noise of its own: the likelihood of such a model, found by iterated weights from the
@@ -219,10 +218,10 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
     if not 0 < 2 * len(off) < len(points) or left < _LEAST_CHANNELS:
         return None
     sound = first.readings.louder([channel for point in off for channel in points[point]])
-    found: list[Finding] = []
-    last = null_fit(sound, first.layout, priors, first.stated)
-    if not last.clean():
+    if not null_fit(sound, first.layout, priors, first.stated).clean():
         return None
+    found: list[Finding] = []
+    now = first
     for point in off:
         own = points[point]
         factor = sound.noise_factor.copy()
@@ -230,8 +229,11 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
         alone = null_fit(replace(sound, noise_factor=factor), first.layout, priors, first.stated)
         if not alone.clean():
             inside = [one for one in fit_candidates(alone) if set(one.channels) <= set(own)]
+            if not inside:
+                return None
             found.append(inside[0])
-    return found, last
+            now = replace(now, readings=_believed(now, inside[0]))
+    return found, null_fit(now.readings, first.layout, priors, first.stated)
 
 
 def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:

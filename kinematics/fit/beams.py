@@ -43,8 +43,6 @@ class BeamSet:
     lever_m : float
         Root mean square distance of the points from their centroid: the length that makes rotations and
         translations comparable.
-    strength : ndarray, (m,)
-        Singular values of the dimensionless matrix relative to the largest.
     weak : str
         The motions that the beams hardly see, in words.
     """
@@ -55,13 +53,7 @@ class BeamSet:
     basis: Array
     to_dof: Array
     lever_m: float
-    strength: Array
     weak: str = ""
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the dimensionless observation matrix."""
-        return float(1.0 / self.strength[-1])
 
 
 def beam_set(body: str, arms_m: Array, directions: Array, dof: Sequence[str]) -> BeamSet:
@@ -93,7 +85,7 @@ def beam_set(body: str, arms_m: Array, directions: Array, dof: Sequence[str]) ->
     u, s, vt = np.linalg.svd(rows / scale, full_matrices=False)
     motions = _unseen(arms_m, directions, names, WEAK) if strength[-1] < WEAK else []
     weak = "; ".join(_describe(motion, names) for motion in motions)
-    return BeamSet(names, rows, all_rows, u, (vt.T / s) / scale[:, None], lever_m(arms_m), strength, weak)
+    return BeamSet(names, rows, all_rows, u, (vt.T / s) / scale[:, None], lever_m(arms_m), weak)
 
 
 def lever_m(arms_m: Array) -> float:

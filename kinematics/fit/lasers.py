@@ -30,22 +30,13 @@ def laser_numbers(directions: Array) -> NDArray[np.intp]:
     distinct, owner, number = np.unique(rounded, axis=0, return_inverse=True, return_counts=True)
     owner = owner.reshape(-1)
     if len(distinct) > _MOST_HEADS or np.min(number, initial=3) < 3:
+        from scipy.sparse.csgraph import connected_components
+
         if len(distinct) > _MOST_PAIRED:
             cells, cell = np.unique(np.round(distinct / _CELL_RAD), axis=0, return_inverse=True)
             distinct, owner = cells, cell.reshape(-1)[owner]
         distinct = distinct / np.linalg.norm(distinct, axis=1)[:, None]
         near = distinct @ distinct.T > np.cos(np.deg2rad(ONE_LASER_DEG))
-        owner = _linked(near)[owner]
+        owner = connected_components(near)[1][owner]
     first = list(dict.fromkeys(owner.tolist()))
     return np.array([first.index(label) for label in owner.tolist()], dtype=np.intp)
-
-
-def _linked(near: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the lowest member of the group of each item, for neighbours (n, n)."""
-    group = np.arange(len(near))
-    for _ in range(len(near)):
-        lowest = np.array([np.min(group[row]) for row in near])
-        if np.array_equal(lowest, group):
-            break
-        group = lowest
-    return group

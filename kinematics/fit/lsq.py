@@ -52,8 +52,6 @@ class Solution:
         Lines in use.
     explained : float
         Sum of |fitted / sd|^2.
-    variance_factor : float
-        Variance of the robust estimate over that of least squares, for noise as the residuals show it.
     """
 
     z: ComplexArray
@@ -67,7 +65,6 @@ class Solution:
     square: Array
     used: NDArray[np.int64]
     explained: float = 0.0
-    variance_factor: float = 1.0
 
     @classmethod
     def empty(cls, channels: int, size: int, lines: int) -> Solution:
@@ -131,8 +128,7 @@ def solve(
         _fit_block(basis, value[:, part], sd[:, part], robust, part, scale, out)
     out.weight /= max(int(np.sum(out.good)), 1)
     if robust != "none":
-        out.variance_factor = _variance_factor(basis, value, sd, robust, out)
-        out.covariance *= out.variance_factor
+        out.covariance *= _variance_factor(basis, value, sd, robust, out)
     return out
 
 

@@ -98,12 +98,8 @@ def _measured_texts(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[s
         return []
     worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= LEAST_BIAS]
     changes = ", ".join(f"{dof[k]} by {100.0 * share[k]:.2g} %" for k in worst)
-    units = [(1e9, "nm") if name in DOF_NAMES[:3] else (1e6, "urad") for name in extra]
-    rms = np.sqrt(np.mean(np.abs(others) ** 2, axis=0))
-    parts = zip(extra, rms, units, strict=True)
-    sizes = ", ".join(f"{name} {value * factor:.3g} {unit} rms" for name, value, (factor, unit) in parts)
     odds = "below 1e-300" if chance < 1e-300 else f"{chance:.1g}"
     return [
-        f"measured motion in {', '.join(extra)} ({sizes}) is left out of the fit and changes {changes} (rms)"
+        f"measured motion in {', '.join(extra)} is left out of the fit and changes {changes} (rms)"
         f"; without it the probability of these data is {odds}; fit it with --dof {','.join(wide)}"
     ]

@@ -58,11 +58,6 @@ class LineFit:
     robust: str = "none"
 
     @property
-    def complete(self) -> bool:
-        """Whether every channel was used at every line."""
-        return bool(np.all(self.solution.count == len(self.beams.rows)))
-
-    @property
     def channel_rms_m(self) -> Array:
         """Root mean square of |residual| over the lines as displacement, (c,), m; NaN without lines."""
         used = self.solution.used

@@ -251,7 +251,6 @@ def joint(
     parameters: Parameters,
     start: Array | None = None,
     geometry: Geometry | None = None,
-    rounds: int = _ROUNDS,
 ) -> Estimate:
     """Estimate parameters together with the motion by Gauss and Newton.
 
@@ -262,8 +261,6 @@ def joint(
     start : ndarray, (p,), optional
     geometry : Geometry, optional
         What the parameters change; that of ``packed`` unless given.
-    rounds : int
-        At most.
 
     Notes
     -----
@@ -282,7 +279,7 @@ def joint(
 
     state, chi2 = at(x)
     covariance = np.zeros((0, 0))
-    for _ in range(rounds if len(parameters) else 0):
+    for _ in range(_ROUNDS if len(parameters) else 0):
         score, information, _ = system(state, parameters)
         covariance = inverse(information + np.diag(prior))
         step = covariance @ (score - prior * x)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.joint.tangents import BEAM_U, BEAM_V, DELAY, GAIN, PHASE, SHIFT, Parameters
+from kinematics.joint.tangents import DELAY, GAIN, PHASE, SHIFT, Parameters
 from stapeskit.arrays import Array
 
 
@@ -81,15 +81,12 @@ class Priors:
         filters differ by 1 us.
     position_m : ndarray, (c,)
         Per coordinate of each point; NaN or 0 where none is expected.
-    beam_rad : float
-        Of each beam.
     """
 
     laser_gain: float = 0.01
     laser_phase_rad: float = float(np.deg2rad(0.5))
     laser_delay_s: float = 1e-6
     position_m: Array = field(default_factory=lambda: np.empty(0))
-    beam_rad: float = 0.0
 
 
 def expected_errors(layout: Layout, live: Sequence[int], priors: Priors) -> Parameters:
@@ -102,6 +99,4 @@ def expected_errors(layout: Layout, live: Sequence[int], priors: Priors) -> Para
     sizes = ((GAIN, priors.laser_gain), (PHASE, priors.laser_phase_rad), (DELAY, priors.laser_delay_s))
     for own in layout.by_laser(live).values():
         entries += [(own, tangent, sd) for tangent, sd in sizes if sd > 0.0]
-    if priors.beam_rad > 0.0:
-        entries += [([channel], tangent, priors.beam_rad) for channel in live for tangent in (BEAM_U, BEAM_V)]
     return Parameters.of(len(layout.points), entries)
