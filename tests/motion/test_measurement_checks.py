@@ -150,5 +150,3 @@ def test_shapes_and_units_of_a_measurement_are_checked():
     assert len(error.value.faults) >= 3
     with pytest.raises(StapeskitError):
         Measurement("footplate", ("1",), recorded(2).freq_hz[::-1], (body,))
-    with pytest.raises(StapeskitError):
-        as_measurement(recorded(2)).mirrored("w")
