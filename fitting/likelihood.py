@@ -2,8 +2,8 @@
 
 Per line the equations are B(theta) y = 0, y the motion of both bodies with the covariance C. Minimised is 2
 sum e^H (B C B^H)^-1 e + priors with e = B y: errors in all variables. Only `Likelihood.act`, B times a
-motion, is written down; derivatives are central differences of it (for K, D and shared errors, in which B is
-linear, its own terms), taken at the fitted motion yhat = y - C B^H (B C B^H)^-1 e, where J^T r is the exact
+motion, is written down; derivatives are differences of it (for K, D and shared errors, in which B is linear,
+its own terms), taken at the fitted motion yhat = y - C B^H (B C B^H)^-1 e, where J^T r is the exact
 gradient (Pintelon and Schoukens 2012, System Identification, ch. 9).
 """
 
@@ -243,14 +243,16 @@ class Likelihood:
 
     def slopes(self, theta: Array, motion: ComplexArray) -> ComplexArray:
         """Return dB/dtheta times motions (lines, 2 m, c), (p, lines, n, c)."""
-        free = slice(self.at["law"].start, self.at["shared"].start)
-        steps = [
-            self.act(theta + h, motion) - self.act(theta - h, motion)
-            for h in _STEP * np.eye(self.count)[free]
-        ]
-        columns = [self.entry_slopes(theta, motion)]
-        if steps:
-            columns.append(np.array(steps) / (2.0 * _STEP))
+        parts = self.parts(theta)
+        columns, here = [self.entry_slopes(theta, motion)], self.act(theta, motion, parts)
+        for place in range(self.at["law"].start, self.at["shared"].start):
+            unit = np.eye(self.count)[place]
+            if self.at["coupling"].start <= place < self.at["coupling"].stop:  # B is affine in Y
+                slope = self.act(theta + unit, motion, parts) - here
+            else:
+                ends = [self.act(theta + step * unit, motion) for step in (_STEP, -_STEP)]
+                slope = (ends[0] - ends[1]) / (2.0 * _STEP)
+            columns.append(slope[None])
         if self.data.sources:
             columns.append(self._shared_slopes(theta, motion))
         return np.concatenate(columns)
