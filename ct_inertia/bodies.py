@@ -62,13 +62,11 @@ class Cells:
     ----------
     labels : ndarray of uint8, [z, y, x]
         0 background, 1 stapes, 2 plate, 3 other bone.
-    first, step : ndarray of int, (3,)
-        Index x, y, z in the scan of the first voxel of the first cell, and voxels per cell.
+    grid : Grid
     """
 
     labels: NDArray[np.uint8]
-    first: Index
-    step: Index
+    grid: Grid
 
 
 @dataclass(frozen=True)
@@ -139,8 +137,6 @@ class Labelled:
     separation : Separation
     named : bool
         A person named the body by a seed or by labels: an unusual size is reported, not refused.
-    evidence : mapping of str to JSON-able
-        Why this body was taken for the stapes: measures, score, candidates; for the report.
     notices : tuple of Notice
     """
 
@@ -156,7 +152,6 @@ class Labelled:
     noise: float
     separation: Separation
     named: bool = False
-    evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
 
     def numbers(self) -> NDArray[np.uint8]:

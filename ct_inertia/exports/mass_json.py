@@ -175,6 +175,5 @@ def _segmentation(result: MassResult) -> Mapping[str, Any] | None:
         "size_voxels": [int(count) for count in scan.size],
         "separation": labelled.separation.method,
         "media": {} if scene is None else dict(scene.media),
-        "found": dict(labelled.evidence),
         "measured": dict(body.evidence),
     }

@@ -85,15 +85,13 @@ def write_files(
         Formats of `EXPORTS`.
     """
     content = result.content()
-    labels = None
-    if result.body is not None and result.scan is not None:
-        from ct_inertia.exports.labels import LabelFile
-
-        labels = LabelFile.of(result.body.labelled, result.scan)
-        content = {**content, "labels_file": labels_name}
-    names = ["mass.json", "stapes.ply"]
+    names, packed = ["mass.json", "stapes.ply"], None
     with ThreadPoolExecutor(1) as pool:  # labels of a large scan are packed while the rest is written
-        packed = None if labels is None else pool.submit(labels.write, stage / labels_name)
+        if result.body is not None and result.scan is not None:
+            from ct_inertia.exports.labels import write_labels
+
+            packed = pool.submit(write_labels, stage / labels_name, result.body.labelled, result.scan)
+            content = {**content, "labels_file": labels_name}
         (stage / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         result.stapes.write(stage / "stapes.ply")
         if result.plate is not None:

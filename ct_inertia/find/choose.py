@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ct_inertia.find.levels import Reading, readings
 from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import Overview
 from ct_inertia.find.pieces import RIVAL, Piece, label_pieces
-from ct_inertia.find.readings import Reading, readings
 from ct_inertia.find.refuse import check_not_open, no_bone_at_seed, no_stapes, rivals_fault, unusual_notice
 from ct_inertia.find.split import Split, splits
 from ct_inertia.scan.scan import Scan

@@ -16,7 +16,8 @@ from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, 
 from ct_inertia.find.plate import find_plate, plate_mask
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.fields import Grey
-from ct_inertia.voxels.masks import Mask, eroded, flood
+from ct_inertia.voxels.flood import flood
+from ct_inertia.voxels.masks import Mask, eroded
 from stapeskit.warnings import Notice
 
 _DUST_VOXELS = 6  # of other bone that is left out
@@ -74,13 +75,6 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         plastic=reading.plastic,
         noise=view.noise,
         separation=Separation(view.method) if split is None else split.separation(),
-        evidence={
-            "stapes": chosen.body.as_json(),
-            "other_bone": [piece.as_json() for piece in chosen.others[:5]],
-            "coarse_spacing_mm": [float(v) for v in overview.grid.spacing_mm],
-            "material_levels": [float(v) for v in overview.levels],
-            "bone_above": float(reading.between),
-        },
         notices=_cropped_notice(chosen),
     )
 
@@ -171,7 +165,7 @@ def _cells(overview: Overview, chosen: Candidate, own: Mask, region: PlateRegion
     labels[own] = STAPES
     if region is not None:
         labels[overview.grid.taken(region.mask, region.grid) & (labels == 0)] = PLATE
-    return Cells(labels, overview.grid.first, overview.grid.block)
+    return Cells(labels, overview.grid)
 
 
 def _cropped_notice(chosen: Candidate) -> tuple[Notice, ...]:

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
 from ct_inertia.find.box import read_box
 from ct_inertia.find.label_volume import LEAST_VOXELS, read_labels
+from ct_inertia.find.levels import readings
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
 from ct_inertia.find.plate import drawn_plate, find_plate, plate_mask
-from ct_inertia.find.readings import readings
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance
+from ct_inertia.voxels.flood import flood
 from ct_inertia.voxels.grid import Grid
-from ct_inertia.voxels.masks import Mask, flood, grown, starts, used_box, widened
+from ct_inertia.voxels.masks import Mask, grown, used_box, widened
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
@@ -97,7 +98,6 @@ def _alone(drawn: Drawn, scan: Scan, notices: list[Notice]) -> Labelled:
         noise=0.0,
         separation=Separation("labels alone"),
         named=True,
-        evidence={"bodies_from": "labels alone"},
         notices=(*notices, Notice("labels_alone", text)),
     )
 
@@ -140,7 +140,6 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
         noise=noise_of(box.grey),
         separation=Separation("labels made elsewhere"),
         named=True,
-        evidence={"bodies_from": "labels on the scan", "bone_above": middle},
         notices=(*notices, *_cut_by_labels(box, local, grid, middle)),
     )
 
@@ -265,7 +264,7 @@ def _plate_in(scan: Scan, overview: Overview, stapes: Mask) -> PlateRegion | Non
 
 def _cells(labels: Drawn, grid: Grid) -> Cells:
     used = used_box(labels > 0) or (slice(0, 1),) * 3
-    return Cells(labels[used], grid.first + starts(used), grid.block)
+    return Cells(labels[used], grid.part(used))
 
 
 def _cut_by_labels(box: Box, local: Drawn, grid: Grid, middle: float) -> list[Notice]:

@@ -1,6 +1,8 @@
-"""Grey levels of the materials of a scan: the modes of voxels inside a material."""
+"""Grey levels of the materials of a scan, and how they may be read: which is bone, what is brighter."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +11,13 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.voxels.fields import Grey
 from ct_inertia.voxels.masks import Mask
 from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
 
 _LEAST_INTERIOR = 25  # fewer voxels inside a material give no level
 _BINS = 16  # of the histogram within the least distance of two levels
 _FLAT_NOISE = 1.7  # scatter of seven voxels over the noise: more than all but 1 in 120 of one material
 _SAME_NOISE = 2.5  # deviations of noise from the level of a material: all but 1 in 80 of its voxels
+_ABOVE_PLASTIC = calibrated("choose.above_plastic")
 _LEAST_SOLID = calibrated("overview.least_solid_share")
 _VALLEY, _SHALLOW_VALLEY = calibrated("overview.valley"), calibrated("overview.shallow_valley")
 _SMOOTH_BINS = 2.5  # smoothing of the histogram: a sixth of the distance of two levels
@@ -119,3 +123,56 @@ def _bright_rest(
         base = low + (float(np.searchsorted(total, 0.999 * total[-1])) + 0.5) * width
     bright = grey[grey > np.float32(base + 8.0 * noise)]
     return float(np.percentile(bright, 90)) if bright.size * voxel_mm3 >= 0.05 else None
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Grey levels of air, plastic (None: there is none) and bone, and the one above which a voxel is bone."""
+
+    air: float
+    plastic: float | None
+    bone: float
+    between: float
+
+    @classmethod
+    def of(cls, air: float, plastic: float | None, bone: float) -> Reading:
+        """Choose the level between bone and what is darker: half way from air, but well above plastic."""
+        middle = 0.5 * (air + bone)
+        between = middle if plastic is None else max(middle, plastic + _ABOVE_PLASTIC * (bone - plastic))
+        return cls(air, plastic, bone, between)
+
+    @property
+    def contrast(self) -> float:
+        """Of bone over air."""
+        return self.bone - self.air
+
+
+def readings(levels: Array, threshold: float | None = None) -> list[Reading]:
+    """Return the possible readings of the materials' levels, the brightest material as bone first.
+
+    A material above half way from air to bone is bone of another density, or else a dense plate.
+
+    Raises
+    ------
+    StapeskitError
+        A threshold that lies beyond all levels.
+    """
+    air = float(levels[0])
+    if threshold is not None:
+        below, above = levels[levels < threshold], levels[levels >= threshold]
+        if below.size == 0 or above.size == 0:
+            raise StapeskitError.of(
+                "--threshold",
+                f"between the grey levels of air and bone ({levels[0]:.6g} and {levels[-1]:.6g})",
+                f"{threshold:g}",
+                next_step="Read the two levels off the viewer, or leave --threshold out",
+            )
+        plastic = float(below[-1]) if below.size > 1 else None
+        return [Reading(float(below[0]), plastic, float(above[-1]), threshold)]
+    tried = []
+    for k in range(len(levels) - 1, 0, -1):
+        bone, between = float(levels[k]), levels[1:k]
+        light, dense = between[between <= 0.5 * (air + bone)], between[between > 0.5 * (air + bone)]
+        plastics = [float(light[-1]) if light.size else None, *map(float, dense)]
+        tried += [Reading.of(air, plastic, bone) for plastic in plastics]
+    return tried

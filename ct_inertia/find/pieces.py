@@ -145,16 +145,6 @@ class Piece:
         penalty = _BORDER * self.at_border + _NO_ARCH * (not self.arched)
         return self.size_score - penalty - _SURROUNDING * self.surrounding
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the measures of the piece that the report shows."""
-        return {
-            "volume_mm3": round(self.volume_mm3, 4),
-            "extents_mm": [round(float(v), 3) for v in self.extents_mm],
-            "holes": self.holes if self.possible else None,
-            "at_border": self.at_border,
-            "log_likelihood": round(self.score, 2) if self.possible else None,
-        }
-
 
 def size_score(volume_mm3: float, extents_mm: Array) -> float:
     """Return the log-likelihood of a volume and extents (3,): 0 within the published ranges, less beyond."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from ct_inertia.bodies import Box, PlateRegion
 from ct_inertia.calibrated import calibrated
+from ct_inertia.find.levels import Reading
 from ct_inertia.find.overview import Overview, smooth_noise
-from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, smooth

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ct_inertia.find.levels import material_levels
+from ct_inertia.find.levels import material_levels, readings
 from ct_inertia.find.overview import Overview
 from ct_inertia.find.pieces import USUAL, Piece, label_pieces, size_score
-from ct_inertia.find.readings import readings
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice

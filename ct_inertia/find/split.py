@@ -10,15 +10,16 @@ import numpy as np
 from ct_inertia.bodies import Separation
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.box import block_for, read_box
+from ct_inertia.find.levels import Reading
 from ct_inertia.find.necks import Neck, find_necks
 from ct_inertia.find.overview import Overview, smooth_noise
 from ct_inertia.find.pieces import HALF_GAP_MM, Labels, Piece, describe_all
-from ct_inertia.find.readings import Reading
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance, closed
 from ct_inertia.voxels.fields import Grey, smooth
+from ct_inertia.voxels.flood import flood
 from ct_inertia.voxels.grid import Grid
-from ct_inertia.voxels.masks import Mask, flood
+from ct_inertia.voxels.masks import Mask
 from stapeskit.arrays import Array
 
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)

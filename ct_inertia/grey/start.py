@@ -11,7 +11,8 @@ from ct_inertia.bodies import Grid, Labelled
 from ct_inertia.grey.cells import cell_numbers, mean_by_cells, noise_correlation, robust_mean
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, smooth
-from ct_inertia.voxels.masks import Mask, Slices, eroded, flood, grown, used_box, widened
+from ct_inertia.voxels.flood import flood
+from ct_inertia.voxels.masks import Mask, Slices, eroded, grown, used_box, widened
 from stapeskit.arrays import Array
 
 REACH_SIGMAS = 4.2

@@ -96,12 +96,14 @@ class Grid:
             ends=np.asarray(self.ends & (high == self.size)),
         )
 
-    def taken(self, values: NDArray[Any], source: Grid, repeat: bool = False) -> NDArray[Any]:
+    def taken(
+        self, values: NDArray[Any], source: Grid, repeat: bool = False, into: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
         """Return values [z, y, x] of another grid of the same scan in the middles of the blocks.
 
-        Beyond that grid they are 0, or its outermost ones with ``repeat``.
+        Beyond that grid they are 0, or its outermost ones with ``repeat``, or what ``into`` holds there.
         """
-        result = np.zeros(self.shape, dtype=values.dtype)
+        result = np.zeros(self.shape, dtype=values.dtype) if into is None else into
         to, places = [], []
         for axis, (count, available) in enumerate(zip(self.shape, source.shape, strict=True)):
             k = 2 - axis

@@ -1,4 +1,4 @@
-"""Operations on masks of voxels: the box that holds one, a layer more or less, floods from markers."""
+"""Operations on masks of voxels: the box that holds one, a layer more or less."""
 
 from __future__ import annotations
 
@@ -54,32 +54,3 @@ def eroded(mask: Mask, rounds: int = 1) -> Mask:
     for _ in range(rounds):
         inner = ~grown(~inner)
     return np.ascontiguousarray(inner[(slice(rounds, -rounds),) * 3])
-
-
-def flood(
-    relief: NDArray[np.float32], markers: NDArray[Any], mask: Mask, smoothing: float = 0.0
-) -> NDArray[Any]:
-    """Give every voxel of a mask to the marker whose flood reaches it first from the low side of a relief.
-
-    Notes
-    -----
-    Watershed by Meyer's flooding. On the negative grey values, smoothed by 0.7 voxels, the border runs along
-    the darkest line between two bodies, where each loses to the other as much of its blur as it gains.
-    Markers that touch nothing that is still free take no part, which saves most of the time.
-    """
-    from skimage.segmentation import watershed
-
-    from ct_inertia.voxels.fields import smooth
-
-    result = np.where(mask, markers, markers.dtype.type(0))
-    free = mask & (result == 0)
-    used = used_box(free)
-    if used is None:
-        return result
-    box = widened(used, 3)
-    active = mask[box] & grown(free[box])
-    height = smooth(np.ascontiguousarray(relief[box]), np.full(3, smoothing)) if smoothing else relief[box]
-    flooded = watershed(height, np.where(active, result[box], np.int32(0)), mask=active)
-    part = result[box]
-    part[free[box]] = flooded[free[box]]
-    return result

@@ -97,9 +97,7 @@ def labelled(grey, spacing, stapes, other=None, plate=None, plastic=None, noise=
         stapes=stapes,
         other=nothing if other is None else other,
         plate=nothing if plate is None else plate,
-        cells=Cells(
-            np.zeros((1, 1, 1), dtype=np.uint8), np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64)
-        ),
+        cells=Cells(np.zeros(box.shape, dtype=np.uint8), box),
         plate_region=None,
         air=AIR,
         bone=BONE,

@@ -8,11 +8,10 @@ import pytest
 from ct_inertia.find.box import block_for
 from ct_inertia.find.choose import Search
 from ct_inertia.find.find import find_stapes
-from ct_inertia.find.levels import material_levels
+from ct_inertia.find.levels import material_levels, readings
 from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import look_at, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
-from ct_inertia.find.readings import readings
 from ct_inertia.find.split import grid_edge
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
