@@ -6,8 +6,8 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from threading import Thread
@@ -234,28 +234,34 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
         if options.box_mm is not None:
             work.scan = work.scan.part(work.scan.box_of(options.box_mm))
         seed = None if options.seed_mm is None else np.array(options.seed_mm)
-        _import_ahead()
-        return find_stapes(work.scan, Search(options.threshold, seed), progress)
+        with _importing_ahead():
+            return find_stapes(work.scan, Search(options.threshold, seed), progress)
     from ct_inertia.find.labels import label_stapes
 
     spacing = options.spacing_mm if work.scan is None else tuple(work.scan.spacing_mm)
     array, grid = open_labels(options.labels, spacing, options.mirror)
     _add_files(inputs, "labels", grid)
     grid = replace(grid, dtype=array.dtype, fetch=lambda box: array[box])  # read once
-    _import_ahead()
-    labelled = label_stapes(grid, work.scan, options.stapes_label, options.plate_label, progress)
+    with _importing_ahead():
+        labelled = label_stapes(grid, work.scan, options.stapes_label, options.plate_label, progress)
     work.scan = work.scan or grid
     return labelled
 
 
-def _import_ahead() -> None:
-    """Import what later steps need while the scan is read: not before all children are forked."""
+@contextmanager
+def _importing_ahead() -> Iterator[None]:
+    """Import what later steps need on another thread; no child may be forked before it has ended."""
 
     def work() -> None:
         for name in _HEAVY:
             import_module(name)
 
-    Thread(target=work, daemon=True).start()
+    thread = Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
 
 
 def _return_memory() -> None:

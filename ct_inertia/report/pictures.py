@@ -13,7 +13,7 @@ from ct_inertia.report.pictured import Pictured, Slices
 from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
-from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, OTHER_COLOURS, PAGE_COLOURS, lighten
+from stapeskit.report.colours import BODY_COLOURS, OTHER_COLOURS, lighten
 from stapeskit.report.figures import panels, style
 
 if TYPE_CHECKING:
@@ -44,15 +44,17 @@ def anatomy_of(content: Mapping[str, Any]) -> dict[str, str]:
 
 @style()
 def views(content: Mapping[str, Any], pictured: Pictured) -> Figure:
-    """Draw the stapes from three sides along the footplate axes, medial first."""
+    """Draw the stapes from three sides along the footplate axes, medial first; mm from its centre."""
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
     local, faces = frame.inverse().points(pictured.light_stapes.vertices_mm), pictured.light_stapes.faces
-    drawing, axes = panels(1, 3, width=10.4, height=3.9, margins=(0.1, 0.1, 0.35, 0.1), gaps=(0.15, 0.1))
+    drawing, axes = panels(1, 3, width=10.4, height=3.9, margins=(0.5, 0.1, 0.35, 0.5), gaps=(0.6, 0.1))
     half = 0.62 * float(np.max(np.ptp(local, axis=0)))
-    for ax, view in zip(axes[0], VIEWS, strict=True):
-        _view(ax, local, faces, view, names, half)
+    for ax, (eye, right, up) in zip(axes[0], VIEWS, strict=True):
+        _side(ax, local @ np.stack([_axis(right), _axis(up), _axis(eye)]).T, faces, half)
+        ax.set_title(f"seen from {_word(eye, names)}")
+        ax.set(xlabel=f"towards {_word(right, names)}, mm", ylabel=f"towards {_word(up, names)}, mm")
     return drawing
 
 
@@ -65,16 +67,10 @@ def _word(name: str, names: Mapping[str, str]) -> str:
     return f"{names[name]} ({sign})" if name in names else sign
 
 
-def _view(
-    axes: Axes, local: Array, faces: Faces, view: tuple[str, str, str], names: Mapping[str, str], half: float
-) -> None:
-    """Draw one side: triangles from back to front, lit; names of the directions at the edges."""
+def _side(axes: Axes, points: Array, faces: Faces, half: float) -> None:
+    """Draw lit triangles from back to front; points (n, 3) to the right, up and towards the eye."""
     from matplotlib.collections import PolyCollection
 
-    eye, right, up = view
-    turn = np.stack([_axis(right), _axis(up), _axis(eye)])
-    points = local @ turn.T
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
@@ -86,43 +82,8 @@ def _view(
     axes.add_collection(
         PolyCollection(list(corners[order, :, :2]), facecolors=colours, edgecolors=colours, linewidths=0.3)
     )
-    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
-    axes.set(aspect="equal", xticks=[], yticks=[])
-    axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(True)
-        spine.set_color(PAGE_COLOURS["line"])
-    axes.set_title(f"seen from {_word(eye, names)}")
-    _edge_names(axes, right, up, names)
-    for name, tip in zip("xyz", turn.T, strict=True):
-        _arrow(axes, name, tip, 0.3 * half)
-    bar = np.array([0.0, 1.0]) + middle[0] - 0.92 * half
-    axes.plot(bar, np.full(2, middle[1] - 0.84 * half), color=PAGE_COLOURS["ink"], lw=2.5)
-    axes.text(float(bar[0]), middle[1] - 0.81 * half, "1 mm", fontsize=8)
-
-
-def _edge_names(axes: Axes, right: str, up: str, names: Mapping[str, str]) -> None:
-    def other(name: str) -> str:
-        return f"{'-' if name[0] == '+' else '+'}{name[1]}"
-
-    words: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 8.5, "color": PAGE_COLOURS["soft"]}
-    axes.text(0.985, 0.5, _word(right, names), ha="right", va="center", rotation=90, **words)
-    axes.text(0.015, 0.5, _word(other(right), names), ha="left", va="center", rotation=90, **words)
-    axes.text(0.5, 0.985, _word(up, names), ha="center", va="top", **words)
-    axes.text(0.5, 0.015, _word(other(up), names), ha="center", va="bottom", **words)
-
-
-def _arrow(axes: Axes, name: str, tip: Array, length: float) -> None:
-    """Draw an axis from the footplate centre; one along the line of sight is a dot or a cross."""
-    colour = AXIS_COLOURS[name]
-    if abs(tip[2]) > 0.9:
-        axes.plot(0.0, 0.0, "o", mfc="white", mec=colour, ms=7, mew=1.4)
-        axes.plot(0.0, 0.0, "." if tip[2] > 0.0 else "x", color=colour, ms=3.5)
-        return
-    arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.0, "shrinkA": 0, "shrinkB": 0}
-    end = (float(length * tip[0]), float(length * tip[1]))
-    axes.annotate("", xy=end, xytext=(0.0, 0.0), arrowprops=arrow)
-    axes.text(1.2 * end[0], 1.2 * end[1], name, color=colour, ha="center", va="center", fontweight="bold")
+    x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
 
 
 @style()
