@@ -254,10 +254,14 @@ def _patterns(
     covariance, are patterns of all points that have the same effect.
     """
     shifts = [k for k, error in enumerate(errors) if error.tangent in SHIFT]
+    if not shifts or not any(np.any(fit.solution.good) for fit in fits.values()):
+        return list(parameters), covariance
     others = [k for k in range(len(errors)) if k not in shifts]
     maps: list[Array] = []
-    for (run, body), fit in fits.items():
-        if run == 0 and np.any(fit.solution.good):
+    seen = set[int]()
+    for (_, body), fit in fits.items():
+        if body not in seen and np.any(fit.solution.good):
+            seen.add(body)
             places = dof_indices(fit.beams.dof)
             lever = np.where(np.arange(6) < 3, 1.0, fit.beams.lever_m)[places]
             none = np.zeros((len(fit.beams.basis), 6))

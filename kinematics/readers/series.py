@@ -47,6 +47,7 @@ RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 _NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
 _TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
+_ONE_ROW = "Save each channel under a name of its own, and each record to a file (column file of the table)"
 _SHORTEST = 16  # samples; shorter records hold no spectrum
 
 
@@ -189,14 +190,24 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
     Raises
     ------
     StapeskitError
-        A channel is missing (those found are listed), channels of several lengths, times that are not evenly
-        spaced, no sampling rate, or samples that are no finite numbers.
+        A channel is missing (those found are listed) or has several rows, channels of several lengths, times
+        that are not evenly spaced, no sampling rate, or samples that are no finite numbers.
     """
-    held = {
-        name.lower(): np.asarray(value).reshape(-1)
+    arrays = {
+        name.lower(): np.asarray(value)
         for name, value in reversed(list(_arrays(path, names).items()))
         if np.asarray(value).dtype.kind in "fiu" and np.size(value)
     }
+    wanted = {"freq_hz", *(name.lower() for name in names)}
+    faults = [
+        Fault(
+            f"the variable {name}", "one row of samples", " x ".join(map(str, one.shape)), path.name, _ONE_ROW
+        )
+        for name, one in arrays.items()
+        if name in wanted and max(one.shape, default=1) < one.size
+    ]
+    raise_all(faults)
+    held = {name: one.reshape(-1) for name, one in arrays.items()}
     listed = list_some(reversed(list(held)), 20) or "none"
     if missing := [name for name in names if name.lower() not in held]:
         want = f"in the file, which has {listed}"
@@ -217,7 +228,6 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
     elif not 0.0 < rate <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
-    faults = []
     for name, one in samples.items():
         if np.any(bad := ~(np.abs(one) <= LARGEST)):
             got = f"{int(np.sum(bad))} others, the first at sample {int(np.argmax(bad)) + 1}"

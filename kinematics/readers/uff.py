@@ -43,6 +43,7 @@ ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
+_ONE_EXCITATION = "Export one signal of one excitation to each file (reference, load case or version)"
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
 _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
@@ -87,7 +88,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         gamma = coherences.get(_response(one), coherences.get(_response(one)[:3]))
         node = nodes.get(int(one["rsp_node"]), (unknown_vector(), np.eye(3)))
         rows.append(_row(one, node, factor or 1.0, gamma, path.name))
-    raise_all([*faults, *_row_faults(usable, rows)])
+    raise_all([*faults, *_excitation_faults(usable, path.name), *_row_faults(usable, rows)])
     lengths = "as metres" if factor is None else f"by dataset 164, {factor:g} per metre"
     return recording_of(
         path.name,
@@ -257,6 +258,28 @@ def _row(one: Dataset, at: tuple[Array, Array], factor: float, coherence: Datase
     return Row(channel, one["x"].astype(float), one["data"], coherence=gamma, unit=unit or label)
 
 
+def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
+    """Refuse several load cases, or responses to several references: their values are of no one motion.
+
+    Some exports repeat the node of the response as the reference; that says nothing about the excitation.
+    """
+    responses = [one for one in functions if one["func_type"] != SPECTRUM] or functions
+    excitations = []
+    for one in responses:
+        case = int(one["load_case_id"])
+        spectrum = case or one["func_type"] == SPECTRUM
+        excitations.append((case, 0, 0) if spectrum else (0, int(one["ref_node"]), int(one["ref_dir"])))
+    nodes = [int(one["rsp_node"]) for one in responses]
+    roving = len(set(nodes)) > 1 and nodes == [node for _, node, _ in excitations]
+    if len(set(excitations)) < 2 or roving:
+        return []
+    listed = (
+        f"load case {case}" if case else f"node {node}, direction {direction}"
+        for case, node, direction in excitations
+    )
+    return [Fault("the functions", "of one excitation", list_some(listed, 6), file, _ONE_EXCITATION)]
+
+
 def _row_faults(functions: Sequence[Dataset], rows: Sequence[Row]) -> list[Fault]:
     """Refuse rotations, and units that contradict the quantity; one sentence a kind."""
     turned, wrong = list[Channel](), list[Channel]()
@@ -282,7 +305,7 @@ def _step_for_directions(functions: Sequence[Dataset]) -> str:
     labels = (str(one.get(key, "")).strip() for one in functions for key in ("id1", "id2"))
     in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
     if len(in_text) < 2:
-        return "Export one signal of one excitation to each file (reference, load case or version)"
+        return _ONE_EXCITATION
     return (
         f"Their directions are in the text alone ({list_some(in_text)}): export them with directions of the "
         "degrees of freedom (record 6), or as a wide table"

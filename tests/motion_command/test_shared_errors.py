@@ -125,6 +125,23 @@ def test_patterns_of_many_points_have_the_effect_of_all_of_them(monkeypatch):
     assert np.max(np.abs(whole - few)) / np.max(np.abs(whole)) < 1e-3
 
 
+def test_errors_without_positions_are_no_patterns(monkeypatch):
+    """Nor are those of motions that no line determines."""
+    placed = measurement(points=30)
+    fits, pose = fitted(placed), Placement(transform_to_itself())
+    stated = as_stated(placed)
+    gains = replace(stated, errors=tuple(replace(error, tangent=GAIN) for error in stated.errors))
+    named = shared.shared_errors(placed, fits, pose, gains)
+    whole = shared.shared_errors(placed, fits, pose, stated)
+    monkeypatch.setattr(shared, "_MOST_BYTES", 0)
+    same = shared.shared_errors(placed, fits, pose, gains)
+    assert same.names == named.names
+    assert np.array_equal(same.covariance, named.covariance)
+    lines = replace(fits[0, 0].solution, good=np.zeros_like(fits[0, 0].solution.good))
+    none = {key: replace(fit, solution=lines) for key, fit in fits.items()}
+    assert shared.shared_errors(placed, none, pose, stated).names == whole.names
+
+
 def off_lasers(folder, gain, phase_deg=0.0):
     """Multiply what one laser reads."""
     import pandas as pd

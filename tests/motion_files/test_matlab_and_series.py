@@ -194,6 +194,16 @@ def test_mistakes_of_series(name, tmp_path):
     assert [fault.thing for fault in caught.value.faults] == [thing]
 
 
+def test_several_records_in_one_variable_are_refused(tmp_path):
+    """Six records of samples in columns would be interleaved: a phase slope six times too large."""
+    samples = np.random.default_rng(1).normal(size=(512, 6))
+    np.savez(tmp_path / "a.npz", fs=8000.0, a=samples, d=samples)
+    rows = ["a,response,stapes,1,z,m/s,", "d,reference,,,,V,"]
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, rows)))
+    assert sorted(fault.thing for fault in caught.value.faults) == ["the variable a", "the variable d"]
+
+
 def test_a_stepped_sine_by_its_column_of_set_frequencies(tmp_path):
     rate, freq, gain = 20_000.0, np.array([300.0, 500.0]), np.array([0.5 + 0.2j, -0.1 + 0.7j])
     time = np.arange(8000) / rate

@@ -132,13 +132,23 @@ def test_descending_frequencies_are_turned_round(tmp_path):
 
 
 def test_two_excitations_in_one_file_are_refused(tmp_path):
+    """Also where they have no node in common: body and base of two excitations are no one motion."""
+    nodes = nodes_2411({1: (0.5, 0.0, 0.0), 2: (0.0, 0.5, 0.0)})
     for parts in (
         [function(FREQ_HZ, VALUE, per=FORCE, reference=(node, 3)) for node in (8, 9)],
+        [function(FREQ_HZ, VALUE, node, per=FORCE, reference=(7 + node, 3)) for node in (1, 2)],
         [function(FREQ_HZ, VALUE, load_case=case) for case in (1, 2)],
-        [function(FREQ_HZ, VALUE, version=version) for version in (1, 2)],
+        [function(FREQ_HZ, VALUE, case, load_case=case) for case in (1, 2)],
     ):
-        found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
-        assert [fault.thing for fault in found] == ["the channel 1 (z)"]
+        assert [fault.thing for fault in faults(tmp_path, units(), nodes, *parts)] == ["the functions"]
+    twice = [function(FREQ_HZ, VALUE, version=version) for version in (1, 2)]
+    assert [fault.thing for fault in faults(tmp_path, units(), nodes, *twice)] == ["the channel 1 (z)"]
+
+
+def test_references_that_repeat_the_responses_are_one_excitation(tmp_path):
+    nodes = nodes_2411({1: (0.5, 0.0, 0.0), 2: (0.0, 0.5, 0.0)})
+    parts = [function(FREQ_HZ, VALUE, node, per=FORCE, reference=(node, 3)) for node in (1, 2)]
+    assert read(tmp_path, units(), nodes, *parts).points == ("1", "2")
 
 
 def test_a_dc_line_is_dropped(tmp_path):
