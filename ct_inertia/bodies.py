@@ -241,8 +241,8 @@ class Scene:
         Their standard uncertainties; that of bone is without that of air.
     bone_from : str
         How the stapes' level was found: ``interior`` (voxels deep inside) or ``fit``.
-    sigma_mm : float
-        Standard deviation of the blur, voxel included.
+    spread_mm2 : ndarray, (3, 3)
+        Covariance of the blur in scan axes, voxel included.
     noise, correlation : float
         Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
     body : ndarray of float32, [z, y, x]
@@ -256,11 +256,16 @@ class Scene:
     air_sd: float
     bone_sd: float
     bone_from: str
-    sigma_mm: float
+    spread_mm2: Array
     noise: float
     correlation: float
     body: Grey
     media: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sigma_mm(self) -> float:
+        """Width of the blur, root mean square of its three directions."""
+        return float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
 
 
 @dataclass(frozen=True)

@@ -290,6 +290,7 @@ def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
         fitted=True,
         blur_mm=body.blur_mm,
         resolution_mm=resolution,
+        spread_mm2=None if measured.scene is None else measured.scene.spread_mm2,
         noise_mm4=body.noise_mm4,
         correlation_mm=min(body.correlation_mm, finest),
         misfit_sd_mm=_sampled(body) if misfit.any() else None,

@@ -15,7 +15,7 @@ import numpy as np
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG, NORMAL_SCALE_MM, Solved, plane_weights, solve
-from ct_inertia.surface.fields import step_response
+from ct_inertia.surface.fields import step_response, unit
 from stapeskit.arrays import Array
 from stapeskit.frames import vector_from_rotation
 
@@ -47,6 +47,8 @@ class SurfaceError:
         Blur that is left in it and is taken back, standard deviation.
     resolution_mm : float
         Standard deviation of the blur of the scan, beyond which edges are not seen; 0: that of the triangles.
+    spread_mm2 : ndarray, (3, 3), or None
+        Covariance of that blur in scan axes, where it is known to be uneven.
     noise_mm4, correlation_mm : float
         Spectral density of its height noise at long waves, and the length over which that is common.
     misfit_sd_mm : callable or None
@@ -59,6 +61,7 @@ class SurfaceError:
     fitted: bool = False
     blur_mm: float = 0.0
     resolution_mm: float = 0.0
+    spread_mm2: Array | None = None
     noise_mm4: float = 0.0
     correlation_mm: float = 0.0
     misfit_sd_mm: Callable[[Array], Array] | None = None
@@ -85,16 +88,18 @@ def contributions_of(solved: Solved, error: SurfaceError) -> dict[str, Array]:
     if not error.fitted:
         correlation = float(np.sqrt(2.0)) * _GRAIN * resolution
         density += shown_noise(solved, correlation)
-    across = influence.rim(_slope_density(density, correlation, error))
-    along = influence.rim_heights(_height_density(density, correlation))
-    parts = {"noise": density * influence.white_heights() + _RIM_NOISE * (across + along)}
+    slopes = influence.rim(_slope_density(density, correlation, error))
+    heights = influence.rim_heights(_height_density(density, correlation))
+    parts = {"noise": density * influence.white_heights() + _RIM_NOISE * (slopes + heights)}
     if error.misfit_sd_mm is not None:
         parts["misfit"] = influence.common_heights(error.misfit_sd_mm, error.misfit_mm)
     if error.level_sd_mm:
         parts["levels"] = np.diag(np.square([0.0, 1e-3 * error.level_sd_mm, 0.0, 0.0, 0.0, 0.0]))
     if error.fitted:
-        curvature = np.minimum(influence.curvature, 1.0 / resolution)
-        parts["edges"] = influence.sectors(_EDGE_LEFT * resolution**2 * curvature)
+        spread = resolution**2 * np.eye(3) if error.spread_mm2 is None else error.spread_mm2
+        across = np.einsum("si,ij,sj->s", influence.outward, spread, influence.outward)
+        curvature = np.minimum(influence.curvature, 1.0 / np.sqrt(across))
+        parts["edges"] = influence.sectors(_EDGE_LEFT * across * curvature)
     scale = _SHAPE_LEFT if error.fitted else np.ones(6)
     per_mm = _FITTED_RIM_DEG_PER_MM if error.fitted else _RIM_DEG_PER_MM
     step_deg = min(per_mm * resolution, _MOST_STEP_DEG)
@@ -130,6 +135,8 @@ class Influence:
         The same per mm of outward shift of the rim and mm of its length, at the pieces of the border.
     lengths, curvature : ndarray, (s,)
         Of the pieces of the border: length, mm, and how fast the normal turns across it, 1/mm.
+    outward : ndarray, (s, 3)
+        Normals of the surface there, scan axes.
     flat : ndarray, (s, 2)
         Their places x, z in footplate axes, mm.
     """
@@ -153,6 +160,10 @@ class Influence:
         cosine = float(np.cos(np.radians(FACE_ANGLE_DEG)))
         self.rims[:, 4] = -middle[:, 0] * middle[:, 2] * cosine / max(spread, 1e-6)
         sine = float(np.sin(np.radians(FACE_ANGLE_DEG)))
+        along = (face.segments[:, 1] - face.segments[:, 0]) @ axes
+        beyond = np.column_stack([along[:, 2], np.zeros(len(along)), -along[:, 0]])
+        beyond *= np.sign(np.sum(beyond * middle, axis=1, keepdims=True))
+        self.outward = (sine * unit(beyond) - cosine * np.eye(3)[1]) @ axes.T
         self.curvature = np.maximum(face.slopes / sine, _LEAST_CURVATURE)
 
     def white_heights(self) -> Array:

@@ -120,7 +120,7 @@ def with_sources(
     for noise, where in ((fit.start.noise, parts.own & ~stapes), (level.noise, parts.own & stapes)):
         part = noise_covariance(noise / level.contrast, where, parts.transform, moments, fit.sigma_mm)
         moments = moments.with_source("noise", fit.start.correlation * part)
-    moments = moments.with_source("psf", blur_covariance(moments, fit.sigma_mm, _BLUR_SD * fit.sigma_mm))
+    moments = moments.with_source("psf", blur_covariance(moments, fit.sigma_mm, _BLUR_SD))
     around = None
     for source, amount, spread in amounts:
         moments = moments.with_source(source, spread(amount, parts.transform, moments))

@@ -155,7 +155,7 @@ class Media:
         """Fit one grey value to all closed hollows, and return its image."""
         start = fit.start
         inside = np.where(voids, np.float32(1.0) - fit.bodies["stapes"], np.float32(0.0))
-        self.void_share = blur(inside, fit.sigma_mm, start.spacing)
+        self.void_share = blur(inside, fit.spread_mm2, start.spacing)
         # In the middle of a hollow: at its rim the bone counts as larger until the filling is known.
         there = self.void_share > np.float32(_MIDDLE * float(self.void_share.max()))
         share, left = self.void_share[there].astype(float), rest[there]

@@ -14,7 +14,7 @@ _ENOUGH = 30_000  # voxels that a covariance is summed over, evenly picked: off 
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2])
 
 
-def partial_volume_moments(share: Grey, scan_from_index: Array, sigma_mm: float) -> Moments:
+def partial_volume_moments(share: Grey, scan_from_index: Array, spread_mm2: Array) -> Moments:
     """Integrate the share of a body [z, y, x] over its voxels.
 
     Parameters
@@ -23,8 +23,8 @@ def partial_volume_moments(share: Grey, scan_from_index: Array, sigma_mm: float)
         The body's blurred share, not clipped, 0 in voxels that are not its own.
     scan_from_index : ndarray, (4, 4)
         Index x, y, z to scan coordinates, mm.
-    sigma_mm : float
-        Standard deviation of the blur, voxel included.
+    spread_mm2 : ndarray, (3, 3)
+        Covariance of the blur in scan axes, voxel included.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def partial_volume_moments(share: Grey, scan_from_index: Array, sigma_mm: float)
     about = scan_from_index[:3, :3] @ (0.5 * np.array(share.shape[::-1])) + scan_from_index[:3, 3]
     total = integrals(share, scan_from_index, about)
     volume, arm = float(total[0]), total[1:4] / max(float(total[0]), 1e-30)
-    second = _matrix(total[4:]) - volume * (np.outer(arm, arm) + sigma_mm**2 * np.eye(3))
+    second = _matrix(total[4:]) - volume * (np.outer(arm, arm) + spread_mm2)
     return Moments(volume, about + arm, second)
 
 
@@ -132,17 +132,31 @@ def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
     return np.column_stack([np.ones(len(away_mm)), away_mm / volume_mm3, square])
 
 
-def blur_covariance(moments: Moments, sigma_mm: float, sigma_sd_mm: float) -> Array:
-    """Return the covariance (10, 10) of an uncertain blur: it enters second moments only."""
-    step = np.zeros(10)
-    step[4:7] = 2.0 * moments.volume_mm3 * sigma_mm * sigma_sd_mm
-    return np.outer(step, step)
+def blur_covariance(moments: Moments, sigma_mm: float, sd: float) -> Array:
+    """Return the covariance (10, 10) of an uncertain blur: it enters second moments only.
+
+    Parameters
+    ----------
+    moments : Moments
+    sigma_mm, sd : float
+        Width of the blur and its relative standard deviation along any direction.
+
+    Notes
+    -----
+    Half of the variance is common to all directions, half is that of a random symmetric matrix, whose
+    entries off the diagonal have half the variance of those on it, in whatever axes.
+    """
+    square = 0.5 * (2.0 * moments.volume_mm3 * sigma_mm**2 * sd) ** 2
+    covariance = np.zeros((10, 10))
+    covariance[4:7, 4:7] = square * (np.ones((3, 3)) + np.eye(3))
+    covariance[7:, 7:] = 0.5 * square * np.eye(3)
+    return covariance
 
 
 def voxel_moments(mask: NDArray[np.bool_], scan_from_index: Array) -> Moments:
     """Return the exact moments of a solid made of voxels, with the second moments of each brick."""
     axes = scan_from_index[:3, :3]
-    points = partial_volume_moments(mask.astype(np.float32), scan_from_index, 0.0)
+    points = partial_volume_moments(mask.astype(np.float32), scan_from_index, np.zeros((3, 3)))
     brick = points.volume_mm3 * axes @ axes.T / 12.0
     return Moments(points.volume_mm3, points.centroid_mm, points.second_mm5 + brick)
 

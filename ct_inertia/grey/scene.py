@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.media import Media
@@ -19,11 +20,14 @@ from ct_inertia.grey.start import Start
 from ct_inertia.grey.storing import Storing
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above, smooth
 from ct_inertia.voxels.masks import Mask, used_box, widened
+from stapeskit.arrays import Array
 
 _ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
-_BLUR_ROUNDS = (1, 3, 5)  # rounds after which the blur is fitted
+_BLUR_ROUNDS = (1, 3, 5, 7, 9)  # rounds after which the blur is fitted
+_LEAST_ROUNDS = 5
 _MEDIA_ROUNDS = (2, 5, 8)
 _SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
+_BLUR_SETTLED = 0.02  # the same of the covariance of the blur
 _DAMPING = (0.7, 0.5)  # of the local level, at first and later: where the blur is uneven it swings by itself
 _GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
 _RIM = (0.05, 0.95)  # shares of the blurred body between which its edge is
@@ -33,6 +37,12 @@ _SMOOTHING = calibrated("scene.smoothing_per_noise")
 _MOST_SMOOTHING = calibrated("scene.most_smoothing_voxels")
 _LEAST_INNER, _LEAST_PLASTIC = 50, 400  # voxels from which a contrast follows
 _LEAST_FREE = 0.1  # share of the stapes' voxels that face air, from which they alone show the blur
+_CROSSES = ((0, 1), (0, 2), (1, 2))
+_BLURRED = (0.01, 0.99)  # shares of voxels that show the blur
+_SPREAD_STEP = (0.6, 1.7)  # of a variance of the blur in one round
+_BLUR_GAIN = 1.5  # the surface takes a part of the residual
+_LEAST_SPREAD = 0.3  # voxels^2: the blur of a voxel and of its interpolation
+_LEAST_CROSS = 0.03  # correlation of two directions of the blur below which it is none
 _CLEAR_AIR = 0.02  # of the contrast: a medium beyond it is no air
 _LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
 
@@ -49,7 +59,8 @@ class SceneFit:
     start : Start
     data : ndarray of float32
         Grey values above air, what storing did to their mean undone.
-    sigma_mm : float
+    spread_mm2 : ndarray, (3, 3)
+        Covariance of the blur along z, y, x, voxel included.
     contrasts : dict of str to float
     shares, bodies : dict of str to ndarray of float32
         Blurred share and sharp share of each body.
@@ -66,7 +77,7 @@ class SceneFit:
 
     start: Start
     data: Grey
-    sigma_mm: float
+    spread_mm2: Array
     contrasts: dict[str, float]
     media: Media
     storing: Storing | None = None
@@ -78,6 +89,16 @@ class SceneFit:
     residual: Grey = field(init=False)
     slopes: list[float] = field(default_factory=list)
     windows: dict[str, Window] = field(default_factory=dict)
+
+    @property
+    def sigma_mm(self) -> float:
+        """Width of the blur, root mean square of its three directions."""
+        return float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
+
+    @property
+    def widths_mm(self) -> Array:
+        """Widths of the blur along z, y, x, (3,)."""
+        return np.sqrt(np.diag(self.spread_mm2))
 
     @property
     def own(self) -> Mask:
@@ -105,13 +126,15 @@ class SceneFit:
 def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> SceneFit:
     """Fit bodies, contrasts, blur and media to the grey values of a start, whatever storing did to them."""
     data = start.grey - np.float32(start.air)
-    fit = SceneFit(start, data, start.sigma_mm, dict(start.contrasts), media, storing)
+    spread = start.sigma_mm**2 * np.eye(3)
+    fit = SceneFit(start, data, spread, dict(start.contrasts), media, storing)
     for name, mask in start.masks.items():
         fit.windows[name] = _window(start, name)
         fit.shares[name], fit.bodies[name] = (np.zeros(mask.shape, dtype=np.float32) for _ in range(2))
         body = mask[fit.windows[name]].astype(np.float32)
         fit.levels[name] = np.full(body.shape, np.float32(0.5))
-        fit.shares[name][fit.windows[name]] = blur(body, fit.sigma_mm, start.spacing)
+        fit.shares[name][fit.windows[name]] = blur(body, fit.spread_mm2, start.spacing)
+    blurred = False
     for turn in range(_ROUNDS):
         calm = _calm(fit)
         for name in fit.names:
@@ -120,11 +143,11 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
         _compare(fit)
         settled = _adjust_contrasts(fit)
         if turn in _BLUR_ROUNDS:
-            _adjust_blur(fit)
-        elif settled and turn > _BLUR_ROUNDS[-1]:
+            blurred = _adjust_blur(fit)
+        elif settled and blurred and turn > _LEAST_ROUNDS:
             break
         if turn < _ROUNDS - 1:
-            damping = _DAMPING[0] if turn < _BLUR_ROUNDS[-1] else _DAMPING[1]
+            damping = _DAMPING[0] if turn < _LEAST_ROUNDS else _DAMPING[1]
             for name in fit.names:
                 _adjust_level(fit, name, damping)
     return fit
@@ -135,9 +158,14 @@ def _window(start: Start, name: str) -> Window:
     return widened(used_box(start.near & (start.distances[name] < np.float32(start.reach_mm))), 1)
 
 
+def _smoothing(fit: SceneFit) -> float:
+    """Return the width, voxels, over which noise asks to average what the surface follows."""
+    return min(_SMOOTHING * fit.start.noise / abs(fit.contrasts["stapes"]), _MOST_SMOOTHING)
+
+
 def _calm(fit: SceneFit) -> Grey:
     """Return the grey values as calm as noise asks: the surface shall not follow it voxel by voxel."""
-    width = min(_SMOOTHING * fit.start.noise / abs(fit.contrasts["stapes"]), _MOST_SMOOTHING)
+    width = _smoothing(fit)
     return smooth(fit.data, np.full(3, width)) if width > 0.25 else fit.data
 
 
@@ -153,7 +181,7 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
     else:
         body = share_above(above, fit.side(name)[window])
     fit.bodies[name][window], fit.fields[name] = body, above
-    fit.shares[name][window] = blur(body, fit.sigma_mm, fit.start.spacing)
+    fit.shares[name][window] = blur(body, fit.spread_mm2, fit.start.spacing)
 
 
 def _compare(fit: SceneFit) -> None:
@@ -182,8 +210,14 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     return bool(fit.slopes) and abs(fit.slopes[-1] - 1.0) < _SETTLED
 
 
-def _adjust_blur(fit: SceneFit) -> None:
-    """Take the blur one step of Gauss and Newton nearer to the least misfit at edges that face air."""
+def _adjust_blur(fit: SceneFit) -> bool:
+    """Take the blur one step of Gauss and Newton nearer to the least misfit at edges that face air.
+
+    Returns
+    -------
+    bool
+        It hardly changed.
+    """
     window = fit.windows["stapes"]
     own = (fit.start.near & fit.side("stapes"))[window]
     free = own.copy()
@@ -192,11 +226,45 @@ def _adjust_blur(fit: SceneFit) -> None:
     if fit.media.soft is not None:
         free &= np.abs(fit.media.soft[window]) < np.float32(_CLEAR_AIR * fit.contrasts["stapes"])
     own = free if np.count_nonzero(free) > _LEAST_FREE * np.count_nonzero(own) else own
-    wider = blur(fit.bodies["stapes"][window], 1.05 * fit.sigma_mm, fit.start.spacing)
-    change = (wider - fit.shares["stapes"][window])[own] * np.float32(fit.contrasts["stapes"])
-    residual = fit.residual[window][own]
-    step = 0.05 * float(np.dot(residual, change) / max(float(np.dot(change, change)), 1e-30))
-    fit.sigma_mm *= 1.0 + float(np.clip(step, -0.15, 0.15))
+    share = fit.shares["stapes"][window]
+    shown = np.zeros_like(own)
+    inner = (slice(1, -1),) * 3
+    shown[inner] = own[inner] & (share[inner] > _BLURRED[0]) & (share[inner] < _BLURRED[1])
+    place = np.flatnonzero(shown)
+    changes = _by_spread(share, place)
+    residual = fit.residual[window].ravel()[place] * np.float32(1.0 / fit.contrasts["stapes"])
+    squares = (changes @ changes.T).astype(float)
+    step = _BLUR_GAIN * np.linalg.lstsq(squares, (changes @ residual).astype(float), rcond=1e-6)[0]
+    unit = np.outer(fit.start.spacing, fit.start.spacing)
+    spread = fit.spread_mm2 / unit
+    along = np.diag(spread) + step[:3]
+    along = np.clip(along, np.diag(spread) * _SPREAD_STEP[0], np.diag(spread) * _SPREAD_STEP[1])
+    along = np.maximum(along, _LEAST_SPREAD)
+    new = np.diag(along)
+    for (a, b), moved in zip(_CROSSES, step[3:], strict=True):
+        limit = float(np.sqrt(along[a] * along[b]))
+        cross = spread[a, b] + float(np.clip(moved, -0.3 * limit, 0.3 * limit))
+        if abs(cross) > _LEAST_CROSS * limit:
+            new[a, b] = new[b, a] = cross
+    fit.spread_mm2 = new * unit
+    return bool(np.abs(new - spread).max() < _BLUR_SETTLED * along.min())
+
+
+def _by_spread(share: Grey, place: NDArray[np.intp]) -> Grey:
+    """Return the change (6, n) of a blurred share at n places by the variances and covariances of the blur.
+
+    Notes
+    -----
+    A Gaussian spread C is exp(1/2 sum C_ab d_a d_b): second differences of the image, half of them along one
+    axis. In voxels.
+    """
+    flat, steps = share.ravel(), (share.shape[1] * share.shape[2], share.shape[2], 1)
+    along = [0.5 * (flat[place + step] + flat[place - step]) - flat[place] for step in steps]
+    across = []
+    for a, b in _CROSSES:
+        both, apart = steps[a] + steps[b], steps[a] - steps[b]
+        across.append(flat[place + both] + flat[place - both] - flat[place + apart] - flat[place - apart])
+    return np.stack([*along, *(np.float32(0.25) * one for one in across)])
 
 
 def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
@@ -208,6 +276,6 @@ def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
         rim &= ~fit.media.voids[window]  # the level would take what fills a hollow
     weight = rim.astype(np.float32)
     left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
-    width = _LEVEL_SIGMAS * fit.sigma_mm / fit.start.spacing
+    width = np.hypot(_LEVEL_SIGMAS * fit.widths_mm / fit.start.spacing, _smoothing(fit))
     moved = fit.levels[name] - np.float32(damping) * local_ratio(left, weight, width, 1e-3)
     fit.levels[name] = np.clip(moved, *_LEVELS)

@@ -139,7 +139,7 @@ def _by_calibration(measured: MeasuredBody, calibration: Calibration) -> MassPro
     scene = measured.scene
     assert scene is not None  # noqa: S101
     transform = measured.labelled.box.scan_from_index
-    shape = partial_volume_moments(scene.body, transform, 0.0)
+    shape = partial_volume_moments(scene.body, transform, np.zeros((3, 3)))
     return from_calibration(measured.moments, shape, scene.air, scene.bone, calibration)
 
 

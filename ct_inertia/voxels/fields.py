@@ -26,13 +26,55 @@ def smooth(field: Grey, width: Array) -> Grey:
     return _apply(field, [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)])
 
 
-def blur(share: Grey, sigma_mm: float, spacing: Array) -> Grey:
+def blur(share: Grey, spread_mm2: Array, spacing: Array) -> Grey:
     """Return the blurred image of a body that is given as the share of each voxel that it fills.
 
-    ``sigma_mm`` is that of a point spread with the voxel included, whose own variance h^2 / 12 is in the
-    share already. ``spacing`` along z, y, x.
+    Parameters
+    ----------
+    share : ndarray of float32, [z, y, x]
+    spread_mm2 : ndarray, (3, 3)
+        Covariance of a Gaussian point spread along z, y, x, the voxel included, whose own variance h^2 / 12
+        is in the share already.
+    spacing : ndarray, (3,)
+        Along z, y, x, mm.
+
+    Notes
+    -----
+    A covariance between two axes is a spread along the diagonal of their voxels of its absolute size; what
+    that adds along the two axes is taken off there.
     """
-    return smooth(share, np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0)))
+    square = spread_mm2 / np.outer(spacing, spacing)
+    along = np.diag(square) - 1.0 / 12.0
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        cross = float(np.clip(square[a, b], -along[[a, b]].min(), along[[a, b]].min()))
+        if cross:
+            along[[a, b]] -= abs(cross)
+            share = _along_diagonal(share, (a, b), cross)
+    return smooth(share, np.sqrt(np.maximum(along, 0.0)))
+
+
+def _along_diagonal(field: Grey, axes: tuple[int, int], cross: float) -> Grey:
+    """Smooth along a diagonal of the voxels of two axes, up or down by the sign of ``cross``.
+
+    Notes
+    -----
+    The discrete analogue of the Gaussian, exp(-t) I_k(t), has exactly the variance t (Lindeberg 1990,
+    doi:10.1109/34.49051).
+    """
+    from scipy.special import ive
+
+    variance = abs(cross)
+    reach = int(np.ceil(_TRUNCATE * np.sqrt(variance))) + 1
+    weights = ive(np.arange(reach + 1), variance)
+    weights /= 2.0 * weights.sum() - weights[0]
+    padded = np.pad(field, [(reach, reach) if axis in axes else (0, 0) for axis in range(3)], mode="edge")
+    result = np.zeros_like(field)
+    for k in range(-reach, reach + 1):
+        part = [slice(None)] * 3
+        for axis, step in zip(axes, (k, int(np.copysign(k, k * cross))), strict=True):
+            part[axis] = slice(reach + step, reach + step + field.shape[axis])
+        result += np.float32(weights[abs(k)]) * padded[tuple(part)]
+    return result
 
 
 def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:

@@ -24,7 +24,7 @@ TURNED = np.array(
 def test_moments_of_a_blurred_ball_are_those_of_the_ball():
     ball = Ball(blur=1.3)
     moments = partial_volume_moments(
-        ball.share().astype(np.float32), np.diag([*ball.spacing, 1.0]), ball.sigma
+        ball.share().astype(np.float32), np.diag([*ball.spacing, 1.0]), ball.sigma**2 * np.eye(3)
     )
     second = ball.volume * ball.radius**2 / 5.0
     assert moments.volume_mm3 == pytest.approx(ball.volume, rel=2e-5)
@@ -88,13 +88,13 @@ def test_covariance_of_volume_parameters_is_that_of_small_changes():
 def test_noise_covariance_is_that_of_simulated_noise():
     ball = Ball(radius=0.2, voxel=0.03)
     share, transform = ball.share().astype(np.float32), np.diag([*ball.spacing, 1.0])
-    own = share > 1e-3
-    clean = partial_volume_moments(np.where(own, share, 0), transform, ball.sigma)
+    own, spread = share > 1e-3, ball.sigma**2 * np.eye(3)
+    clean = partial_volume_moments(np.where(own, share, 0), transform, spread)
     rng = np.random.default_rng(5)
     noisy = []
     for _ in range(200):
         some = share + 0.05 * rng.standard_normal(share.shape).astype(np.float32)
-        noisy.append(partial_volume_moments(np.where(own, some, 0), transform, ball.sigma).vector())
+        noisy.append(partial_volume_moments(np.where(own, some, 0), transform, spread).vector())
     ratio = np.std(noisy, axis=0) / np.sqrt(
         np.diag(noise_covariance(0.05, own, transform, clean, ball.sigma))
     )
@@ -104,7 +104,7 @@ def test_noise_covariance_is_that_of_simulated_noise():
 def test_octants_share_what_is_common():
     ball = Ball()
     share, transform = ball.share().astype(np.float32), np.diag([*ball.spacing, 1.0])
-    moments = partial_volume_moments(share, transform, ball.sigma)
+    moments = partial_volume_moments(share, transform, ball.sigma**2 * np.eye(3))
     whole, parts = common(share, transform, moments), by_octants(share, transform, moments)
     assert np.sqrt(whole[0, 0]) == pytest.approx(ball.volume, rel=1e-4)
     assert parts[0, 0] == pytest.approx(whole[0, 0] / 8.0, rel=0.15)

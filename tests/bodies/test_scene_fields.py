@@ -35,14 +35,17 @@ def test_share_of_a_half_space_has_its_place_and_width(normal):
     assert (fall * places**2).sum() * step == pytest.approx(1.0 / 12.0, rel=0.03)
 
 
-def test_blur_leaves_the_volume_and_adds_its_variance():
-    body = np.zeros((40, 40, 40), dtype=np.float32)
+@pytest.mark.parametrize("crosses", [(0.0, 0.0, 0.0), (0.3, -0.5, 0.0), (-0.4, 0.2, 0.6)])
+def test_blur_leaves_the_volume_and_adds_its_covariance(crosses):
+    body = np.zeros((40, 44, 42), dtype=np.float32)
     body[15:25, 15:25, 15:25] = 1.0
-    image = blur(body, 0.03, np.full(3, 0.02))
-    place = np.arange(40)
+    added, spacing = np.diag([2.25, 1.5, 3.0]), np.array([0.02, 0.03, 0.025])
+    added[[0, 0, 1], [1, 2, 2]] = added[[1, 2, 2], [0, 0, 1]] = crosses
+    image = blur(body, added * np.outer(spacing, spacing), spacing)
     assert image.sum() == pytest.approx(body.sum(), rel=1e-5)
-    spread = [(part.sum(axis=(1, 2)) @ (place - 19.5) ** 2) / part.sum() for part in (body, image)]
-    assert spread[1] - spread[0] == pytest.approx(1.5**2 - 1.0 / 12.0, rel=2e-3)
+    place = np.stack(np.meshgrid(*map(np.arange, body.shape), indexing="ij"), axis=-1) - 19.5
+    before, after = (np.einsum("zyx,zyxi,zyxj->ij", part, place, place) / part.sum() for part in (body, image))
+    np.testing.assert_allclose(after - before, added - np.eye(3) / 12.0, rtol=4e-3, atol=1e-3)
 
 
 def test_local_ratio_is_a_weighted_mean():
