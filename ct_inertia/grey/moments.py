@@ -11,7 +11,8 @@ from ct_inertia.bodies import Grey, Mask, Moments
 from stapeskit.arrays import Array
 
 _ENOUGH = 30_000  # voxels that a covariance is summed over, evenly picked: off by 0.6 %
-_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2])
+ROWS, COLUMNS = np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2])
+"""Of the six entries of a symmetric matrix in the order of second moments."""
 
 
 def partial_volume_moments(share: Grey, scan_from_index: Array, spread_mm2: Array) -> Moments:
@@ -47,7 +48,7 @@ def partial_volume_moments(share: Grey, scan_from_index: Array, spread_mm2: Arra
     about = scan_from_index[:3, :3] @ (0.5 * np.array(share.shape[::-1])) + scan_from_index[:3, 3]
     total = integrals(share, scan_from_index, about)
     volume, arm = float(total[0]), total[1:4] / max(float(total[0]), 1e-30)
-    second = _matrix(total[4:]) - volume * (np.outer(arm, arm) + spread_mm2)
+    second = symmetric(total[4:]) - volume * (np.outer(arm, arm) + spread_mm2)
     return Moments(volume, about + arm, second)
 
 
@@ -72,7 +73,7 @@ def integrals(amount: Grey, scan_from_index: Array, about_mm: Array) -> Array:
     turned = axes @ first
     second = axes @ square @ axes.T + np.outer(turned, middle) + np.outer(middle, turned)
     second += total * np.outer(middle, middle)
-    return voxel * np.array([total, *(turned + total * middle), *second[_ROWS, _COLUMNS]])
+    return voxel * np.array([total, *(turned + total * middle), *second[ROWS, COLUMNS]])
 
 
 def effect(amount: Grey, scan_from_index: Array, moments: Moments) -> Array:
@@ -127,7 +128,7 @@ def noise_covariance(
 
 def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
     """Return d(V, c, S) per unit of volume added at points (n, 3) relative to the centroid, (n, 10)."""
-    square = away_mm[:, _ROWS] * away_mm[:, _COLUMNS]
+    square = away_mm[:, ROWS] * away_mm[:, COLUMNS]
     square[:, :3] -= sigma_mm**2
     return np.column_stack([np.ones(len(away_mm)), away_mm / volume_mm3, square])
 
@@ -161,7 +162,8 @@ def voxel_moments(mask: NDArray[np.bool_], scan_from_index: Array) -> Moments:
     return Moments(points.volume_mm3, points.centroid_mm, points.second_mm5 + brick)
 
 
-def _matrix(six: Array) -> Array:
+def symmetric(six: Array) -> Array:
+    """Return the symmetric matrix (3, 3) of the entries 00, 11, 22, 01, 12, 02."""
     matrix = np.zeros((3, 3))
-    matrix[_ROWS, _COLUMNS] = matrix[_COLUMNS, _ROWS] = six
+    matrix[ROWS, COLUMNS] = matrix[COLUMNS, ROWS] = six
     return matrix

@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.media import Media
+from ct_inertia.grey.moments import COLUMNS, ROWS, symmetric
 from ct_inertia.grey.start import Start
 from ct_inertia.grey.storing import Storing
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above, smooth
 from ct_inertia.voxels.masks import Mask, used_box, widened
 from stapeskit.arrays import Array
 
-_ROUNDS = 12  # most rounds: errors of a level shrink to a third in each
-_BLUR_ROUNDS = (1, 3, 5, 7, 9)  # rounds after which the blur is fitted
-_LEAST_ROUNDS = 5
+_ROUNDS = 16  # most rounds: errors of a level shrink to a third in each
+_BLUR_ROUNDS = range(1, _ROUNDS, 2)  # after which the blur is fitted
+_LEAST_ROUNDS = 5  # that are always made; from the last one on the blur may be uneven
 _MEDIA_ROUNDS = (2, 5, 8)
 _SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
 _BLUR_SETTLED = 0.02  # the same of the covariance of the blur
@@ -37,12 +38,11 @@ _SMOOTHING = calibrated("scene.smoothing_per_noise")
 _MOST_SMOOTHING = calibrated("scene.most_smoothing_voxels")
 _LEAST_INNER, _LEAST_PLASTIC = 50, 400  # voxels from which a contrast follows
 _LEAST_FREE = 0.1  # share of the stapes' voxels that face air, from which they alone show the blur
-_CROSSES = ((0, 1), (0, 2), (1, 2))
 _BLURRED = (0.01, 0.99)  # shares of voxels that show the blur
-_SPREAD_STEP = (0.6, 1.7)  # of a variance of the blur in one round
-_BLUR_GAIN = 1.5  # the surface takes a part of the residual
+_BLUR_GAIN = 1.3  # of an uneven blur: the surface answers to it and takes a part of the residual
+_BLUR_STEP = 0.6  # most change of the blur's covariance in one round, as a share of its mean variance
 _LEAST_SPREAD = 0.3  # voxels^2: the blur of a voxel and of its interpolation
-_LEAST_CROSS = 0.03  # correlation of two directions of the blur below which it is none
+_UNEVEN = 0.08  # of the variance of the blur: less is covered by the uncertainty of the blur
 _CLEAR_AIR = 0.02  # of the contrast: a medium beyond it is no air
 _LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
 
@@ -69,6 +69,8 @@ class SceneFit:
     media : Media
     storing : Storing or None
     model, residual : ndarray of float32
+    uneven : bool
+        The blur differs by direction.
     slopes : list of float
         Data over model inside the stapes, round by round: 1 where the contrast is settled.
     windows : dict of str to tuple of 3 slice
@@ -88,6 +90,7 @@ class SceneFit:
     model: Grey = field(init=False)
     residual: Grey = field(init=False)
     slopes: list[float] = field(default_factory=list)
+    uneven: bool = False
     windows: dict[str, Window] = field(default_factory=dict)
 
     @property
@@ -124,17 +127,28 @@ class SceneFit:
 
 
 def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> SceneFit:
-    """Fit bodies, contrasts, blur and media to the grey values of a start, whatever storing did to them."""
+    """Fit bodies, contrasts, blur and media to the grey values of a start, whatever storing did to them.
+
+    Notes
+    -----
+    The blur is even at first, for a thin bone's contrast would be taken for an uneven one. Where what it
+    leaves asks for another width in some direction, all is fitted anew from there: surfaces that have
+    followed a wrong blur keep half of its error in each round.
+    """
+    fit = _fitted(start, media, storing, start.sigma_mm**2 * np.eye(3), uneven=False)
+    return _fitted(start, media, storing, fit.spread_mm2, uneven=True) if fit.uneven else fit
+
+
+def _fitted(start: Start, media: Media, storing: Storing | None, spread_mm2: Array, uneven: bool) -> SceneFit:
     data = start.grey - np.float32(start.air)
-    spread = start.sigma_mm**2 * np.eye(3)
-    fit = SceneFit(start, data, spread, dict(start.contrasts), media, storing)
+    fit = SceneFit(start, data, spread_mm2, dict(start.contrasts), media, storing, uneven=uneven)
     for name, mask in start.masks.items():
         fit.windows[name] = _window(start, name)
         fit.shares[name], fit.bodies[name] = (np.zeros(mask.shape, dtype=np.float32) for _ in range(2))
         body = mask[fit.windows[name]].astype(np.float32)
         fit.levels[name] = np.full(body.shape, np.float32(0.5))
         fit.shares[name][fit.windows[name]] = blur(body, fit.spread_mm2, start.spacing)
-    blurred = False
+    sharp = False
     for turn in range(_ROUNDS):
         calm = _calm(fit)
         for name in fit.names:
@@ -143,8 +157,10 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
         _compare(fit)
         settled = _adjust_contrasts(fit)
         if turn in _BLUR_ROUNDS:
-            blurred = _adjust_blur(fit)
-        elif settled and blurred and turn > _LEAST_ROUNDS:
+            sharp = _adjust_blur(fit, turn >= _LEAST_ROUNDS)
+            if fit.uneven and not uneven:
+                break
+        elif settled and sharp and turn > _LEAST_ROUNDS:
             break
         if turn < _ROUNDS - 1:
             damping = _DAMPING[0] if turn < _LEAST_ROUNDS else _DAMPING[1]
@@ -210,8 +226,14 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     return bool(fit.slopes) and abs(fit.slopes[-1] - 1.0) < _SETTLED
 
 
-def _adjust_blur(fit: SceneFit) -> bool:
+def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     """Take the blur one step of Gauss and Newton nearer to the least misfit at edges that face air.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    late : bool
+        An even blur has settled: if what it leaves asks for another in some direction, the blur is uneven.
 
     Returns
     -------
@@ -231,40 +253,39 @@ def _adjust_blur(fit: SceneFit) -> bool:
     inner = (slice(1, -1),) * 3
     shown[inner] = own[inner] & (share[inner] > _BLURRED[0]) & (share[inner] < _BLURRED[1])
     place = np.flatnonzero(shown)
-    changes = _by_spread(share, place)
+    changes = _by_spread(share, place, fit.start.spacing)
     residual = fit.residual[window].ravel()[place] * np.float32(1.0 / fit.contrasts["stapes"])
     squares = (changes @ changes.T).astype(float)
-    step = _BLUR_GAIN * np.linalg.lstsq(squares, (changes @ residual).astype(float), rcond=1e-6)[0]
-    unit = np.outer(fit.start.spacing, fit.start.spacing)
-    spread = fit.spread_mm2 / unit
-    along = np.diag(spread) + step[:3]
-    along = np.clip(along, np.diag(spread) * _SPREAD_STEP[0], np.diag(spread) * _SPREAD_STEP[1])
-    along = np.maximum(along, _LEAST_SPREAD)
-    new = np.diag(along)
-    for (a, b), moved in zip(_CROSSES, step[3:], strict=True):
-        limit = float(np.sqrt(along[a] * along[b]))
-        cross = spread[a, b] + float(np.clip(moved, -0.3 * limit, 0.3 * limit))
-        if abs(cross) > _LEAST_CROSS * limit:
-            new[a, b] = new[b, a] = cross
-    fit.spread_mm2 = new * unit
-    return bool(np.abs(new - spread).max() < _BLUR_SETTLED * along.min())
+    step = symmetric(np.linalg.lstsq(squares, (changes @ residual).astype(float), rcond=1e-6)[0])
+    even, square = np.eye(3) * np.trace(step) / 3.0, fit.sigma_mm**2
+    fit.uneven |= late and bool(np.abs(step - even).max() > _UNEVEN * square)
+    if not fit.uneven:
+        wider = changes[:3].sum(axis=0)
+        step = np.eye(3) * float(wider @ residual) / max(float(wider @ wider), 1e-30)
+    step *= (_BLUR_GAIN if fit.uneven else 1.0) * min(1.0, _BLUR_STEP * square / max(float(np.abs(step).max()), 1e-30))
+    spread = fit.spread_mm2 + step
+    np.fill_diagonal(spread, np.maximum(np.diag(spread), _LEAST_SPREAD * fit.start.spacing**2))
+    fit.spread_mm2 = spread
+    return bool(np.abs(step).max() < _BLUR_SETTLED * square)
 
 
-def _by_spread(share: Grey, place: NDArray[np.intp]) -> Grey:
+def _by_spread(share: Grey, place: NDArray[np.intp], spacing: Array) -> Grey:
     """Return the change (6, n) of a blurred share at n places by the variances and covariances of the blur.
 
     Notes
     -----
     A Gaussian spread C is exp(1/2 sum C_ab d_a d_b): second differences of the image, half of them along one
-    axis. In voxels.
+    axis. Per mm2; zz, yy, xx, zy, yx, zx.
     """
     flat, steps = share.ravel(), (share.shape[1] * share.shape[2], share.shape[2], 1)
     along = [0.5 * (flat[place + step] + flat[place - step]) - flat[place] for step in steps]
     across = []
-    for a, b in _CROSSES:
+    for a, b in ((0, 1), (1, 2), (0, 2)):
         both, apart = steps[a] + steps[b], steps[a] - steps[b]
-        across.append(flat[place + both] + flat[place - both] - flat[place + apart] - flat[place - apart])
-    return np.stack([*along, *(np.float32(0.25) * one for one in across)])
+        corners = flat[place + both] + flat[place - both] - flat[place + apart] - flat[place - apart]
+        across.append(np.float32(0.25) * corners)
+    unit = np.outer(spacing, spacing)[ROWS, COLUMNS]
+    return np.stack([*along, *across]) / unit[:, None].astype(np.float32)
 
 
 def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
