@@ -176,6 +176,8 @@ class BodySurface:
     blur_mm : float
         Blur that is left in the surface, standard deviation: 0 for a fitted body (the scene took the scan's
         blur back); a voxel's width for labels.
+    spread_mm2 : ndarray, (3, 3)
+        Covariance, in scan axes, of what edges are seen through: blur, smoothing, interpolation.
     noise_mm4 : float
         Spectral density of the height noise at long waves: the mean height over an area A mm2 has the
         variance ``noise_mm4 / A``.
@@ -195,6 +197,7 @@ class BodySurface:
     field: Grey
     scan_from_index: Array
     blur_mm: float
+    spread_mm2: Array
     noise_mm4: float
     correlation_mm: float
     misfit_sd_mm: Grey

@@ -282,15 +282,13 @@ def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
     """Return the surface of the fitted body, and how it errs."""
     body = measured.surface
     surface = contour(body.field, body.scan_from_index)
-    resolution = body.blur_mm if measured.scene is None else measured.scene.sigma_mm
     misfit = body.misfit_sd_mm
     # The level of a surface follows a wide average, the grey values that pass it only their own smoothing.
     finest = _CALM_VOXELS * float(np.mean(measured.labelled.box.spacing_mm))
     return surface, SurfaceError(
         fitted=True,
         blur_mm=body.blur_mm,
-        resolution_mm=resolution,
-        spread_mm2=None if measured.scene is None else measured.scene.spread_mm2,
+        spread_mm2=body.spread_mm2,
         noise_mm4=body.noise_mm4,
         correlation_mm=min(body.correlation_mm, finest),
         misfit_sd_mm=_sampled(body) if misfit.any() else None,

@@ -45,10 +45,8 @@ class SurfaceError:
         The body was fitted to grey values or voxels; otherwise it is a mesh of unknown origin.
     blur_mm : float
         Blur that is left in it and is taken back, standard deviation.
-    resolution_mm : float
-        Standard deviation of the blur of the scan, beyond which edges are not seen; 0: that of the triangles.
     spread_mm2 : ndarray, (3, 3), or None
-        Covariance of that blur in scan axes, where it is known to be uneven.
+        Covariance, in scan axes, of what edges are seen through; None: the triangles.
     noise_mm4, correlation_mm : float
         Spectral density of its height noise at long waves, and the length over which that is common.
     misfit_sd_mm : callable or None
@@ -60,13 +58,17 @@ class SurfaceError:
 
     fitted: bool = False
     blur_mm: float = 0.0
-    resolution_mm: float = 0.0
     spread_mm2: Array | None = None
     noise_mm4: float = 0.0
     correlation_mm: float = 0.0
     misfit_sd_mm: Callable[[Array], Array] | None = None
     misfit_mm: float = 0.0
     level_sd_mm: float = 0.0
+
+    @property
+    def resolution_mm(self) -> float:
+        """Width of what edges are seen through, root mean square of its directions; 0: the triangles."""
+        return 0.0 if self.spread_mm2 is None else float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
 
 
 EXACT = SurfaceError()
@@ -93,6 +95,7 @@ def contributions_of(solved: Solved, error: SurfaceError) -> dict[str, Array]:
     parts = {"noise": density * influence.white_heights() + _RIM_NOISE * (slopes + heights)}
     if error.misfit_sd_mm is not None:
         parts["misfit"] = influence.common_heights(error.misfit_sd_mm, error.misfit_mm)
+        parts["misfit"] = parts["misfit"] + influence.sectors(error.misfit_sd_mm(influence.middles))
     if error.level_sd_mm:
         parts["levels"] = np.diag(np.square([0.0, 1e-3 * error.level_sd_mm, 0.0, 0.0, 0.0, 0.0]))
     if error.fitted:

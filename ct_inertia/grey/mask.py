@@ -50,11 +50,13 @@ def mask_surface(mask: Mask, labelled: Labelled) -> BodySurface:
     """Return the surface of a mask, its stairs smoothed by less than a voxel."""
     box = labelled.box
     edge = float(box.spacing_mm.mean())
+    blur = edge * float(np.sqrt(_SMOOTH_VOXELS**2 + 1.0 / 12.0))
     field = smooth(mask.astype(np.float32), np.full(3, _SMOOTH_VOXELS)) - np.float32(0.5)
     return BodySurface(
         field=field,
         scan_from_index=box.scan_from_index,
-        blur_mm=edge * float(np.sqrt(_SMOOTH_VOXELS**2 + 1.0 / 12.0)),
+        blur_mm=blur,
+        spread_mm2=blur**2 * np.eye(3),
         noise_mm4=edge**4 / 12.0,
         correlation_mm=edge,
         misfit_sd_mm=np.zeros(mask.shape, dtype=np.float32),

@@ -42,7 +42,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     begin = begin if storing is None else storing.corrected(begin)
     fit = fit_scene(begin, Media.around(begin, coat), storing)
     parts = StapesParts.of(fit)
-    moments = partial_volume_moments(parts.integrand, parts.transform, parts.spread_mm2)
+    moments = partial_volume_moments(parts.integrand, parts.transform, fit.spread_in_scan_mm2)
     left = misfits(fit, parts.residual, labelled.box.voxel_mm3, moments)
     odd = any(one.stands_out for one in left)
     # A coat leaves grey values beyond the edge of the bone: only then is it worth a second fit.
@@ -93,7 +93,7 @@ def _scene(fit: SceneFit, parts: StapesParts, labelled: Labelled) -> Scene:
         air_sd=fit.start.air_sd,
         bone_sd=parts.level.sd,
         bone_from=parts.level.source,
-        spread_mm2=parts.spread_mm2,
+        spread_mm2=fit.spread_in_scan_mm2,
         noise=fit.start.noise,
         correlation=fit.start.correlation,
         body=body,

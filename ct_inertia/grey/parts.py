@@ -69,12 +69,6 @@ class StapesParts:
         return self.fit.start.grid.scan_from_index
 
     @property
-    def spread_mm2(self) -> Array:
-        """Covariance of the blur in scan axes, (3, 3)."""
-        axes = self.transform[:3, :3] / self.fit.start.grid.spacing_mm
-        return np.asarray(axes @ self.fit.spread_mm2[::-1, ::-1] @ axes.T)
-
-    @property
     def integrand(self) -> Grey:
         """The stapes' share: as measured on its side, as modelled behind the border to other bodies."""
         return np.where(self.own, self.excess, self.behind)

@@ -36,6 +36,7 @@ _LEVEL_SIGMAS = 0.7  # widths of the blur over which the residual at the rim is 
 _INNER = calibrated("scene.inner_share")
 _SMOOTHING = calibrated("scene.smoothing_per_noise")
 _MOST_SMOOTHING = calibrated("scene.most_smoothing_voxels")
+_LEAST_SMOOTHING = 0.25  # voxels: less changes nothing
 _LEAST_INNER, _LEAST_PLASTIC = 50, 400  # voxels from which a contrast follows
 _LEAST_FREE = 0.1  # share of the stapes' voxels that face air, from which they alone show the blur
 _BLURRED = (0.01, 0.99)  # shares of voxels that show the blur
@@ -97,6 +98,18 @@ class SceneFit:
     def sigma_mm(self) -> float:
         """Width of the blur, root mean square of its three directions."""
         return float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
+
+    @property
+    def spread_in_scan_mm2(self) -> Array:
+        """Covariance of the blur in scan axes, (3, 3)."""
+        axes = self.start.grid.scan_from_index[:3, :3] / self.start.grid.spacing_mm
+        return np.asarray(axes @ self.spread_mm2[::-1, ::-1] @ axes.T)
+
+    @property
+    def smoothing(self) -> float:
+        """Width, voxels, over which noise asks to average what the surface follows."""
+        width = min(_SMOOTHING * self.start.noise / abs(self.contrasts["stapes"]), _MOST_SMOOTHING)
+        return width if width > _LEAST_SMOOTHING else 0.0
 
     @property
     def widths_mm(self) -> Array:
@@ -174,15 +187,9 @@ def _window(start: Start, name: str) -> Window:
     return widened(used_box(start.near & (start.distances[name] < np.float32(start.reach_mm))), 1)
 
 
-def _smoothing(fit: SceneFit) -> float:
-    """Return the width, voxels, over which noise asks to average what the surface follows."""
-    return min(_SMOOTHING * fit.start.noise / abs(fit.contrasts["stapes"]), _MOST_SMOOTHING)
-
-
 def _calm(fit: SceneFit) -> Grey:
     """Return the grey values as calm as noise asks: the surface shall not follow it voxel by voxel."""
-    width = _smoothing(fit)
-    return smooth(fit.data, np.full(3, width)) if width > 0.25 else fit.data
+    return smooth(fit.data, np.full(3, fit.smoothing)) if fit.smoothing else fit.data
 
 
 def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
@@ -262,7 +269,9 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     if not fit.uneven:
         wider = changes[:3].sum(axis=0)
         step = np.eye(3) * float(wider @ residual) / max(float(wider @ wider), 1e-30)
-    step *= (_BLUR_GAIN if fit.uneven else 1.0) * min(1.0, _BLUR_STEP * square / max(float(np.abs(step).max()), 1e-30))
+    step *= (_BLUR_GAIN if fit.uneven else 1.0) * min(
+        1.0, _BLUR_STEP * square / max(float(np.abs(step).max()), 1e-30)
+    )
     spread = fit.spread_mm2 + step
     np.fill_diagonal(spread, np.maximum(np.diag(spread), _LEAST_SPREAD * fit.start.spacing**2))
     fit.spread_mm2 = spread
@@ -297,6 +306,6 @@ def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
         rim &= ~fit.media.voids[window]  # the level would take what fills a hollow
     weight = rim.astype(np.float32)
     left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
-    width = np.hypot(_LEVEL_SIGMAS * fit.widths_mm / fit.start.spacing, _smoothing(fit))
+    width = np.hypot(_LEVEL_SIGMAS * fit.widths_mm / fit.start.spacing, fit.smoothing)
     moved = fit.levels[name] - np.float32(damping) * local_ratio(left, weight, width, 1e-3)
     fit.levels[name] = np.clip(moved, *_LEVELS)

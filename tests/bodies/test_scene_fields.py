@@ -44,7 +44,9 @@ def test_blur_leaves_the_volume_and_adds_its_covariance(crosses):
     image = blur(body, added * np.outer(spacing, spacing), spacing)
     assert image.sum() == pytest.approx(body.sum(), rel=1e-5)
     place = np.stack(np.meshgrid(*map(np.arange, body.shape), indexing="ij"), axis=-1) - 19.5
-    before, after = (np.einsum("zyx,zyxi,zyxj->ij", part, place, place) / part.sum() for part in (body, image))
+    before, after = (
+        np.einsum("zyx,zyxi,zyxj->ij", part, place, place) / part.sum() for part in (body, image)
+    )
     np.testing.assert_allclose(after - before, added - np.eye(3) / 12.0, rtol=4e-3, atol=1e-3)
 
 

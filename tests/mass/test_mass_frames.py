@@ -205,7 +205,7 @@ def test_noise_of_the_height_scatters_the_frame_as_stated() -> None:
 
 
 def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
-    error = SurfaceError(fitted=True, resolution_mm=0.03, level_sd_mm=0.004)
+    error = SurfaceError(fitted=True, spread_mm2=9e-4 * np.eye(3), level_sd_mm=0.004)
     frame = footplate_frame(surface_of(Stapes()), AnatomyHints(POSE.rotation[:, 0]), error)
     sd = np.sqrt(np.diag(frame.contributions["levels"]))
     np.testing.assert_allclose(sd, [0.0, 4e-6, 0.0, 0.0, 0.0, 0.0])
