@@ -14,6 +14,7 @@ Grey = NDArray[np.float32]
 
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
 _PRODUCT = 1 << 18  # multiplications of one matrix product up to which BLAS does not start threads
+_LEAST_COARSE = 1.0  # voxels: cells of two voxels smooth by 0.96 themselves
 _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
 
 
@@ -84,10 +85,13 @@ def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
     ----------
     top, bottom : ndarray of float32, [z, y, x]
     width : ndarray, (3,)
-        Standard deviation of the weights along z, y, x, voxels. Means are taken on cells of two voxels.
+        Standard deviation of the weights along z, y, x, voxels. Wide means are taken on cells of two voxels.
     least : float
         Least local mean of ``bottom``.
     """
+    if np.min(width) < _LEAST_COARSE:
+        over, under = smooth(top, width), smooth(bottom, width)
+        return np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
     down = [_coarsening(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
     over, under = _apply(top, down), _apply(bottom, down)
     ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
