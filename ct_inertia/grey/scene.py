@@ -108,13 +108,13 @@ class SceneFit:
     @property
     def smoothing(self) -> float:
         """Width, voxels, over which noise asks to average what the surface follows."""
-        width = min(_SMOOTHING * self.start.noise / abs(self.contrasts["stapes"]), _MOST_SMOOTHING)
+        width = float(min(_SMOOTHING * self.start.noise / abs(self.contrasts["stapes"]), _MOST_SMOOTHING))
         return width if width > _LEAST_SMOOTHING else 0.0
 
     @property
     def widths_mm(self) -> Array:
         """Widths of the blur along z, y, x, (3,)."""
-        return np.sqrt(np.diag(self.spread_mm2))
+        return np.asarray(np.sqrt(np.diag(self.spread_mm2)))
 
     @property
     def own(self) -> Mask:
@@ -294,7 +294,7 @@ def _by_spread(share: Grey, place: NDArray[np.intp], spacing: Array) -> Grey:
         corners = flat[place + both] + flat[place - both] - flat[place + apart] - flat[place - apart]
         across.append(np.float32(0.25) * corners)
     unit = np.outer(spacing, spacing)[ROWS, COLUMNS]
-    return np.stack([*along, *across]) / unit[:, None].astype(np.float32)
+    return np.asarray(np.stack([*along, *across]) / unit[:, None], dtype=np.float32)
 
 
 def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:

@@ -71,7 +71,7 @@ def _along_diagonal(field: Grey, axes: tuple[int, int], cross: float) -> Grey:
     padded = np.pad(field, [(reach, reach) if axis in axes else (0, 0) for axis in range(3)], mode="edge")
     result = np.zeros_like(field)
     for k in range(-reach, reach + 1):
-        part = [slice(None)] * 3
+        part: list[slice] = [slice(None)] * 3
         for axis, step in zip(axes, (k, int(np.copysign(k, k * cross))), strict=True):
             part[axis] = slice(reach + step, reach + step + field.shape[axis])
         result += np.float32(weights[abs(k)]) * padded[tuple(part)]
@@ -91,7 +91,9 @@ def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
     """
     if np.min(width) < _LEAST_COARSE:
         over, under = smooth(top, width), smooth(bottom, width)
-        return np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
+        return np.asarray(
+            np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
+        )
     down = [_coarsening(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
     over, under = _apply(top, down), _apply(bottom, down)
     ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
