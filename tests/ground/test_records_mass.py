@@ -17,7 +17,7 @@ from stapeskit.records.mass import Reader, mass_json, mass_record, read_mass_jso
 from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import MeasuredMass, measured_mass
-from stapeskit.spatial import matrix_from_parameters, twist_transfer
+from stapeskit.spatial import central_tensor, matrix_from_parameters, twist_transfer
 from stapeskit.warnings import Notice
 
 PARAMETERS = np.array(
@@ -342,3 +342,20 @@ def test_the_error_of_the_plate_frame_turns_the_matrix_in_plate_axes(record: Mas
     spread, stated = np.std(drawn, axis=0), sure.plate_mass_matrix.standard_deviation
     there = stated > 1e-3 * np.max(stated[3:, 3:])
     assert np.max(np.abs(spread[there] / stated[there] - 1.0)) < 0.06
+
+
+def test_the_tensor_about_the_centre_of_mass_is_that_of_its_points() -> None:
+    """Twenty points of mass, about an origin two of their widths away."""
+    rng = np.random.default_rng(3)
+    mass, place = rng.uniform(1e-7, 3e-7, 20), 1e-3 * (rng.standard_normal((20, 3)) + [2.0, -1.0, 1.5])
+
+    def tensor(at: np.ndarray) -> np.ndarray:
+        squares = np.sum(at**2, axis=1)[:, None, None] * np.eye(3)
+        return np.einsum("i,ijk->jk", mass, squares - at[:, :, None] * at[:, None, :])
+
+    about_origin = tensor(place)
+    products = about_origin[[0, 1, 0], [1, 2, 2]]
+    parameters = [mass.sum(), *(mass @ place), *np.diag(about_origin), *products]
+    total, found = central_tensor(parameters)
+    assert total == pytest.approx(mass.sum())
+    assert np.allclose(found, tensor(place - mass @ place / mass.sum()), rtol=1e-9, atol=1e-22)
