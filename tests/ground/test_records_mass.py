@@ -347,7 +347,7 @@ def test_the_error_of_the_plate_frame_turns_the_matrix_in_plate_axes(record: Mas
 def test_the_tensor_about_the_centre_of_mass_is_that_of_its_points() -> None:
     """Twenty points of mass, about an origin two of their widths away."""
     rng = np.random.default_rng(3)
-    mass, place = rng.uniform(1e-7, 3e-7, 20), 1e-3 * (rng.standard_normal((20, 3)) + [2.0, -1.0, 1.5])
+    mass, place = rng.uniform(1e-7, 3e-7, 20), 1e-3 * rng.normal([2.0, -1.0, 1.5], 1.0, (20, 3))
 
     def tensor(at: np.ndarray) -> np.ndarray:
         squares = np.sum(at**2, axis=1)[:, None, None] * np.eye(3)
