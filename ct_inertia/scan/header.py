@@ -138,16 +138,19 @@ def unpack_once(unpack: Callable[[], NDArray[Any]]) -> Fetch:
 
 
 def beside(header: Path, name: str) -> Path:
-    """Return the data file that a header names: its last part, in the folder of the header.
+    """Return the data file that a header names, in the folder of the header or below it.
 
-    Headers are copied to other machines together with their data files; folders they name lead astray.
+    A relative name that is there as it is written counts. Headers are also copied to other machines together
+    with their data files: of any other name the last part is looked for, in the folder of the header.
 
     Raises
     ------
     StapeskitError
         There is no such file.
     """
-    file = header.parent / name.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
+    parts = name.replace("\\", "/").rstrip("/").split("/")
+    stated, last = header.parent.joinpath(*parts), header.parent / parts[-1]
+    file = stated if parts[0] and ".." not in parts and stated.is_file() else last
     if not file.is_file():
         raise no_data_file(file, header)
     return file

@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.voxels.masks import Mask
 from stapeskit.arrays import Array
 
 Grey = NDArray[np.float32]
@@ -100,7 +99,7 @@ def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
     return _apply(ratio, [_refining(size) for size in top.shape])
 
 
-def share_above(field: Grey, where: Mask) -> Grey:
+def share_above(field: Grey, where: NDArray[np.bool_]) -> Grey:
     """Return the part of each voxel in which a field is positive, 0 outside of a mask.
 
     Notes

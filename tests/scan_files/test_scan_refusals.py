@@ -151,6 +151,14 @@ def test_a_path_of_another_machine_counts_as_its_last_part(tmp_path):
     assert refused(w.meta(tmp_path / "a.mhd", picture(), data="../old/b.raw")).thing == "the data file"
 
 
+def test_a_data_file_in_a_folder_below_comes_before_one_of_its_name_beside_the_header(tmp_path):
+    (tmp_path / "raw").mkdir()
+    (tmp_path / "a.raw").write_bytes(picture()[::-1].tobytes())
+    (tmp_path / "raw" / "a.raw").write_bytes(picture().tobytes())
+    for name in ("raw/a.raw", "raw\\a.raw", "./raw/a.raw"):
+        assert np.array_equal(open_scan(w.meta(tmp_path / "a.mhd", picture(), data=name)).read(), picture())
+
+
 def test_an_imagej_description_that_counts_other_slices(tmp_path):
     text = "ImageJ=1.54f\nimages=9\nslices=9\nunit=mm\nspacing=0.03\n"
     with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
