@@ -1,4 +1,4 @@
-"""Make a study.toml from the files of a folder; what they do not say is left off, to be filled in."""
+"""Make a study.toml from the files of a folder; what they do not say is asked, or left off."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from stapeskit.faults import StapeskitError
 from stapeskit.options import toml
@@ -18,6 +19,14 @@ ASSUMED_DENSITY = "1900+-200"
 _TEXTS = (".csv", ".txt", ".asc", ".tsv")
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
+Ask = Callable[[str], str]
+QUESTIONS = {
+    "spacing_mm": "Size of a voxel in mm, H or DX,DY,DZ, which no file says (empty: filled in later): ",
+    "density_kg_m3": f"Density of the bone, kg/m3, as VALUE+-SD (empty: {ASSUMED_DENSITY} is assumed): ",
+    "side": "Left or right ear (empty: not known): ",
+    "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
+}
+"""What no file says, by key of a study; the options of ct2mass check the answers."""
 
 
 @dataclass(frozen=True)
@@ -98,29 +107,38 @@ def _is(recognise: Callable[[], object]) -> bool:
     return True
 
 
-def new_study(folder: Path, *, force: bool = False) -> Path:
+def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> Path:
     """Write a study.toml next to the files of an ear and return its path.
+
+    Parameters
+    ----------
+    folder : Path
+    ask : callable, optional
+        Takes a question, returns the answer, empty for "not known"; None: nothing is asked.
+    force : bool
+        Replace a study.toml of another origin.
 
     Raises
     ------
     StapeskitError
-        The folder has no scan or no vibrometer file, or several of which none has the usual name; or a
+        The folder has no scan or no vibrometer file, or several and nothing says which; or a
         study.toml of another origin.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise StapeskitError.of("the folder", "an existing folder", folder, "", "Check its name")
     found = look(folder)
-    scan = _one("scan", found.scans, folder)
-    ldv = _one("vibrometer file", found.measurements, folder)
+    scan = _one("scan", found.scans, folder, ask)
+    ldv = _one("vibrometer file", found.measurements, folder, ask)
+    answers = {} if ask is None else _answers(ask, scan)
     outputs = Outputs("stapeskit new", folder, [STUDY], [], force)
     with outputs.staged() as stage:
-        text = study_text(folder.resolve().name, scan, ldv, found.others)
+        text = study_text(folder.resolve().name, scan, ldv, found.others, answers)
         (stage / STUDY).write_text(text, encoding="utf-8")
     return folder / STUDY
 
 
-def _one(what: str, files: list[Path], folder: Path) -> Path:
+def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
     if not files:
         step = f"Put the {what} there, or write the study by hand: scan2kd --template"
         raise StapeskitError.of(f"the folder {folder}", f"one with a {what}", "none", "", step)
@@ -128,8 +146,37 @@ def _one(what: str, files: list[Path], folder: Path) -> Path:
     for chosen in (files, usual):
         if len(chosen) == 1:
             return chosen[0]
-    listed, step = ", ".join(path.name for path in files), "Move the others away, or name it scan or ldv"
-    raise StapeskitError.of(f"the {what}", "one file", listed, "", step)
+    listed = ", ".join(f"{number} {path.name}" for number, path in enumerate(files, 1))
+    answer = "" if ask is None else ask(f"Which is the {what}? {listed}: ").strip()
+    for number, path in enumerate(files, 1):
+        if answer in (str(number), path.name):
+            return path
+    step = "Move the others away, or name it scan or ldv"
+    raise StapeskitError.of(f"the {what}", "one file", answer or listed, "", step)
+
+
+def _answers(ask: Ask, scan: Path) -> dict[str, Any]:
+    """Return what is answered to the questions, as options read it; a wrong answer is asked again."""
+    from ct_inertia.ct2mass import check_inputs
+    from ct_inertia.options import MassOptions
+
+    answers: dict[str, Any] = {}
+    for name, asked in QUESTIONS.items():
+        if name == "spacing_mm":
+            try:
+                check_inputs(MassOptions.of(scan=scan))
+                continue
+            except StapeskitError as error:
+                if all(fault.thing != "the voxel spacing" for fault in error.faults):
+                    continue
+        question = asked
+        while answer := ask(question).strip():
+            try:
+                answers[name] = getattr(MassOptions.of(scan=scan, **{name: answer}), name)
+                break
+            except StapeskitError as error:
+                question = f"{error} {asked}"
+    return answers
 
 
 def needs(study: Path) -> str:
@@ -144,11 +191,16 @@ def needs(study: Path) -> str:
     return ""
 
 
-def study_text(name: str, scan: Path, ldv: Path, others: Mapping[str, Path]) -> str:
+def study_text(
+    name: str, scan: Path, ldv: Path, others: Mapping[str, Path], answers: Mapping[str, Any]
+) -> str:
     """Return a study of about eleven keys, each with a comment; those that nothing is known of are off."""
 
     def line(key: str, value: object, comment: str, known: bool = True) -> str:
         return f"{'' if known else '# '}{key} = {toml(value)}  # {comment}"
+
+    def asked(key: str, example: object, comment: str) -> str:
+        return line(key, answers.get(key, example), comment, key in answers)
 
     def files(comments: Mapping[str, str], always: bool) -> list[str]:
         return [
@@ -160,15 +212,15 @@ def study_text(name: str, scan: Path, ldv: Path, others: Mapping[str, Path]) -> 
     found_in_scan = {"labels": "a cut made elsewhere", "landmarks": "landmarks in the scan",
                      "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
     places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
-    assumed = "is ASSUMED while this line is a comment: state your own"
+    bone = "bone" if "density_kg_m3" in answers else "ASSUMED while this line is a comment: state your own"
     tables = {
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
-            line("spacing_mm", 0.02, "voxel size, where the scan does not carry it", False),
-            line("density_kg_m3", ASSUMED_DENSITY, assumed, False),
-            line("side", "left", "names z superior or inferior", False),
-            line("anterior", [-1.0, 0.0, 0.0], "towards anterior in scan axes; its sign counts", False),
+            asked("spacing_mm", 0.02, "voxel size, where the scan does not carry it"),
+            asked("density_kg_m3", ASSUMED_DENSITY, bone),
+            asked("side", "left", "names z superior or inferior"),
+            asked("anterior", [-1.0, 0.0, 0.0], "towards anterior in scan axes; its sign counts"),
             *files(found_in_scan, always=False),
         ],
         "ldv": [line("file", ldv.name, "vibrometer file"), *files(places, always=True)],

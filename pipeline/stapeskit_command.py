@@ -18,7 +18,7 @@ From a micro-CT and a 3D laser Doppler vibrometer to mass, stiffness and damping
 of a stapes.
 
   sample DIR     copy a complete simulated study into DIR
-  new [DIR]      write a study.toml for the files of DIR
+  new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
   app [FOLDER]   the whole chain in one page in the browser
   compare A B    two results side by side: differences, responses
                  (--what-if K*10: of one or both, what a change would do)
@@ -35,7 +35,7 @@ try it:
 """
 _OWN = {
     "sample": "sample DIR [--force]",
-    "new": "new [DIR] [--force]",
+    "new": "new [DIR] [--yes] [--force]",
     "app": "app [FOLDER] [--no-browser] [--port NUMBER]",
     "compare": "compare A [B] [--what-if K*10|D*2|mass+5mg@head ...] [--out DIR] [--force]",
 }
@@ -110,13 +110,14 @@ def _sample(words: Sequence[str]) -> None:
 
 
 def _new(words: Sequence[str]) -> None:
-    """Write a study.toml for the files of a folder, and say what it still lacks."""
+    """Write a study.toml for the files of a folder; ask what no file says, unless --yes."""
     from pathlib import Path
 
     from pipeline.new_study import needs, new_study
 
-    folders = _folders(words, "new", (0, 1), ("--force",))
-    path = new_study(Path(*folders), force="--force" in words)
+    folders = _folders(words, "new", (0, 1), ("--yes", "--force"))
+    ask = None if "--yes" in words or not sys.stdin.isatty() else input
+    path = new_study(Path(*folders), ask, force="--force" in words)
     missing = needs(path)
     still = f"Before it can run:\n{missing}\n" if missing else ""
     sys.stdout.write(f"{path} written. {still}Look at it, then run: scan2kd {path}\n")

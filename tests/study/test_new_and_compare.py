@@ -34,7 +34,30 @@ def test_files_are_recognised_and_the_study_can_be_read(files: Path) -> None:
     assert study.scan.density_kg_m3 is None  # assumed, and reported as assumed in every result
 
 
-def test_a_missing_voxel_size_is_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_no_file_says_is_asked_and_a_wrong_answer_asked_again(
+    files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["heavy", "1850+-40", "upper", "right", "0,0,0", "-1,0.2,0"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _question: next(answers))
+    work(["new", str(files)])
+    assert next(answers, None) is None
+    scan = read_study(files / "study.toml").scan
+    assert (scan.density_kg_m3.value, scan.density_kg_m3.sd) == (1850.0, 40.0)
+    assert (scan.side, scan.anterior) == ("right", (-1.0, 0.2, 0.0))
+    work(["new", str(files), "--yes"])
+    assert read_study(files / "study.toml").scan.side is None
+
+
+def test_of_two_measurements_the_answer_names_one(files: Path) -> None:
+    for name in ("first.csv", "second.csv"):
+        shutil.copyfile(files / "ldv.csv", files / name)
+    (files / "ldv.csv").unlink()
+    answers = iter(["2", "", "", ""])
+    assert read_study(new_study(files, lambda _question: next(answers))).ldv.file == (files / "second.csv",)
+
+
+def test_a_missing_voxel_size_is_asked_for_or_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import SimpleITK as sitk
     import tifffile
 
@@ -43,11 +66,11 @@ def test_a_missing_voxel_size_is_named(files: Path, capsys: pytest.CaptureFixtur
     (files / "slices").mkdir()
     for number, image in enumerate(voxels[:8]):
         tifffile.imwrite(files / "slices" / f"rec_{number:04}.tif", image, photometric="minisblack")
-    work(["new", str(files)])
+    work(["new", str(files), "--yes"])
     said = capsys.readouterr().out
     assert "the voxel spacing must be in the file or given" in said
-    study = files / "study.toml"
-    study.write_text(study.read_text().replace("# spacing_mm = 0.02", "spacing_mm = 0.04"))
+    answers = iter(["twenty", "0.04", "", "", ""])
+    study = new_study(files, lambda _question: next(answers))
     assert read_study(study).scan.spacing_mm == pytest.approx((0.04, 0.04, 0.04))
     assert needs(study) == ""
 
