@@ -17,6 +17,7 @@ from stapeskit.warnings import Notice
 
 _UNLIKELY = 1e-3  # probability below which a repeat is off, or scatter exceeds the stated noise
 _POOLED_DOF = 60  # of the scatter at a line and its neighbours: the noise is known to 9 %
+_LEAST_GAIN = 1e-3  # differences of gain that matter nowhere: lasers are calibrated to 1e-2
 _FEWEST = 4  # repeats of which one can be told from the others
 
 
@@ -120,15 +121,17 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int]) -> Repeated
         gains = gains / np.exp(np.mean(np.log(np.where(gains == 0.0, 1.0, gains))))
     mean = np.nan_to_num(_mean(values / gains[:, None, None], weights))
     several = np.count_nonzero(weights, axis=0) > 1
-    left = np.where(several, np.abs(values / gains[:, None, None] - mean) ** 2 * weights, 0.0)
+    left = np.where(several, np.abs(values - gains[:, None, None] * mean) ** 2 * weights, 0.0)
     freedom = 2.0 * float(np.sum(np.maximum(np.count_nonzero(weights, axis=0) - 1, 0)))
     energy = np.sum(left, axis=(1, 2))
     number = 2.0 * np.count_nonzero(weights * several, axis=(1, 2))
-    notices = []
+    level = float(energy.sum()) / max(freedom, 1.0)
+    sd = float(np.sqrt(np.median(level / np.maximum(power, 1e-300))))
+    notices = _gain_notices(run, names, gains, sd)
     worst = int(np.argmax(energy / np.maximum(number, 1.0)))
     ratio = energy[worst] * (count - 1) / max(float(energy.sum() - energy[worst]), 1e-300)
     chance = float(fdtrc(max(number[worst], 1.0), max(number[worst] * (count - 1), 1.0), ratio))
-    if count >= _FEWEST and count * chance < _UNLIKELY:
+    if count >= _FEWEST and count * chance < _UNLIKELY and not notices:
         text = (
             f"run {run}: repeat {names[worst]} differs from the others (p {count * chance:.1g}). Look at it, "
             "and leave it out if there is a reason."
@@ -136,7 +139,6 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int]) -> Repeated
         notices.append(Notice("repeats_differ", text))
     if not (_stated(measurement) and freedom):
         return RepeatedRun(run, names, gains, float("nan"), tuple(notices))
-    level = float(energy.sum()) / freedom
     if level > 1.0 and float(chdtrc(freedom, level * freedom)) < _UNLIKELY:
         text = (
             f"run {run}: the repeats scatter {np.sqrt(level):.2g} times as much as their stated noise, gains "
@@ -144,6 +146,38 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int]) -> Repeated
         )
         notices.append(Notice("repeats_differ", text))
     return RepeatedRun(run, names, gains, float(np.sqrt(level)), tuple(notices))
+
+
+def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float) -> list[Notice]:
+    """Report one gain unlike the others, else a gain or phase that grows with the order of the repeats.
+
+    ``sd`` is that of the real part of a gain, as noise makes it.
+    """
+    from scipy.stats import linregress, t
+
+    count = len(gains)
+    for place in range(count if count >= _FEWEST else 0):
+        others = np.delete(gains, place)
+        away = abs(gains[place] - others.mean())
+        scatter = np.hypot(np.sqrt(np.sum(np.abs(others - others.mean()) ** 2) / (count - 2)), sd)
+        size = max(scatter * np.sqrt(count / (count - 1)), 1e-300)
+        if away > _LEAST_GAIN and 2.0 * count * t.sf(away / size, count - 2) < _UNLIKELY:
+            text = (
+                f"run {run}: repeat {names[place]} differs from the others by {100.0 * away:.2g} % in gain, "
+                "which moves the pooled values: look at it, and leave it out if there is a reason."
+            )
+            return [Notice("repeats_differ", text)]
+    courses = {"gain": (np.abs(gains), "%", 100.0), "phase": (np.angle(gains), "degrees", 180.0 / np.pi)}
+    for what, (course, unit, factor) in courses.items() if count >= _FEWEST else ():
+        trend = linregress(np.arange(count), course)
+        whole = float(trend.slope) * (count - 1)
+        if trend.pvalue < _UNLIKELY and abs(whole) > max(_LEAST_GAIN, 3.0 * sd):
+            text = (
+                f"run {run}: the {what} of all channels drifts by {factor * whole:+.2g} {unit} from the "
+                "first repeat to the last; responses per reference (--reference) do not contain it."
+            )
+            return [Notice("repeats_differ", text)]
+    return []
 
 
 def _pooled(body: BodyChannels, own: Sequence[int], found: RepeatedRun) -> tuple[ComplexArray, Array]:
