@@ -18,6 +18,8 @@ from stapeskit.warnings import Notice
 
 _LEAST_LINES = 8
 _SURE = 6.0  # standard deviations by which the power has the wrong sign
+_LEVER_M = 1.5e-3  # half a footplate, which makes rotations comparable with translations
+_RISE, _ALIKE = 0.75 * np.pi, 0.7  # rise of phase that no response shows; likeness of neighbouring lines
 _LEAST_LEAD = 0.02  # sine of a lead, twice the phase error of a laser
 
 
@@ -74,7 +76,7 @@ def fit_notices(placed: Measurement, fits: Mapping[tuple[int, int], LineFit]) ->
 def phase_notices(
     motion: RigidMotion, mass: MassRecord | None = None, structure: str = "stapes", base: str = "base"
 ) -> list[Notice]:
-    """Warn of amplitudes of e^{-iwt}: the structure leads its base.
+    """Warn of amplitudes of e^{-iwt}: the structure leads its base, or the phase of a single body rises.
 
     Notes
     -----
@@ -82,6 +84,8 @@ def phase_notices(
     the power of the base, in proportion to -Im(b^H M q), is positive at every line whatever stiffness and
     damping are. Without a mass matrix the piston motion alone is looked at.
     """
+    if len(motion.bodies) == 1:
+        return _rise_notices(motion)
     if structure not in motion.bodies or base not in motion.bodies:
         return []
     places, size = dof_indices(motion.dof), len(motion.dof)
@@ -105,5 +109,29 @@ def phase_notices(
         f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / whole, 1.0))):.2g} degrees in the "
         "mean, where a passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate "
         "them), or the two bodies are exchanged."
+    )
+    return [Notice("phase_convention", text)]
+
+
+def _rise_notices(motion: RigidMotion) -> list[Notice]:
+    """Warn when the phase of a single body rises over the band: a response lags its reference."""
+    lever = np.where(np.array(dof_indices(motion.dof)) < 3, 1.0, _LEVER_M)
+    turns, likeness = [], []
+    for q, sd in zip(motion.q[:, 0] * lever, motion.standard_deviation[:, 0] * lever, strict=True):
+        good = np.all(np.isfinite(q) & np.isfinite(sd), axis=1)
+        seen = np.mean(np.abs(q[good]) ** 2, axis=0) > 18.0 * np.mean(sd[good] ** 2, axis=0)
+        if np.sum(good) < _LEAST_LINES or not np.any(seen):
+            return []
+        own = q[good][:, seen]
+        steps = np.sum(own[:-1].conj() * own[1:], axis=1)
+        size = np.maximum(np.linalg.norm(own, axis=1), 1e-150)
+        turns.append(float(np.sum(np.angle(steps))))
+        likeness.append(float(np.quantile(np.abs(steps) / (size[1:] * size[:-1]), 0.1)))
+    if min(turns) < _RISE or min(likeness) < _ALIKE:
+        return []
+    text = (
+        f"the phase of body {motion.bodies[0]} rises by {np.rad2deg(np.mean(turns)):.0f} degrees over the "
+        "band, where a response lags its reference more and more: either these are amplitudes of e^{-iwt} "
+        "(conjugate them), or the reference signal comes late."
     )
     return [Notice("phase_convention", text)]

@@ -34,6 +34,11 @@ _EXPORT_STEP = (
     "or as ASCII (Real & Imag.), and give that file or folder"
 )
 
+_DESCRIBED_STEP = (
+    "It is not read by itself any more: give names of columns with --mapping, rms with --amplitude rms, "
+    "bodies, runs and directions with --body, --run and --beam; conjugate values of e^{-iwt}; move it away"
+)
+
 
 @dataclass(frozen=True)
 class Head:
@@ -132,11 +137,18 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     Raises
     ------
     StapeskitError
-        There is no such file, nothing known is in it, or it is damaged.
+        There is no such file, nothing known is in it, it is damaged, or a description of its columns as
+        version 0.2 read it is beside it.
     """
     path = Path(path)
     path = path if path.name else path.resolve()  # the folder "." has no name
     entry = format_of(path, facts.mapping is not None)
+    described = path.with_name(f"{path.name}.toml")
+    if facts.mapping is None and path.is_file() and path.suffix and described.is_file():
+        want = "given with --mapping, or not beside the file"
+        raise StapeskitError.of(
+            f"a description {described.name}", want, "neither", path.name, _DESCRIBED_STEP
+        )
     module = f"kinematics.readers.{'series' if entry.series and facts.channels else entry.name}"
     read: Callable[[Path, FileFacts], Recording] = import_module(module).read
     try:

@@ -125,7 +125,7 @@ def welch_frf(records: Records, sample_rate_hz: float, segment: int, where: str 
     blocks = [(spectra(x), spectra(y)) for (x, y), count in zip(records, counts, strict=True) if count]
     power, cross, _ = _sums(blocks)
     if not np.all(power > 0.0):
-        step = "Restrict the band to where the reference has power"
+        step = "Check its channel; of a periodic excitation give it with --period"
         raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
     averages = sum(effective_averages(count) for count in counts if count)
     freq = np.arange(2, segment // 2) * sample_rate_hz / segment

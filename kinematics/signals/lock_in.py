@@ -50,7 +50,7 @@ def stepped_frf(steps: Sequence[Step], sample_rate_hz: float, where: str = "") -
         place = f"{where}, step of {step.freq_hz:g} Hz"
         with collect_faults(faults):
             if found and np.isclose(step.freq_hz, found[-1][0], rtol=1e-9):
-                want, advice = "of another frequency than the others", "Give repeats as records of their own"
+                want, advice = "of another frequency than the others", "Give repeats as files of their own"
                 raise StapeskitError.of("a step", want, "it again", place, advice)
             found.append((step.freq_hz, *_response(step, sample_rate_hz, place)))
     raise_all(faults)

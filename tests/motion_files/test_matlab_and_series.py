@@ -204,6 +204,31 @@ def test_several_records_in_one_variable_are_refused(tmp_path):
     assert sorted(fault.thing for fault in caught.value.faults) == ["the variable a", "the variable d"]
 
 
+def held(signal):
+    """A decoder holds its last value for ten samples."""
+    return np.concatenate([signal[:400], np.full(10, signal[399]), signal[410:]])
+
+
+STUCK = {
+    "as it is": (lambda signal: signal, False),
+    "clipped": (lambda signal: np.clip(signal, np.quantile(signal, 0.1), None), True),
+    "held": (held, True),
+    "dropped out": (lambda signal: np.where(np.arange(len(signal)) // 20 == 40, 0.0, signal), True),
+    "coarse steps": (lambda signal: np.round(signal, 1), False),
+}
+
+
+@pytest.mark.parametrize("name", STUCK)
+def test_clipped_and_held_samples_are_reported(name, tmp_path):
+    change, expected = STUCK[name]
+    _, drive, responses, _, _ = multisine(noise=0.01)
+    np.savez(tmp_path / "a.npz", fs=8000.0, a=change(responses[0]), b=responses[1], d=drive)
+    recording = read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, LISTED), period_s=0.1))
+    found = [notice.text for notice in recording.notices if notice.code == "samples_stuck"]
+    assert (len(found) > 0) is expected
+    assert all(text.startswith("a of") for text in found)
+
+
 def test_a_stepped_sine_by_its_column_of_set_frequencies(tmp_path):
     rate, freq, gain = 20_000.0, np.array([300.0, 500.0]), np.array([0.5 + 0.2j, -0.1 + 0.7j])
     time = np.arange(8000) / rate

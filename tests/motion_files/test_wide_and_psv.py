@@ -144,6 +144,15 @@ def test_a_mapping_names_the_columns(tmp_path):
     assert (recording.points, recording.coherence[0, 1]) == (("7",), 0.8)
 
 
+def test_a_description_beside_the_file_is_not_passed_over(tmp_path):
+    """It may say rms or e^{-iwt}: without it the numbers are others."""
+    path = written(tmp_path, "Frequency [Hz],P1 z Mag [m/s],P1 z Phase [deg]\n100,1,10\n200,2,20\n")
+    (tmp_path / "ldv.csv.toml").write_text('convention = "-"\n', encoding="utf-8")
+    (fault,) = faults(path)
+    assert "ldv.csv.toml" in fault.thing
+    assert "--mapping" in fault.expected
+
+
 def test_mistakes_of_a_mapping_come_together(tmp_path):
     path = written(tmp_path, "f,A,B\n1,2,3\n4,5,6\n")
     mapping = written(tmp_path, '"g" = "Frequency [Hz]"\n"A" = 3\n', "names.toml")
