@@ -17,7 +17,9 @@ _MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as commo
 _MISFIT_HEIGHT = calibrated("surface.misfit_height")
 
 
-def body_surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None = None) -> BodySurface:
+def body_surface(
+    fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None = None, misfit_mm3: float = 0.0
+) -> BodySurface:
     """Return the surface of the stapes, or of other bone near it.
 
     Parameters
@@ -27,6 +29,8 @@ def body_surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None 
     level : BoneLevel
     doubt : ndarray of float32, [z, y, x], optional
         One standard deviation of what was subtracted, as a share of bone.
+    misfit_mm3 : float
+        What the residual by place leaves of the volume: a shift of all of the surface.
 
     Notes
     -----
@@ -50,6 +54,7 @@ def body_surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None 
     local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
+    area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / thick
     relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
     return BodySurface(
         field=shown,
@@ -60,6 +65,6 @@ def body_surface(fit: SceneFit, name: str, level: BoneLevel, doubt: Grey | None 
         correlation_mm=float(np.sqrt(2.0)) * fit.sigma_mm,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,
-        level_sd_mm=0.5 * relative * slope,
+        level_sd_mm=float(np.hypot(0.5 * relative * slope, misfit_mm3 / max(area, 1e-9))),
         one_sd=None if doubt is None else np.where(where, shown + doubt[window], np.float32(-1.0)),
     )

@@ -53,6 +53,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     through = bone_border(labelled, begin, parts.own, (begin.air, begin.air + parts.level.contrast), moments)
     if through.covariance.any():
         moments = moments.with_source("separation", through.covariance)
+    misfit = moments.contributions["misfit"][0, 0] if odd else 0.0
     contacts = border_contacts(labelled.stapes, labelled.box)
     if contacts:
         covariance = border_covariance(contacts, parts.integrand, begin.grid, moments)
@@ -73,7 +74,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         labelled=labelled,
         scene=_scene(fit, parts, labelled),
         moments=moments,
-        surface=body_surface(fit, "stapes", parts.level, around),
+        surface=body_surface(fit, "stapes", parts.level, around, float(np.sqrt(misfit))),
         wall=body_surface(fit, "other", parts.level) if "other" in fit.bodies else None,
         evidence={
             "noise_correlation": begin.correlation,
