@@ -5,6 +5,7 @@ import pytest
 
 from ct_inertia.bodies import Moments
 from ct_inertia.grey.moments import (
+    blur_covariance,
     by_octants,
     common,
     effect,
@@ -116,3 +117,13 @@ def test_a_body_without_volume_is_refused(volume):
     with pytest.raises(StapeskitError) as error:
         Moments(volume, np.zeros(3), np.eye(3))
     assert error.value.faults[0].thing == "the measured body"
+
+
+def test_an_uncertain_blur_is_as_uncertain_along_every_direction():
+    """V (sigma (1 + e))^2 has the standard deviation 2 V sigma^2 sd(e) along any line."""
+    body = Moments(1.7, np.zeros(3), np.eye(3))
+    covariance = blur_covariance(body, 0.02, 0.05)
+    for direction in np.random.default_rng(5).standard_normal((20, 3)):
+        u, v, w = direction / np.linalg.norm(direction)
+        along = np.array([0, 0, 0, 0, u * u, v * v, w * w, 2 * u * v, 2 * v * w, 2 * u * w])
+        assert np.sqrt(along @ covariance @ along) == pytest.approx(2.0 * 1.7 * 0.02**2 * 0.05)
