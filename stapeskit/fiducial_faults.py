@@ -7,11 +7,12 @@ that no pose brings within a millimetre. The rest is named in a warning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -26,6 +27,8 @@ FARTHEST_MM = 1.0
 
 _THIN = 0.02  # of their extent: flatter points count as coplanar, since their mirror image fits as well
 _NOTICEABLE_MM = 0.05  # the accuracy of marks: smaller errors are not reported where no sd is stated
+_CONSPICUOUS = 4.0  # times that accuracy: scatter of 12 degrees of freedom exceeds it by chance in 3e-6
+_MOST_REORDERED = 8  # fiducials, with 322 orders that move three or four of them: a hundredth of a second
 _SCALE = 1e-3  # smaller differences of scale are not named
 _PRICE = 5.0  # of a free parameter, in units of chi2: as much is gained by chance in 2.5 % of right sets
 _ALIKE = 6.0  # twice the log likelihood (20 to 1) by which causes differ that cannot be distinguished
@@ -164,6 +167,8 @@ def notices_of(pairs: Pairs) -> list[Notice]:
             f"the fiducials disagree by {size:.1f} times their sd_mm; {words or why}; the covariance of the "
             "registration was enlarged accordingly"
         )
+    elif len(pairs) > 3 and (scatter_mm := np.sqrt(pairs.chi2 / pairs.n_dof)) > _CONSPICUOUS * _NOTICEABLE_MM:
+        words = words or f"the coordinates of the fiducials scatter by {scatter_mm:.2g} mm; {why}"
     return [*notices, Notice("fiducials_inconsistent", f"{words}.")] if words else notices
 
 
@@ -178,19 +183,16 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
             expected="right-handed",
             step=undo_mirror(pairs.to, pairs.source),
         )
-    couples = list(combinations(range(count), 2))
-    orders = np.tile(np.arange(count), (len(couples), 1))
-    for order, (one, other) in zip(orders, couples, strict=True):
-        order[[one, other]] = other, one
-    for chi2, (one, other) in zip(misfits(source, target[orders], weights)[0], couples, strict=True):
-        yield Cause(
-            f"{pairs.names[one]} and {pairs.names[other]} exchanged",
-            float(chi2),
-            number=len(couples),
-            thing="the names of the fiducials",
-            expected="those of the same points in both frames",
-            step="Correct the names, or the order of the references",
-        )
+    for orders in _other_orders(count):
+        for chi2, order in zip(misfits(source, target[orders], weights)[0], orders.tolist(), strict=True):
+            yield Cause(
+                _order_words(order, pairs.names),
+                float(chi2),
+                number=len(orders),
+                thing="the names of the fiducials",
+                expected="those of the same points in both frames",
+                step="Correct the names, or the order of the references",
+            )
     scale, chi2 = _scale(pairs)
     if abs(scale - 1.0) > _SCALE:
         words = (
@@ -211,6 +213,25 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
             f"y_ref_mm, z_ref_mm, or {seen} to x_mm, y_mm, z_mm); correct it or leave it out"
         )
         yield Cause(words, float(sums[place]), 3, count, name=name, size_mm=size_mm)
+
+
+def _other_orders(count: int) -> Iterator[NDArray[np.int_]]:
+    """Yield orders (n, count): two points exchanged, and of few points three in a circle and two pairs."""
+    couples = list(combinations(range(count), 2))
+    once = np.tile(np.arange(count), (len(couples), 1))
+    for order, (one, other) in zip(once, couples, strict=True):
+        order[[one, other]] = other, one
+    yield once
+    if count <= _MOST_REORDERED:
+        both = np.unique(np.concatenate([once[:, order] for order in once]), axis=0)
+        yield both[np.sum(both != np.arange(count), axis=1) > 2]
+
+
+def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
+    """Say which points are named wrongly, where the reference of point k is that named ``order[k]``."""
+    moved = [(k, other) for k, other in enumerate(order) if other != k]
+    pairs = [f"{names[k]} and {names[o]} exchanged" for k, o in moved if order[o] == k and k < o]
+    return "; ".join([*pairs, *(f"{names[k]} is {names[o]}" for k, o in moved if order[o] != k)])
 
 
 def _scale(pairs: Pairs) -> tuple[float, float]:

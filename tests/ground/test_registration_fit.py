@@ -193,16 +193,40 @@ def test_a_wrong_scale_is_named(sd):
     assert " 0.9804 times " in text_of(fit(1.02 * SEEN, MARKS, sd))
 
 
-@pytest.mark.parametrize("count", [5, 11])
+MOVED = [((0, 1),), ((0, 1), (2, 3)), ((0, 1, 2),)]
+
+
+@pytest.mark.parametrize(
+    ("count", "moved"), [*((6, moved) for moved in MOVED), (8, MOVED[1]), (11, MOVED[0])]
+)
 @pytest.mark.parametrize("sd", [0.02, None])
-def test_two_exchanged_names_are_refused_by_name(sd, count):
-    rng = np.random.default_rng(count)
+def test_exchanged_names_are_refused_by_name(moved, sd, count):
+    rng = np.random.default_rng([count, len(moved), len(moved[0])])
     known = rng.uniform(-8.0, 8.0, (count, 3))
     seen = POSE.inverse().points(known) + 0.02 * rng.normal(size=known.shape)
-    known[[0, 3]] = known[[3, 0]]
-    fault = refused(seen, known, sd, tuple("abcdefghijk"))
+    listed, names = known.copy(), tuple("abcdefghijk")
+    for cycle in moved:
+        listed[[*cycle[1:], cycle[0]]] = known[[*cycle]]
+    fault = refused(seen, listed, sd, names)
     assert fault.thing == "the names of the fiducials"
-    assert fault.got.startswith("a and d exchanged")
+    words = {
+        MOVED[0]: "a and b exchanged",
+        MOVED[1]: "a and b exchanged; c and d exchanged",
+        MOVED[2]: "a is b; b is c; c is a",
+    }
+    assert fault.got.startswith(words[moved])
+
+
+def test_a_misfit_without_a_cause_is_reported_where_no_sd_is_stated():
+    """Residuals of 0.4 mm are eight times the accuracy of marks; those of that accuracy are none."""
+    rng = np.random.default_rng(6)
+    known = rng.uniform(-3.0, 3.0, (11, 3))
+    noise = rng.normal(size=known.shape)
+    assert "no single cause" in text_of(
+        fit(POSE.inverse().points(known) + 0.4 * noise, known, None, "abcdefghijk")
+    )
+    found = fit(POSE.inverse().points(known) + 0.05 * noise, known, None, tuple("abcdefghijk"))
+    assert not [notice for notice in found.notices if notice.code == "fiducials_inconsistent"]
 
 
 @pytest.mark.parametrize("sd", [0.02, None])
