@@ -30,7 +30,7 @@ MUTATIONS: tuple[tuple[str, str, str, str], ...] = (
     ("ct_inertia/body_moments.py", "[1, x, y, z, y * y", "[1, x, y, z, 1.1 * y * y", "bodies"),
     ("ct_inertia/grey/moments.py", "axes.T / 12.0", "axes.T / 10.0", "bodies"),
     ("ct_inertia/grey/moments.py", "2.0 * moments.volume_mm3", "3.0 * moments.volume_mm3", "bodies"),
-    ("ct_inertia/surface/surface.py", "second / 120.0", "second / 118.0", "bodies"),
+    ("ct_inertia/surface/surface.py", "second / 120.0", "second / 118.0", "mass"),
     ("ct_inertia/frames/footplate_face.py", "FACE_ANGLE_DEG = 60.0", "FACE_ANGLE_DEG = 57.0", "bodies"),
     ("ct_inertia/frames/gap.py", "(2.0 * level_sd_mm)", "(3.0 * level_sd_mm)", "bodies"),
     ("kinematics/joint/tangents.py", "1.0 + sums[GAIN] +", "1.02 + sums[GAIN] +", "motion"),
