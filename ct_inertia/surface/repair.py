@@ -22,6 +22,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
 _LARGEST_HOLE = 1 << 20  # edges: every hole
+_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL, which counts its triangles in the last four
 
 
 def read_mesh(path: Path | str, close: bool = False) -> Surface:
@@ -51,6 +52,8 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
         try:
             mesh: Any = trimesh.load(path, force="mesh", process=False, maintain_order=True)
             vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+            if not len(faces):
+                _check_stl_count(path)
         except (MemoryError, StapeskitError):
             raise
         except Exception as fault:
@@ -65,6 +68,19 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
 def _not_read(got: str, name: str) -> StapeskitError:
     step = "Copy or export it again, as triangles"
     return StapeskitError.of("the surface", "a mesh with triangles", got, name, step)
+
+
+def _check_stl_count(path: Path) -> None:
+    """Refuse a binary STL whose header counts other triangles than it holds; trimesh finds none in it."""
+    size = path.stat().st_size
+    if path.suffix.lower() != ".stl" or size < _STL_HEADER + _STL_TRIANGLE:
+        return
+    with path.open("rb") as stream:
+        counted = int.from_bytes(stream.read(_STL_HEADER)[80:], "little")
+    held = (size - _STL_HEADER) / _STL_TRIANGLE
+    if held != counted:
+        wanted, got = f"one with the {counted} triangles that its header counts", f"{held:.6g} of them"
+        raise StapeskitError.of("the STL file", wanted, got, path.name, "Copy or export it again")
 
 
 def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surface:
