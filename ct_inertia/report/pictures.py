@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,15 +43,18 @@ def anatomy_of(content: Mapping[str, Any]) -> dict[str, str]:
 
 
 @style()
-def views(content: Mapping[str, Any], pictured: Pictured) -> Figure:
-    """Draw the stapes from three sides along the footplate axes, medial first; mm from its centre."""
+def views(
+    content: Mapping[str, Any], pictured: Pictured, sides: Sequence[tuple[str, str, str]] = VIEWS
+) -> Figure:
+    """Draw the stapes from sides along the footplate axes: all three, medial first; mm from its centre."""
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
     local, faces = frame.inverse().points(pictured.light_stapes.vertices_mm), pictured.light_stapes.faces
-    drawing, axes = panels(1, 3, width=10.4, height=3.9, margins=(0.5, 0.1, 0.35, 0.5), gaps=(0.6, 0.1))
+    width, margins = 3.5 * len(sides), (0.5, 0.1, 0.35, 0.5)
+    drawing, axes = panels(1, len(sides), width=width, height=3.9, margins=margins, gaps=(0.6, 0.1))
     half = 0.62 * float(np.max(np.ptp(local, axis=0)))
-    for ax, (eye, right, up) in zip(axes[0], VIEWS, strict=True):
+    for ax, (eye, right, up) in zip(axes[0], sides, strict=True):
         _side(ax, local @ np.stack([_axis(right), _axis(up), _axis(eye)]).T, faces, half)
         ax.set_title(f"seen from {_word(eye, names)}")
         ax.set(xlabel=f"towards {_word(right, names)}, mm", ylabel=f"towards {_word(up, names)}, mm")
@@ -79,9 +82,9 @@ def _side(axes: Axes, points: Array, faces: Faces, half: float) -> None:
     light = np.clip(normals[order] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     base = np.array([int(lighten(BODY_COLOURS["stapes"], 0.35)[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
     colours = np.clip(base * (0.45 + 0.65 * light[:, None]), 0.0, 1.0)
-    axes.add_collection(
-        PolyCollection(list(corners[order, :, :2]), facecolors=colours, edgecolors=colours, linewidths=0.3)
-    )
+    triangles = PolyCollection(list(corners[order, :, :2]), rasterized=True, linewidths=0.3)
+    triangles.set(facecolors=colours, edgecolors=colours)
+    axes.add_collection(triangles)
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
 

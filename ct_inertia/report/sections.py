@@ -14,7 +14,7 @@ import numpy as np
 from ct_inertia.mass.sizes import NAMES
 from ct_inertia.mass.ways import WAYS
 from ct_inertia.report.pictured import Pictured
-from ct_inertia.report.pictures import anatomy_of, frame_of, slices_figure
+from ct_inertia.report.pictures import VIEWS, anatomy_of, frame_of, slices_figure, views
 from stapeskit.records.mass_matrix import source_words
 from stapeskit.report import page
 from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS
@@ -76,7 +76,7 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
         alt = "Three slices with the outlines of stapes, plate and other bone."
         shown.section("What was measured", page.figure(cut, caption, alt), page.text(correct))
     shown.section("Mass matrix M", *matrix_blocks(content))
-    shown.section("Frames", *frame_blocks(content))
+    shown.section("Frames", *frame_blocks(content, pictured))
     measured = evidence_blocks(content)
     for heading, blocks in (
         ("Ways to the mass", ways_blocks(content)),
@@ -186,11 +186,14 @@ def _digits(values: Any) -> list[str]:
     return [f"{value:.2g}" if value >= _LEAST_SHOWN else "0" for value in values]
 
 
-def frame_blocks(content: Content) -> list[Markup]:
-    """Return where anterior is in words, and both frames."""
+def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
+    """Return the medial side with its directions named, where anterior is in words, and both frames."""
     frames = content["frames"]
+    medial = views(content, pictured, VIEWS[:1])
+    caption = "The stapes along the piston direction y, in axes of the footplate."
+    drawn = page.figure(medial, caption, "The medial side of the stapes, with its directions named.")
     words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
-    return [page.text(words), page.code(frames["other_choice"]), _frames_table(content)]
+    return [drawn, page.text(words), page.code(frames["other_choice"]), _frames_table(content)]
 
 
 def _frames_table(content: Content) -> Markup:
