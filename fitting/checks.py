@@ -34,11 +34,16 @@ _BIASED = 0.02  # of sqrt(Xii Xjj): bias of an estimator of textbooks that is re
 
 
 def verdict_of(fit: KDFit) -> Verdict:
-    """Return the verdict on a fit: its warnings, and what its K leaves undetermined."""
+    """Return the verdict on a fit: its warnings, and what its K and D leave undetermined.
+
+    A K without its damping can still be used, which the verdict "check" asks to be looked at.
+    """
     unused = unused_codes(fit.provenance.get("motion_provenance", {}))
-    lost = [name for name, share in _relative_sds(fit).items() if name[0] == "K" and not share <= 1.0]
+    lost = [name for name, share in _relative_sds(fit).items() if not share <= 1.0]
     text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
-    return judge([*fit.notices, *([Notice("undetermined", text)] if lost else [])], fit.confirmed, unused)
+    stiff = any(name.startswith("K") for name in lost)
+    notice = Notice("undetermined", text) if stiff else Notice("weak_identifiability", text)
+    return judge([*fit.notices, *([notice] if lost else [])], fit.confirmed, unused)
 
 
 def result_notices(fit: KDFit) -> list[Notice]:

@@ -13,7 +13,7 @@ from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import VERDICTS, Notice, table
-from tests.fit.fit_cases import DOF, M, codes, fit, paper_motion, ring_ear
+from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,15 @@ def test_json_summary_and_verdict_say_the_same(ear):
     assert not [key for key in needed if key not in content]
 
 
+def test_json_has_intervals_and_what_was_left_out():
+    result = fit(paper_motion(0.02, 1, 40)[0], M, exclude_hz=[[900.0, 1100.0]])
+    content = result.content()
+    assert content["model"]["excluded_hz"] == [[900.0, 1100.0]]
+    low, high = content["intervals_95_si"]["K11"]
+    assert low < content["stiffness_si"][0][0] - content["stiffness_sd_si"][0][0]
+    assert high > content["stiffness_si"][0][0] + content["stiffness_sd_si"][0][0]
+
+
 def test_sources_and_bound_agree_with_the_whole(ear):
     _, result = ear
     variance = np.diag(result.covariance)
@@ -167,6 +176,16 @@ def test_weak_data_are_called_undetermined():
     assert result.verdict.level == "do not use"
     assert "undetermined" in {reason.code for reason in result.verdict.reasons}
     assert any("undetermined" in text for _, text in result.summary())
+
+
+def test_damping_below_its_standard_deviation_is_a_reason_to_check():
+    result = fit(paper_motion(0.5, 3, 20, damping=0.03 * D)[0], M)
+    sds = np.diag(result.standard_deviation[1])
+    lost = [name for name, far in zip(DOF, sds > np.abs(np.diag(result.damping)), strict=True) if far]
+    assert lost
+    assert result.verdict.level == "check"
+    reasons = [reason.text for reason in result.verdict.reasons if reason.text.startswith("Undetermined")]
+    assert [all(f"D({name})" in text for name in lost) for text in reasons] == [True]
 
 
 def test_warnings_travel_with_motion():
