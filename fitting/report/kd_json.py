@@ -41,6 +41,7 @@ def kd_json(fit: KDFit) -> dict[str, Any]:
         "noise_only_sd_si": {"stiffness": noise[0], "damping": noise[1]},
         "parameters": list(fit.parameters),
         "covariance_si": fit.covariance,
+        "intervals_95_si": _named(fit, fit.intervals),
         "budget": {source: _named(fit, _sd_of(part)) for source, part in fit.budget.items()},
         "stable": fit.modes.stable,
         "max_real_eigenvalue_1_s": fit.modes.max_real_1_s,
@@ -122,6 +123,7 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "runs": list(data.runs),
         "lines": data.count,
         "band_hz": [data.freq_hz.min(), data.freq_hz.max()],
+        "excluded_hz": [list(band) for band in fit.options.exclude_hz],
     }
 
 
