@@ -101,6 +101,10 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
         responses += ("K_principal_2", "K_principal_3")
     rows = [_ear_logs(ear, responses) for ear in ears]
     notices = list[Notice]()
+    assumed = dict.fromkeys(row.lengths_assumed for row in rows if row.lengths_assumed)
+    if assumed:
+        text = f"Some lengths of the scans have no stated standard deviation: {'; '.join(assumed)}."
+        notices.append(Notice("predictor_error_assumed", text))
     if letters == "K":
         text = "D has no common unit: its power of time differs between damping laws. No law of D is fitted."
         notices.append(Notice("cohort_mixed", text))
@@ -126,16 +130,19 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
 
 @dataclass(frozen=True)
 class _EarLogs:
-    """Logarithms of one ear, their own covariance and the effect of each error that ears share."""
+    """Logarithms of one ear, their own covariance, the effect of each error that ears share, and in words
+    the error that was assumed of lengths.
+    """
 
     values: Array
     own: Array
     shared: Mapping[str, Array]
+    lengths_assumed: str
 
 
 def _ear_logs(ear: Ear, responses: tuple[str, ...]) -> _EarLogs:
     inertia, parts = _inertia_logs(ear.mass)
-    lengths, length_variances = _length_logs(ear.mass)
+    lengths, length_variances, assumed = _length_logs(ear.mass)
     kd_values, kd_covariance, kd_parts = _response_logs(ear.kd, responses)
     a, b = len(inertia), len(inertia) + len(lengths)
     values = np.concatenate([inertia, lengths, kd_values])
@@ -161,7 +168,7 @@ def _ear_logs(ear: Ear, responses: tuple[str, ...]) -> _EarLogs:
             # Noise and grey levels of the scan scale the whole body: K follows the error of the mass.
             own[:a, b:] += np.outer(relative, response)
             own[b:, :a] += np.outer(response, relative)
-    return _EarLogs(values, _positive(own), shared)
+    return _EarLogs(values, _positive(own), shared, assumed)
 
 
 def _inertia_logs(mass: Mapping[str, Any]) -> tuple[Array, dict[str, Array]]:
@@ -188,20 +195,24 @@ def _derivative(function: Callable[[Array], Array], at: Array, sizes: Array) -> 
     return np.array([(function(at + h) - function(at - h)) / (2.0 * h.sum()) for h in steps]).T
 
 
-def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return ln of the lengths that the scan shows, and their variances."""
+def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, str]:
+    """Return ln of the lengths that the scan shows, their variances, and what was assumed of these."""
     found = mass.get("found") or {}
     voxels = (mass.get("segmentation") or {}).get("voxel_size_mm")
     usual_mm = 0.0 if voxels is None else _LENGTH_SD_VOXELS * float(np.mean(voxels))
-    values, variances = [], []
+    values, variances, assumed = [], [], ""
     for key, power in _LENGTHS.values():
         value = float(found.get(key) or np.nan)
         value = value if value > 0.0 else np.nan
         stated = found.get(f"{key.removesuffix('_mm')}_sd_mm")
+        if stated is None and value > 0.0:
+            assumed = "those of meshes count as exact"
+            if voxels is not None:
+                assumed = "that of two ends rounded to voxels was taken"
         sd_mm = usual_mm if stated is None else float(stated)
         values.append(np.log(value * 1e-3**power))
         variances.append(np.nan_to_num((power * sd_mm / value ** (1.0 / power)) ** 2))
-    return np.array(values), np.array(variances)
+    return np.array(values), np.array(variances), assumed
 
 
 def _response_logs(

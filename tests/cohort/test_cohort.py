@@ -39,6 +39,14 @@ def test_density_is_an_error_that_all_ears_share(laws):
     assert np.all(np.sqrt(laws.table.own[:, column, column]) < 0.005)
 
 
+def test_the_assumed_error_of_lengths_is_reported_where_none_is_stated(ears, laws):
+    assert "predictor_error_assumed" in {notice.code for notice in laws.notices}
+    keys = ("height", "footplate_length", "footplate_width")
+    stated = [{**one.mass["found"], **{f"{key}_sd_mm": 0.01 for key in keys}} for one in ears]
+    known = [replace(one, mass={**one.mass, "found": found}) for one, found in zip(ears, stated, strict=True)]
+    assert "predictor_error_assumed" not in {notice.code for notice in cohort_of(known).notices}
+
+
 def test_an_ear_is_predicted_from_its_scan_alone(ears, laws):
     further = ear(40, np.random.default_rng(8))
     found = laws.predict(further.mass, "K11", "mass")
