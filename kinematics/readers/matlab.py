@@ -43,6 +43,7 @@ NAMES = {
 
 VALUES = ("y", "v", "amp", "vib", "fft", "frf", "h1", "h2", "value")
 _VALUE = re.compile(rf"((?:{'|'.join(VALUES)})?(?:_?([xyz]))?)_?(re|im|real|imag)?")
+_DOF_TEXT = re.compile(r"ptc(Plus|Minus)([XYZ])Translation")  # names of Polytec's PTCDirection
 _LENGTH_END = re.compile(r"_(mm|um|m)$")
 _STRING_STEP = "Save it as char or cell array: names = cellstr(names); unit = char(unit); then save again"
 _STEP = (
@@ -64,14 +65,19 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     tree = read_tree(path)
     strings = [name for name, value in tree.items() if isinstance(value, str) and value == STRINGS]
     unread = f"MATLAB string arrays ({', '.join(strings)})"
-    notice = Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}.")
+    notices = (
+        [Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}.")] if strings else []
+    )
     try:
         parts = _parts_of({name: one for name, one in tree.items() if name not in strings}, path.name)
+        if unknown := list_some((name for part in parts for name in part.unknown()), 12):
+            text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
+            notices.append(Notice("file_read", text))
         return recording_of(
             path.name,
             [row for part in parts for row in part.rows()],
             "Keep one of the signals, and save each excitation to a file of its own",
-            notices=(notice,) if strings else (),
+            notices=tuple(notices),
             statement=f"variables of {path.name}",
             length_stated=all(bool(part.length_unit) or not part.name("position") for part in parts),
         )
@@ -174,11 +180,7 @@ class Variables:
     def rows(self) -> list[Row]:
         """Read every beam at every point; all faults of the variables together."""
         freq = self.numbers(self.name("frequency")).reshape(-1).astype(float)
-        beams: dict[tuple[str, str], dict[str, str]] = {}
-        for name, value in self.held.items():
-            match = _VALUE.fullmatch(name)
-            if match and name not in (self.name("frequency"), "x", "z") and not isinstance(value, Mapping):
-                beams.setdefault((match[1], match[2] or ""), {})[(match[3] or "")[:2]] = name
+        beams = self._beams()
         if not beams:
             want, got = f"spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
             raise StapeskitError.of(self.where, want, got, "", _STEP)
@@ -189,6 +191,31 @@ class Variables:
                 rows += self._rows_of(parts, axis, freq)
         raise_all(faults)
         return rows
+
+    def _beams(self) -> dict[tuple[str, str], dict[str, str]]:
+        """Return the names of the parts of values, by what they are and the axis."""
+        beams: dict[tuple[str, str], dict[str, str]] = {}
+        for name, value in self.held.items():
+            match = _VALUE.fullmatch(name)
+            if match and name not in (self.name("frequency"), "x", "z") and not isinstance(value, Mapping):
+                beams.setdefault((match[1], match[2] or ""), {})[(match[3] or "")[:2]] = name
+        return beams
+
+    def unknown(self) -> list[str]:
+        """Return the names of arrays with one value a frequency that are not read."""
+        lines = np.size(self.held[self.name("frequency")])
+        known = {name for names in NAMES.values() for name in names}
+        known |= {f"{name}_{axis}" for name in known for axis in "xyz"}
+        known |= {name for parts in self._beams().values() for name in parts.values()}
+        return [
+            name
+            for name, value in self.held.items()
+            if name not in known
+            and isinstance(value, np.ndarray)
+            and value.dtype.kind in "fciu"
+            and lines > 1
+            and lines in value.shape
+        ]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str, freq: Array) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""
@@ -205,7 +232,8 @@ class Variables:
         value = one if np.iscomplexobj(one) else from_parts(one, np.real(other))
         count, lines = value.shape
         names = self.texts(self.name("points"), count) if self.name("points") else [self.point] * count
-        names = names if any(names) else [str(k) for k in range(1, count + 1)]
+        if not any(names) or (count > 1 and len(set(names)) == 1):  # one text for all is a title
+            names = [str(k) for k in range(1, count + 1)]
         bodies, places = self.texts("body", count), np.full((count, 3), np.nan)
         if self.name("position"):
             places = self.vectors(self.name("position"), count) * LENGTHS[self.length_unit or "m"]
@@ -240,9 +268,11 @@ class Variables:
         if not isinstance(stated, str):
             return self.vectors(self.name("direction"), count)
         vector = axis_vector(stated) if stated else None
-        dofs = usd.get("ResponseDOFs")  # of GetPointData: +-1, 2, 3 for +-x, y, z
+        dofs = usd.get("ResponseDOFs")  # +-1, 2, 3 for +-x, y, z, or texts
         dofs = dofs[0] if isinstance(dofs, list | np.ndarray) and len(dofs) else dofs
         code = dofs.get("Direction") if isinstance(dofs, Mapping) and not stated else 0
+        if isinstance(code, str) and (text := _DOF_TEXT.fullmatch(code)):
+            vector = axis_vector(("-" if text[1] == "Minus" else "") + text[2].lower())
         if isinstance(code, int | float) and abs(code) in (1, 2, 3):
             vector = np.sign(code) * np.eye(3)[int(abs(code)) - 1]
         return np.tile(unknown_vector() if vector is None else vector, (count, 1))

@@ -34,6 +34,12 @@ LAYOUTS = {
     "a struct array": {"pt": [{"x": FREQ_HZ, "y": row, "usd": USD} for row in Z]},
     "micrometres": {"x": FREQ_HZ, "y": 1e6 * Z, "unit": "um/s"},
     "with noise": {"x": FREQ_HZ, "y": Z, "usd": USD, "coh": np.full(Z.shape, 0.5), "n_avg": 8.0},
+    "a direction in words": {
+        "x": FREQ_HZ,
+        "y": Z,
+        "usd": {"YUnit": "m/s", "ResponseDOFs": {"Direction": "ptcPlusZTranslation"}},
+    },
+    "a title": {"x": FREQ_HZ, "y": Z, "usd": USD, "name": "scan 3"},
     "named points": {"x": FREQ_HZ, "y": Z, "usd": USD, "names": np.array(["1", "2", "3"], dtype=object)},
 }
 
@@ -60,6 +66,15 @@ def test_versions_of_matlab_files(tmp_path):
         assert np.allclose(recording.value.reshape(3, 3, -1).swapaxes(0, 1), VELOCITY)
         assert np.allclose(recording.points_m[:3], PLACES_M)
         assert np.array_equal(recording.directions, np.repeat(np.eye(3), 3, axis=0))
+
+
+def test_values_of_unknown_names_are_not_left_out_in_silence(tmp_path):
+    """Two of three beams would be missing; positions and times of another length are no values."""
+    variables = {"x": FREQ_HZ, "amp_z": Z, "unit": "m/s", "vel_x": Z, "vel_y": Z.T, "note": np.arange(99.0)}
+    (notice,) = read(tmp_path, variables).notices
+    assert notice.code == "file_read"
+    assert all((name in notice.text) is left for name, left in (("vel_x, vel_y", True), ("note", False)))
+    assert "file_read" not in {notice.code for notice in read(tmp_path, LAYOUTS["with noise"]).notices}
 
 
 MISTAKES = {
