@@ -123,7 +123,7 @@ def check_extent(measurement: Measurement) -> None:
             small = extent < _EXTENT_MM[0]
             if extent > 0.0 and not _EXTENT_MM[0] <= extent <= _EXTENT_MM[1]:
                 step = (
-                    f"Give coordinates in mm: {'those in metres times' if small else 'micrometres over'} 1000"
+                    f"Give coordinates in mm: those in {'metres times' if small else 'micrometres over'} 1000"
                 )
                 thing = "the extent of the points of body stapes"
                 raise StapeskitError.of(thing, "some mm", f"{extent:.3g} mm", "", step)

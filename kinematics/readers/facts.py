@@ -180,19 +180,16 @@ def with_bodies(
     Raises
     ------
     StapeskitError
-        Points of no body, of several, or missing in the points file; rules that mean no point.
+        Points of no body, of several, or missing in the points file; a part of a rule that means no point.
     """
     faults: list[Fault] = []
     assigned: list[Channel] = []
     bare: dict[str, list[str]] = {}
     unlisted: dict[str, list[str]] = {}
     respelled: list[str] = []
-    used: set[str] = set()
     several = points is not None or bool(facts.body) or any(channel.body for channel in channels)
     for channel in channels:
-        ruled = facts.bodies_of(channel)
-        used.update(ruled)
-        names = list(dict.fromkeys([*ruled, *filter(None, [channel.body])]))
+        names = list(dict.fromkeys([*facts.bodies_of(channel), *filter(None, [channel.body])]))
         if not names and points is not None:
             names = points.bodies_of(channel.point)
         if not names and several:
@@ -218,8 +215,9 @@ def with_bodies(
     known = list_some((channel.point for channel in channels), 20)
     files = list_some((channel.file for channel in channels), 20)
     for name, items in facts.bodies:
-        if name not in used:
-            got = ", ".join(":".join(filter(None, item)) for item in items)
+        unmet = [item for item in items if not any(_means(*item, channel) for channel in channels)]
+        if unmet:
+            got = ", ".join(":".join(filter(None, item)) for item in unmet)
             want, step = f"points or files that were measured ({known}; {files})", "Correct the names"
             faults.append(Fault(f"--body {name}", want, got, "", step))
     raise_all(faults)

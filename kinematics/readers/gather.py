@@ -257,7 +257,8 @@ def _range_faults(channels: Sequence[Channel], matrices: dict[str, Any]) -> list
             continue
         bad = (numbers < low) | (numbers > high)
         if np.any(bad):
-            got = f"{numbers[bad][0]:.6g}, and {int(np.sum(bad)) - 1} more"
+            more = int(np.sum(bad)) - 1
+            got = f"{numbers[bad][0]:.6g}" + (f", and {more} more" if more else "")
             want = f"from {low:g} to {high:g}, or missing"
             mine = [channels[row] for row in np.flatnonzero(np.any(bad, axis=1)).tolist()]
             faults.append(fault_of(mine, thing, want, got, "Export it again"))

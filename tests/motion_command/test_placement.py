@@ -172,6 +172,7 @@ def test_points_in_metres_are_refused(tmp_path):
     with pytest.raises(StapeskitError) as caught:
         measured(tmp_path, fiducials="none")
     assert caught.value.faults[0].thing == "the extent of the points of body stapes"
+    assert "those in metres times 1000" in caught.value.faults[0].next_step
 
 
 def turned_points(result_folder, change):

@@ -147,6 +147,7 @@ UNFIT = {
         f"the rule {text}": ([row()], FileFacts(body=(text,)), "--body")
         for text in ("stapes", "stapes=", "=1-3", "stapes=3-1", "stapes=1,,2")
     },
+    "a rule in part for nothing": ([row()], FileFacts(body=("stapes=1,typo.uff:1",)), "--body stapes"),
     "a rule for nothing": ([row()], FileFacts(body=("base=7-9",)), "--body base"),
     "other lines": (
         [row("1", body="a"), row("2", [410, 660, 905, 1100], body="b")], FileFacts(),
@@ -187,6 +188,7 @@ def test_what_no_motion_can_have_is_refused_whatever_the_format(thing):
     with pytest.raises(StapeskitError) as caught:
         one(*rows)
     assert things(caught) == [thing]
+    assert " 0 more" not in str(caught.value.faults[0].got)
 
 
 def test_rows_in_any_order_and_unit_are_one_recording():
