@@ -226,19 +226,33 @@ def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
     def decode(frame: _Frame) -> NDArray[Any]:
         if frame.file not in held:
             held.clear()  # the frames of the file that was read last
-            held[frame.file] = _pixels(frame.file, header)
+            held[frame.file] = _pixels(frame, header)
         return held[frame.file][frame.number]
 
     header.read = by_planes(frames, decode)
 
 
-def _pixels(file: Path, header: Header) -> NDArray[Any]:
-    """Return the pixels [frame, y, x] of a file, rescaled by the slope and offset of the file."""
+def _pixels(frame: _Frame, header: Header) -> NDArray[Any]:
+    """Return the pixels [frame, y, x] of the file of a frame, rescaled by the slope and offset of the file.
+
+    Notes
+    -----
+    SimpleITK reads no classes that the standard does not have; scanners write some of their own, which
+    pydicom reads where the pixels are not packed.
+    """
+    import pydicom
     import SimpleITK as sitk
 
+    file = frame.file
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
-        values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        try:
+            values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        except RuntimeError:
+            values = pydicom.dcmread(file, force=True).pixel_array
+            if header.dtype.kind == "f":
+                slope, intercept = frame.rescaling()
+                values = values * np.float32(slope) + np.float32(intercept)
         return values.reshape(-1, *header.shape[1:]).astype(header.dtype, casting="same_kind", copy=False)
-    except (RuntimeError, ValueError, TypeError) as fault:
+    except (RuntimeError, ValueError, TypeError, AttributeError) as fault:
         raise wrong_header(file, "DICOM file", "one whose pixels cannot be read") from fault

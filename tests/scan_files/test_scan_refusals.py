@@ -330,6 +330,18 @@ def test_dicom_folders(tmp_path):
     refused(two)
 
 
+def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
+    import pydicom
+
+    folder = w.dicom(tmp_path / "d", picture("i2"))
+    for file in folder.iterdir():
+        head = pydicom.dcmread(file)
+        head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = "1.2.826.0.1.3680043.2.1125.99"
+        head.RescaleSlope, head.RescaleIntercept = 2, -10
+        head.save_as(file)
+    assert np.array_equal(open_scan(folder).read(), 2.0 * picture("i2") - 10.0)
+
+
 def test_files_that_are_no_scans(tmp_path):
     assert refused(tmp_path / "none.tif").expected == "an existing file or folder"
     (tmp_path / "empty.tif").write_bytes(b"")
@@ -373,6 +385,14 @@ def test_a_file_that_shrinks_or_goes_while_it_is_open(tmp_path):
             scan.read()
         assert caught.value.faults[0].where == "a.nrrd"
         path.unlink(missing_ok=True)
+
+
+def test_a_volume_shown_mirrored_in_its_viewer_is_read_as_stored_and_that_is_said(tmp_path):
+    path = changed(own.vgi(tmp_path / "a.vgi", picture()), b"mirror = 0 0 0 0", b"mirror = 1 0 0 0")
+    scan = open_scan(path)
+    assert np.array_equal(scan.read(), picture())
+    texts = [notice.text for notice in scan.notices if notice.code == "handedness_unconfirmed"]
+    assert any("mirror = 1 0 0 0" in text for text in texts)
 
 
 def test_labels_must_be_whole_numbers(tmp_path):
