@@ -17,6 +17,7 @@ from ct_inertia.scan.header import HEADER_BYTES, Header, beside, several_values,
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
 
 _BLOCK = 512  # bytes of a block of an ISQ header
 _AIM_TYPES = {
@@ -149,6 +150,13 @@ def open_vgi(path: Path) -> Header:
     if unit is not None and "resolution" in geometry:
         steps = (geometry["resolution"].split(), geometry.get("scale", "1 1 1").split())
         header.spacing_mm = unit * np.prod(np.array(steps, dtype=float), axis=0)
+    mirrored = sections.get("representation", {}).get("mirror", "0")
+    if any(float(word) for word in mirrored.split()):
+        text = (
+            f"{path.name} is shown mirrored in VGStudio (mirror = {mirrored}); its voxels were read as they "
+            "are stored. Use --mirror if the ear is a mirror image."
+        )
+        header.notices.append(Notice("handedness_unconfirmed", text))
     return header
 
 
