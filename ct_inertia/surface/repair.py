@@ -127,6 +127,9 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")
+    bodies = sum(enclosed_moments(vertices, faces[piece])[0] > 0.0 for piece in pieces(faces))
+    if bodies > 1:
+        texts.append(f"{name} holds {bodies} separate bodies: they are added, twice where they overlap.")
     if texts:
         notices.append(Notice("file_read", " ".join(texts)))
     return Surface(vertices, faces, notices=tuple(notices))

@@ -98,6 +98,9 @@ def test_doubled_faces_count_once_and_touching_bodies_stay():
     both = trimesh.util.concatenate(one, two)
     touching = mend(np.asarray(both.vertices), np.asarray(both.faces), "a.stl")
     assert signed_volume(touching.vertices_mm, touching.faces) == pytest.approx(2.0)
+    two.apply_translation([-0.5, 0.3, 0.2])
+    both = trimesh.util.concatenate(one, two)
+    assert "2 separate bodies" in read_as(mend(np.asarray(both.vertices), np.asarray(both.faces), "a.stl"))
 
 
 def with_hole(count=12):
