@@ -80,7 +80,7 @@ def test_a_study_is_written_for_the_files_of_a_folder(ear, tmp_path, monkeypatch
     for name in ("scan.tif", "ldv.csv", "points.csv", "fiducials.csv"):
         (tmp_path / name).symlink_to(ear / name)
     monkeypatch.chdir(tmp_path)
-    work(["new"])
+    work(["new", "--yes"])
     study = read_study(Path("study.toml"))
     assert study.ldv.fiducials_file == tmp_path / "fiducials.csv"
     assert study.scan.density_kg_m3 is None  # assumed: every result says so
