@@ -15,6 +15,7 @@ from kinematics.joint.estimate import State, system
 from kinematics.joint.tangents import Parameters
 from stapeskit.arrays import Array
 
+_BLOCK = 64  # places at a time: large products of matrices, some MB
 _ROUNDING = 1e-12  # of correlations: exact data determine some errors 1e12 times better than others
 
 
@@ -80,24 +81,31 @@ def informations(
     where = {channel: row for row, channel in enumerate(channels)}
     projected = state.projected(channels)
     if len(expected):
-        _, information, known = system(state, expected)
-        whole = information + np.diag(expected.prior)
+        _, inner, known = system(state, expected)
+        whole = inner + np.diag(expected.prior)
         size = np.sqrt(np.diag(whole))
         scaled = whole / np.outer(size, size) + _ROUNDING * np.eye(len(size))
         root = np.linalg.inv(np.linalg.cholesky(scaled)) / size
+        moved = known.T @ root.T
         cross = state.m[channels][:, :, expected.tangent] * expected.mask[:, channels].T[:, None, :]
     directions = state.geometry.directions
     parallel = bool(np.all(np.abs(directions @ directions[0]) > 0.999))
-    for place in places:
-        own = list(place.channels)
-        rows = [where[channel] for channel in own]
-        p = projected[rows].sum(axis=0)
-        n = 2.0 * (state.m[own].sum(axis=0) - p @ p.T)
+    for first in range(0, len(places), _BLOCK):
+        some = places[first : first + _BLOCK]
+        rows = [[where[channel] for channel in place.channels] for place in some]
+        p = np.stack([projected[own].sum(axis=0) for own in rows])
+        n = 2.0 * np.stack([state.m[list(place.channels)].sum(axis=0) for place in some])
+        n -= 2.0 * p @ p.swapaxes(1, 2)
         if len(expected):
-            half = 2.0 * (cross[rows].sum(axis=0) - p @ known.T) @ root.T
-            n -= half @ half.T
-        kinds = place.kinds(len(state.packed.tau), parallel)
-        yield place, kinds, 2.0 * state.b[own].sum(axis=0), n
+            half = p @ -moved
+            for one, own in zip(half, rows, strict=True):
+                along = cross[own].sum(axis=0)
+                few = np.flatnonzero(along.any(axis=0))  # errors of these channels
+                one += along[:, few] @ root.T[few]
+            n -= 4.0 * half @ half.swapaxes(1, 2)
+        for place, information in zip(some, n, strict=True):
+            score = 2.0 * state.b[list(place.channels)].sum(axis=0)
+            yield place, place.kinds(len(state.packed.tau), parallel), score, information
 
 
 def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> list[Test]:
