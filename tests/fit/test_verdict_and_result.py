@@ -154,7 +154,7 @@ def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states(cone_de
     source = stated_mass(plan)
     mass = matrix_from_parameters(source.mass.parameters)
     stated, modes = [], []
-    for seed in range(5):
+    for seed in range(16):  # the median of so many scatters by 5 %
         motion = planned_motion(plan, mass, np.random.default_rng(seed))
         result = fit(motion, source.mass)
         own = np.diag(result.covariance - result.model_error @ result.model_error.T)
