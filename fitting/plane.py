@@ -15,7 +15,7 @@ import numpy as np
 from fitting.calibrated import calibrated
 from fitting.data import Data
 from fitting.draws import root_of, standard_draws
-from fitting.entries import split, vector
+from fitting.entries import diagonal, split, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
 from fitting.solve import Fit, entry_scale, minimise, start_of
 from stapeskit.arrays import Array
@@ -68,7 +68,8 @@ class InPlane:
         Of K_cc and D_cc, SI.
     covariance : ndarray, (12, 12)
     determined : bool
-        Whether the in-plane equations fit; otherwise the usual ratio to the piston's is given.
+        Whether the in-plane equations fit and tell the stiffness along x and z; of what they do not tell, the
+        usual ratio to the piston's is given.
     p_value : float or None
         Of their chi2.
     """
@@ -113,10 +114,28 @@ def in_plane(found: Fit) -> InPlane:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
         if converged and p_value > calibrated("ligament.inplane_least_p"):
-            covariance = covariance[:12, :12] * np.outer(scale, scale)
-            return InPlane(theta[:12] * scale, covariance, True, p_value)
+            return replace(_told(found, likelihood, theta, covariance, scale), p_value=p_value)
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
     return InPlane(usual.mean, usual.covariance, False, p_value)
+
+
+def _told(found: Fit, likelihood: Likelihood, theta: Array, covariance: Array, scale: Array) -> InPlane:
+    """Return what a fit tells of K_cc and D_cc, SI, and of the rest the usual ratio to the piston's.
+
+    Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well, and
+    its sd falls with it. Noise did not choose the usual stiffness: no sd is less than that there, and an entry
+    that the data would there know less well than the usual ratio does is not told by them.
+    """
+    usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
+    count = len(usual.mean)
+    there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
+    there = there[:count, :count] * np.outer(scale, scale)
+    sd, own = np.sqrt(np.diag(there)), np.sqrt(np.diag(covariance)[:count]) * scale
+    told = sd < np.sqrt(np.diag(usual.covariance))
+    grown = np.where(told, np.maximum(own / sd, 1.0), 0.0)
+    joint = there * np.outer(grown, grown) + usual.covariance * ~told
+    mean = np.where(told, theta[:count] * scale, usual.mean)
+    return InPlane(mean, joint, bool(np.all(told[diagonal(3)[:2]])), None)
 
 
 def _usual(found: Fit, ratio: float, ratio_sd: float) -> Prior:
