@@ -235,9 +235,9 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
     if fit.plane is not None and not fit.plane.determined:
         share = np.diag(fit.budget["inplane_stiffness"]) / np.maximum(np.diag(fit.covariance), 1e-300)
         text = (
-            "The in-plane motion does not determine the stiffness in the plane of the ligament; 2.2 ± 1.5 "
-            f"times the piston stiffness was assumed, which is up to {100.0 * share.max():.0f} % of a "
-            "variance of K and D."
+            "The in-plane motion does not determine all of the stiffness in the plane of the ligament; for "
+            "the rest 2.2 ± 1.5 times the piston stiffness was assumed. This stiffness is up to "
+            f"{100.0 * share.max():.0f} % of a variance of K and D."
         )
         yield Notice("inplane_assumed", text)
 
