@@ -28,6 +28,7 @@ _RIM_DEG_PER_MM = calibrated("footplate.rim_deg_per_mm")
 _FITTED_RIM_DEG_PER_MM = calibrated("footplate.fitted_rim_deg_per_mm")
 _SHAPE_LEFT = np.array(calibrated("footplate.shape_left"))
 _EDGE_LEFT = calibrated("footplate.edge_left")
+_LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
 _RIM_NOISE = calibrated("footplate.rim_noise") ** 2
 _GRAIN = calibrated("footplate.grain")
 _BLUR_SHIFT_1_MM = calibrated("footplate.unknown_blur_shift_1_mm")
@@ -115,7 +116,9 @@ def contributions_of(solved: Solved, error: SurfaceError) -> dict[str, Array]:
     wanting = min(2.0 * (resolution / NORMAL_SCALE_MM) ** 2, 4.0)
     shape = scale * wanting * _displacement(solved, smoother, solved)
     parts |= {"rim": np.outer(rim, rim), "resolution": np.outer(shape, shape)}
-    if not error.fitted:
+    if error.fitted:
+        parts["rim"][4, 4] += (_LONG_AXIS_LEFT_RAD * influence.roundness) ** 2
+    else:
         parts["blur"] = _unknown_blur(resolution)
     return parts
 
@@ -142,6 +145,8 @@ class Influence:
         Normals of the surface there, scan axes.
     flat : ndarray, (s, 2)
         Their places x, z in footplate axes, mm.
+    roundness : float
+        Sum over difference of the second moments along x and z: how far a nearly round outline turns.
     """
 
     def __init__(self, solved: Solved) -> None:
@@ -159,9 +164,10 @@ class Influence:
         self.rims = np.zeros((len(middle), 6))
         self.rims[:, :3] = middle / self.areas.sum()
         self.rims[:, [3, 5]] = _tilts(local, self.areas, middle) * middle[:, 1:2]
-        spread = float(self.areas @ (local[:, 0] ** 2 - local[:, 2] ** 2))
+        spread = max(float(self.areas @ (local[:, 0] ** 2 - local[:, 2] ** 2)), 1e-6)
+        self.roundness = float(self.areas @ (local[:, 0] ** 2 + local[:, 2] ** 2)) / spread
         cosine = float(np.cos(np.radians(FACE_ANGLE_DEG)))
-        self.rims[:, 4] = -middle[:, 0] * middle[:, 2] * cosine / max(spread, 1e-6)
+        self.rims[:, 4] = -middle[:, 0] * middle[:, 2] * cosine / spread
         sine = float(np.sin(np.radians(FACE_ANGLE_DEG)))
         along = (face.segments[:, 1] - face.segments[:, 0]) @ axes
         beyond = np.column_stack([along[:, 2], np.zeros(len(along)), -along[:, 0]])
