@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fitting import entries
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
@@ -194,3 +195,22 @@ def test_warnings_travel_with_motion():
     result = fit(told, M)
     assert "conjugated_laser" in codes(result)
     assert result.dof == DOF
+
+
+def test_standard_deviations_of_modes_are_those_of_draws_of_k_and_d(ear):
+    """The mass is exact: eigenvalues of 4000 normal draws, which know a standard deviation to 1 %."""
+    drawn, _ = ear
+    result = fit(drawn.motion, MassMatrix(drawn.mass.parameters))
+    rng = np.random.default_rng(2)
+    size = np.sqrt(np.diag(result.covariance))
+    root = np.linalg.cholesky(result.covariance / np.outer(size, size))
+    draws = result.values + size * (rng.standard_normal((4000, len(size))) @ root.T)
+    stiffness, damping = entries.split(draws, 3)
+    whole = np.zeros((4000, 6, 6))
+    whole[:, :3, 3:] = np.eye(3)
+    whole[:, 3:, :3] = -np.linalg.solve(result.mass, stiffness)
+    whole[:, 3:, 3:] = -np.linalg.solve(result.mass, damping)
+    values = np.linalg.eigvals(whole)
+    frequencies = np.sort(np.where(values.imag > 0.0, values.imag, np.inf), axis=1)[:, :3] / (2.0 * np.pi)
+    found = 0.7413 * np.subtract(*np.percentile(frequencies, [75, 25], axis=0))
+    assert result.derived.frequency_sd_hz == pytest.approx(found, rel=0.07)
