@@ -7,6 +7,7 @@ from fitting import choices
 from fitting.causes import UNKNOWNS, candidates
 from fitting.data import data_of
 from fitting.evidence import log_odds
+from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.mass import inertia_of
 from fitting.unknowns import Unknown
@@ -125,3 +126,13 @@ def test_none_keeps_what_data_call_for_out_of_the_model():
     result = fit(ear.motion, ear.mass, unknowns="none")
     assert not result.found.likelihood.model.unknowns
     assert result.solution.search.best.name == "fluid"
+
+
+def test_every_law_takes_energy_and_stiffens_with_the_frequency():
+    """A passive, causal ligament: the loss is positive and, but for hysteresis, so is what D adds to K."""
+    w = np.array([0.3, 1.0, 3.0])
+    for name, law in LAWS.items():
+        factor = law.factor(w, *([law.usual] if law.usual else []))
+        assert np.all(factor.imag > 0.0), name
+        assert np.all(np.diff(factor.real) >= 0.0), name
+        assert np.all(factor.real >= -1e-12), name
