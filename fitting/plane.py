@@ -120,11 +120,11 @@ def in_plane(found: Fit) -> InPlane:
 
 
 def _told(found: Fit, likelihood: Likelihood, theta: Array, covariance: Array, scale: Array) -> InPlane:
-    """Return what a fit tells of K_cc and D_cc, SI, and of the rest the usual ratio to the piston's.
+    """Return K_cc and D_cc, SI, as a fit determines them; entries that it does not take the usual ratio.
 
     Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well,
     and its sd falls with it. Noise did not choose the usual stiffness: no sd is less than that there, and an
-    entry that the data would there know less well than the usual ratio does is not told by them.
+    entry that the data determine less well there than the usual ratio does takes that ratio.
     """
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
     count = len(usual.mean)

@@ -126,11 +126,11 @@ def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> 
 
 
 def pattern_gain(state: State, level: float) -> float:
-    """Return the log likelihood gained by one pattern over channels with a course of its own.
+    """Return how much log likelihood one bending shape gains: a pattern over channels, free at each line.
 
     Notes
     -----
-    A shape of bending is such a pattern. It costs half the logarithm of the number of values for each of its
+    The shape costs half the logarithm of the number of values for each of its
     coefficients (Schwarz 1978, doi:10.1214/aos/1176344136).
     """
     columns = int(state.packed.columns.sum())

@@ -158,7 +158,7 @@ def body_starts(placed: Measurement) -> list[int]:
 
 
 def lasers_of(placed: Measurement) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
-    """Return the channels of each laser, told by the directions of the beams, and their mean direction."""
+    """Group channels by laser; return the channels of each and the mean direction of its beams."""
     directions = np.concatenate([body.directions for body in placed.bodies])
     number = laser_numbers(directions)
     lasers = [tuple(np.flatnonzero(number == k).tolist()) for k in range(number.max() + 1)]

@@ -27,7 +27,7 @@ Fits = Mapping[tuple[int, int], LineFit]
 
 _MOST_BYTES = 2**26  # of derivatives by name; beyond, positions are patterns
 _MOST_OPERATIONS = 5e8  # of maps of each line, half a second; beyond, the mean of some stands for all
-_SOME_LINES = 64
+_SOME_LINES = 64  # maps change slowly over lines: the mean of so many scatters by an eighth of their spread
 _ALIKE = 1e-2  # share of the effect of an error by which its maps may differ between runs
 _FEW_LINES = 100  # for which one product a line takes less memory
 _FACTORS = {GAIN: 1.0, PHASE: 1j, DELAY: -1.0, GAIN_DRIFT: 1.0, PHASE_DRIFT: 1j}  # by which rows change

@@ -8,17 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright import sync_api
 
 from ct_inertia.scan.open_scan import open_labels
-from tests.app.driven import CHROMIUM, Page, Server, Tile, command_line
-
-pytest.importorskip("marimo")
-pytest.importorskip("ipyniivue")
-sync_api = pytest.importorskip("playwright.sync_api")
+from tests.app.driven import Page, Server, Tile, command_line
 
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
     pytest.mark.filterwarnings("ignore"),
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_volumes"
