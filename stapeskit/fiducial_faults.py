@@ -83,8 +83,8 @@ class Pairs:
         return len(self) < 4 or self.flat_mm < max(_THIN * extent, noise)
 
     def rms_mm(self, chi2: float) -> float:
-        """Return the root mean square residual (of three coordinates) that belongs to a sum of squares."""
-        return float(np.sqrt(3.0 * chi2 / np.sum(self.weights)))
+        """Return the root mean square length of the residuals that belongs to a sum of squares."""
+        return float(np.sqrt(chi2 / np.sum(self.weights)))
 
 
 @dataclass(frozen=True)

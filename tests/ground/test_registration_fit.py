@@ -280,3 +280,12 @@ def test_a_mistyped_coordinate_is_seldom_taken_for_another_cause():
 ])  # fmt: skip
 def test_the_step_names_every_frame_that_may_be_mirrored(target, source, words):
     assert all(word in undo_mirror(target, source) for word in words)
+
+
+def test_the_residual_of_messages_is_that_of_the_registration():
+    rng = np.random.default_rng(5)
+    source = rng.uniform(-8.0, 8.0, (7, 3))
+    target = source + 0.1 * rng.standard_normal((7, 3))
+    found = fit_rigid(source, target, 0.1, to="plate", source="vibrometer")
+    pairs = Pairs(source, target, np.full(7, 100.0), found.chi2, 1.0, True, (), "vibrometer", "plate")
+    assert pairs.rms_mm(found.chi2) == pytest.approx(found.rms_mm)
