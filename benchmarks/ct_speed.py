@@ -1,4 +1,4 @@
-"""A scan of 1024^3 voxels is measured in seconds, faster than VTK that is given the grey level.
+"""A scan of 1024^3 voxels is measured in seconds, beside VTK that is given the grey level.
 
 Every method reads the same uncompressed TIFF in a process of its own and writes the mesh of the stapes as
 PLY, its labels as NRRD and mass, centre of mass and inertia as JSON; ct2mass writes frames, M and

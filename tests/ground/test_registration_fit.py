@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stapeskit.faults import Fault, StapeskitError, collect_faults
-from stapeskit.fiducial_faults import undo_mirror
+from stapeskit.fiducial_faults import Pairs, undo_mirror
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.registration import Registration, displacement, fit_rigid
 
