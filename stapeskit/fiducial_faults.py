@@ -22,7 +22,7 @@ from stapeskit.warnings import Notice
 INCONSISTENT = 1e-3
 _INCONSISTENT_SD = 3.0902  # the same of a normal distribution
 """Probability of residuals below which fiducials are reported as inconsistent: 1 of 1000 right sets is."""
-FARTHEST_MM = 1.0
+MOST_RESIDUAL_MM = 1.0
 """Root mean square residual of inconsistent fiducials from which on they are refused: a third of a stapes."""
 
 _THIN = 0.02  # of their extent: flatter points count as coplanar, since their mirror image fits as well
@@ -158,8 +158,11 @@ def notices_of(pairs: Pairs) -> list[Notice]:
             listed = ", ".join(alike)
             words = f"one of the fiducials {listed} is off by about {best.size_mm:.3g} mm, which one is open"
     why = "three cannot tell which (add a fourth)" if len(pairs) == 3 else "no single cause explains it"
-    if rms_mm > FARTHEST_MM:
-        want, got = f"in agreement within {FARTHEST_MM:g} mm", f"{rms_mm:.3g} mm (root mean square residual)"
+    if rms_mm > MOST_RESIDUAL_MM:
+        want, got = (
+            f"in agreement within {MOST_RESIDUAL_MM:g} mm",
+            f"{rms_mm:.3g} mm (root mean square residual)",
+        )
         raise StapeskitError.of("the fiducials", want, got, "", f"Check them: {words or why}")
     if pairs.stated:
         size = np.sqrt(pairs.chi2 / pairs.n_dof)

@@ -190,7 +190,9 @@ def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
     """Return the medial side with its directions named, where anterior is in words, and both frames."""
     frames = content["frames"]
     medial = views(content, pictured, VIEWS[:1])
-    caption = "The stapes along the piston direction y, in axes of the footplate."
+    caption = (
+        "The stapes along the piston direction y, in axes of the footplate: +x is anterior, as taken below."
+    )
     drawn = page.figure(medial, caption, "The medial side of the stapes, with its directions named.")
     words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
     return [drawn, page.text(words), page.code(frames["other_choice"]), _frames_table(content)]

@@ -20,7 +20,7 @@ from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
-FARTHEST_MM = 1.0
+MOST_DISTANCE_MM = 1.0
 """Root mean square distance of the points of a body from its surface from which on a registration is
 refused: a third of a stapes."""
 
@@ -93,13 +93,13 @@ def check_surfaces(
         surface = surfaces[body.body]
         check = _check(body, surface, placement, to_scan)
         checks.append(check)
-        if check.p_value >= _UNLIKELY and check.rms_mm < FARTHEST_MM:
+        if check.p_value >= _UNLIKELY and check.rms_mm < MOST_DISTANCE_MM:
             continue
         if check.rms_mm > _USUAL_SD_MM:
             _refuse_other_axes(check, body, placement, mass, surface)
-        if check.rms_mm > FARTHEST_MM:
+        if check.rms_mm > MOST_DISTANCE_MM:
             step = "Check fiducials, their frame and points; neither other axes nor other units explain it"
-            expected = f"on the bone within {FARTHEST_MM:g} mm after registration"
+            expected = f"on the bone within {MOST_DISTANCE_MM:g} mm after registration"
             raise StapeskitError.of(f"the points of body {body.body}", expected, check.words, "", step)
         text = (
             f"the {len(check.points)} points of {body.body} lie {check.words}, p {check.p_value:.1g}: the "

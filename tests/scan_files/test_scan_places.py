@@ -328,3 +328,15 @@ def test_corners_keep_their_names_under_mirror(tmp_path):
     path = w.imagej(tmp_path / "a.tif", picture())
     for axis in "xyz":
         check_corners(open_scan(path, mirror=axis), mirrored=axis)
+
+
+def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
+    import pydicom
+
+    folder = w.dicom(tmp_path / "d", picture("i2"))
+    for file in folder.iterdir():
+        head = pydicom.dcmread(file)
+        head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = "1.2.826.0.1.3680043.2.1125.99"
+        head.RescaleSlope, head.RescaleIntercept = 2, -10
+        head.save_as(file)
+    assert np.array_equal(open_scan(folder).read(), 2.0 * picture("i2") - 10.0)

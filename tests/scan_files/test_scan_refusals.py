@@ -330,18 +330,6 @@ def test_dicom_folders(tmp_path):
     refused(two)
 
 
-def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
-    import pydicom
-
-    folder = w.dicom(tmp_path / "d", picture("i2"))
-    for file in folder.iterdir():
-        head = pydicom.dcmread(file)
-        head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = "1.2.826.0.1.3680043.2.1125.99"
-        head.RescaleSlope, head.RescaleIntercept = 2, -10
-        head.save_as(file)
-    assert np.array_equal(open_scan(folder).read(), 2.0 * picture("i2") - 10.0)
-
-
 def test_files_that_are_no_scans(tmp_path):
     assert refused(tmp_path / "none.tif").expected == "an existing file or folder"
     (tmp_path / "empty.tif").write_bytes(b"")
