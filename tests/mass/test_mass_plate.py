@@ -13,7 +13,7 @@ from ct_inertia.frames.gap import window_gap
 from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.fields import refined
-from ct_inertia.surface.surface import Surface
+from ct_inertia.surface.surface import Surface, as_mesh
 from simulate import Ear, Scan, box, coverage_of, simulate_truth
 from simulate.solids import Solid, joined
 from stapeskit.faults import StapeskitError
@@ -160,6 +160,27 @@ def test_the_gap_of_exact_surfaces_is_the_one_that_was_built(gap_mm: float) -> N
     assert found.median_mm == pytest.approx(gap_mm, abs=0.003)
     assert found.harmonic_mm <= found.median_mm + found.spread_mm
     assert found.rim_share > 0.9
+
+
+def test_a_level_that_is_off_changes_the_gap_by_what_its_sd_states() -> None:
+    """Both surfaces grow by 10 um along their normals, as they do when the level is too low."""
+
+    def grown(surface: Surface, by_mm: float) -> Surface:
+        mesh = as_mesh(surface.vertices_mm, surface.faces).compute_normals(
+            point_normals=True, cell_normals=False, split_vertices=False, consistent_normals=False
+        )
+        return Surface(surface.vertices_mm + by_mm * mesh.point_normals, surface.faces)
+
+    bones = [solid for solid, material in Ear(gap_mm=0.12).solids() if material == "bone"]
+    wall = joined(*bones[1:])
+    stapes, other = (Surface(part.vertices_mm, part.faces) for part in (bones[0], wall))
+    frame = footplate_frame(stapes)
+    plain, stated = (window_gap(frame, stapes, other, 0.0, sd) for sd in (0.0, 0.01))
+    off = window_gap(frame, grown(stapes, 0.01), grown(other, 0.01), 0.0, 0.0)
+    assert plain is not None and stated is not None and off is not None  # noqa: PT018
+    by_level = np.sqrt(stated.sd_mm**2 - plain.sd_mm**2)
+    found = abs(off.median_mm - plain.median_mm)
+    assert found <= by_level < 1.3 * found  # normals at the rounded rim are not all across the gap
 
 
 def test_without_a_wall_there_is_no_gap() -> None:
