@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -238,17 +239,20 @@ def _pixels(frame: _Frame, header: Header) -> NDArray[Any]:
     Notes
     -----
     SimpleITK reads no classes that the standard does not have; scanners write some of their own, which
-    pydicom reads where the pixels are not packed.
+    pydicom reads where the pixels are not packed. Where 0 is white SimpleITK exchanges bright and dark itself
+    (8 and 16 bit) or returns numbers that are none (32 bit): these are read by pydicom as they are stored.
     """
     import pydicom
     import SimpleITK as sitk
 
     file = frame.file
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    values: NDArray[Any] | None = None
     try:
-        try:
-            values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
-        except RuntimeError:
+        if not header.white_is_zero:
+            with suppress(RuntimeError):
+                values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        if values is None:
             values = pydicom.dcmread(file, force=True).pixel_array
             if header.dtype.kind == "f":
                 slope, intercept = frame.rescaling()

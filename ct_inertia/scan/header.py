@@ -113,7 +113,7 @@ def wrong_size(shape: Sequence[int], needed: int, held: int, file: Path) -> Stap
     if held > needed:
         step = (
             "If the data file begins with a header of its own, let the voxels be counted from its end: "
-            "byte skip: -1 in NRRD, HeaderSize = -1 in MetaImage"
+            "byte skip: -1 in NRRD, HeaderSize = -1 in MetaImage, SkipHeader in VGStudio"
         )
     wanted = f"as large as its header says ({size} voxels, {needed} bytes)"
     return StapeskitError.of("the scan", wanted, f"{max(held, 0)} bytes of voxels", file.name, step)

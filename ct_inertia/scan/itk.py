@@ -185,16 +185,16 @@ def _with_voxels(header: Header, path: Path, file: Path, start: int, skip: int, 
     if packed:
         header.files = (file,)
         exact = file != path  # another one holds nothing behind the voxels
-        header.read = unpack_once(lambda: _unpacked(file, start, skip, header.shape, header.dtype, exact))
+        header.read = unpack_once(lambda: unpacked(file, start, skip, header.shape, header.dtype, exact))
     else:
         header.set_planes(file, -1 if -1 in (start, skip) else start + skip, path, exact=True)
     return header
 
 
-def _unpacked(
+def unpacked(
     file: Path, start: int, skip: int, shape: Sequence[int], dtype: np.dtype[Any], exact: bool
 ) -> NDArray[Any]:
-    """Return the voxels of a stream that begins at a byte of a file.
+    """Return the voxels of a stream that begins at a byte of a file, and is read to the check sum at its end.
 
     ``skip`` are unpacked bytes before the first voxel; -1: the voxels are the last ones.
     """

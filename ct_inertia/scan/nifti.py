@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.scan.header import Header, no_data_file, several_values, unpack_once
+from ct_inertia.scan.itk import unpacked
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.scan import check_grey_values
 from stapeskit.arrays import Array
@@ -49,7 +50,10 @@ def open_nifti(path: Path) -> Header:
     header.slope, header.intercept = float(voxels.slope), float(voxels.inter)
     _place(header, image.header, path.name)
     if data.suffix.lower() == ".gz":
-        header.read = unpack_once(lambda: voxels.get_unscaled().reshape(shape, order="F").T)
+        # nibabel stops before the check sum of the stream
+        header.read = unpack_once(
+            lambda: unpacked(data, 0, int(voxels.offset), header.shape, stored, exact=False)
+        )
     else:
         header.set_planes(data, int(voxels.offset), path, exact=True)
     return header

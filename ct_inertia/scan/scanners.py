@@ -133,7 +133,11 @@ def open_vgi(path: Path) -> Header:
     them. The place and rotation of the volume in the scene of VGStudio are not scan coordinates: origin 0,
     identity.
     """
-    sections = _vgi_sections(_start(path).decode("utf-8", "replace"))
+    head = _start(path)
+    try:
+        sections = _vgi_sections(head.decode("utf-8"))
+    except UnicodeDecodeError:  # of Windows, where the unit may be µm
+        sections = _vgi_sections(head.decode("latin-1"))
     stored = [name for name in sections if re.fullmatch(r"file\d{0,9}", name)]
     part = sections.get("representation", {}) | sections[stored[0]]
     if len(stored) > 1 or part.get("fileformat", "raw").lower() != "raw":
@@ -203,6 +207,12 @@ def open_amira(path: Path) -> Header:
     size = [int(word) for word in lattice.groups()]
     header = _raw(path, size, order + _AMIRA_TYPES[field[1]], end.end())
     header.names = _materials(text)
+    moved = re.search(r"TransformationMatrix([-+0-9.eE\s]+)", text)
+    if moved and not np.array_equal(np.array(moved[1].split(), dtype=float), np.eye(4).ravel()):
+        header.note(
+            f"{path.name} is moved by a TransformationMatrix in Avizo or Amira. It was not applied: scan "
+            f"coordinates, landmarks and --anterior are those of the lattice. Give its scale by --spacing."
+        )
     header.known = "the lattice has no unit of length"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
     if box is None:
@@ -241,5 +251,5 @@ def _raw(path: Path, size: Sequence[int], kind: str, start: int, file: Path | No
     """Return a volume of x, y, z voxels behind a header in the same file, or in another one."""
     header = Header(tuple(reversed(size)), np.dtype(kind))
     check_grey_values(header.shape, header.dtype, path.name)
-    header.set_planes(file or path, start, path)
+    header.set_planes(file or path, start, path, exact=file is not None)
     return header

@@ -57,6 +57,7 @@ def open_tiff(path: Path) -> Header:
         read_page_tags(header, page, path)
         if not _ome_place(header, xml, list(tif.series).index(series), len(tif.series)) and meta:
             _imagej_place(header, meta, _resolution(page))
+        _imagej_values(header, meta)
         pages = _pages(series, shape, path)
         header.planes = _raw_planes(series, pages, page, shape, dtype)
         if len(tif.series) > 1 and not tif.series[0].is_pyramidal:
@@ -234,6 +235,16 @@ def _imagej_place(header: Header, meta: dict[str, Any], pixels: Array) -> None:
             "ImageJ states a negative slice distance; its size was used and the order of slices kept. "
             "Reverse them with --mirror z if the ear is a mirror image."
         )
+
+
+def _imagej_values(header: Header, meta: dict[str, Any]) -> None:
+    """Take the straight line from stored to shown values, by which ImageJ keeps signed 16-bit pictures."""
+    if "cf" not in meta:
+        return
+    if meta["cf"] != 0:
+        header.note(f"ImageJ shows the grey values by its function {meta['cf']}; they were read as stored.")
+    elif header.dtype.kind == "u":
+        header.intercept, header.slope = (float(meta.get(f"c{k}", k)) for k in (0, 1))
 
 
 def _ome_files(path: Path, xml: str) -> tuple[Path, ...]:

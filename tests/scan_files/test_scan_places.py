@@ -340,3 +340,52 @@ def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
         head.RescaleSlope, head.RescaleIntercept = 2, -10
         head.save_as(file)
     assert np.array_equal(open_scan(folder).read(), 2.0 * picture("i2") - 10.0)
+
+
+@pytest.mark.parametrize(("kind", "line"), [("u1", ""), ("u2", ""), ("i2", ""), ("u2", "2\\-1000")])
+def test_white_is_zero_is_inverted_once_in_dicom(tmp_path, kind, line):
+    """The library that reads the pixels exchanges bright and dark as well."""
+    import pydicom
+
+    array = picture(kind) + picture(kind).min()
+    folder = w.dicom(tmp_path / "dicom", array)
+    for file in folder.iterdir():
+        stored = pydicom.dcmread(file)
+        stored.PhotometricInterpretation = "MONOCHROME1"
+        if line:
+            stored.RescaleSlope, stored.RescaleIntercept = line.split("\\")
+        stored.save_as(file)
+    values, ranks = open_scan(folder).read(), array.astype(float)
+    assert np.corrcoef(values.ravel(), ranks.ravel())[0, 1] == pytest.approx(-1.0)
+
+
+def test_a_packed_nifti_is_read_to_its_check_sum(tmp_path):
+    path = w.itk(tmp_path / "a.nii.gz", picture(shape=(50, 50, 50)))
+    content = bytearray(path.read_bytes())
+    content[-6] ^= 1  # of the check sum
+    path.write_bytes(content)
+    assert "a damaged or truncated one" in refused(path).got
+
+
+def test_imagej_values_are_those_that_it_shows(tmp_path):
+    """Signed 16-bit pictures are stored 32768 higher, with the line back in the description."""
+    line = {"cf": 0, "c0": -32768.0, "c1": 1.0}
+    path = w.imagej(tmp_path / "a.tif", picture(), metadata=line)
+    assert np.array_equal(open_scan(path).read(), picture().astype(float) - 32768.0)
+    w.imagej(path, picture(), metadata={"cf": 3})
+    assert "by its function 3" in read_as(open_scan(path))[0]
+
+
+def test_a_transformation_of_amira_is_not_applied_and_that_is_said(tmp_path):
+    path = own.amira(tmp_path / "a.am", picture())
+    plain = path.read_bytes()
+    for place, said in (("0 0 5", True), ("0 0 0", False)):
+        matrix = f"TransformationMatrix 1 0 0 0 0 1 0 0 0 0 1 0 {place} 1"
+        path.write_bytes(plain.replace(b"Parameters {", f"Parameters {{ {matrix},\n".encode(), 1))
+        assert bool(read_as(open_scan(path))) == said
+
+
+def test_a_vgstudio_header_in_the_letters_of_windows(tmp_path):
+    path = own.vgi(tmp_path / "um.vgi", picture(), unit="um")
+    path.write_bytes(path.read_text(encoding="utf-8").replace("unit = um", "unit = µm").encode("latin-1"))
+    assert open_scan(path).spacing_mm == pytest.approx(SPACING)
