@@ -64,12 +64,6 @@ class Measured:
         return MassProperties(mass_kg=mass, centre_of_mass_mm=centre, inertia_about_com_kg_m2=inertia)
 
     @property
-    def centre_error_um(self) -> float:
-        """Distance of the centre of mass from the true one."""
-        off = self.body_in_scan.centre_of_mass_mm - self.truth.centre_of_mass_in_scan_mm
-        return float(np.linalg.norm(off) * 1e3)
-
-    @property
     def frame_deviation(self) -> Array:
         """Displacement (6,) of the footplate frame in its true axes, m and rad."""
         assert self.record is not None
@@ -87,13 +81,6 @@ class Measured:
         off = (self.matrix.matrix - self.truth.mass_matrix_si)[UPPER]
         sd = self.matrix.standard_deviation[UPPER]
         return np.divide(off, sd, out=np.full(off.shape, np.nan), where=sd > 0.0)
-
-    def matrix_share(self, true_frame: bool = False) -> float:
-        """Return the largest error of M over sqrt(Mii Mjj), with M about the measured or the true frame."""
-        matrix = self.matrix.matrix
-        if true_frame:
-            matrix = matrix_in_frame(self.body_in_scan, self.truth.scan_from_footplate)
-        return float(np.max(np.abs(shares(matrix, self.truth.mass_matrix_si))))
 
 
 def matrix_in_frame(body: MassProperties, scan_from_frame: RigidTransform) -> Array:

@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from benchmarks._table import NOTHING, Before, arguments, print_table
+from benchmarks._table import NOTHING, arguments, print_table
 from pipeline.cohort.law import LogPairs, fit_law
 from pipeline.cohort.predict import Predictor
 
 SCATTER, SPREAD_X = 0.2, 0.12
-BEFORE = Before("cohort_laws_ranges_160")
+SIZES = (8, 16, 40)
+"""Ears of a cohort."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ def york(pairs: LogPairs, rounds: int = 60) -> tuple[float, float]:
 OTHERS: tuple[Callable[[LogPairs], tuple[float, float]], ...] = (least_squares, orthogonal, york)
 
 
-def law_row(name: str, n: int, count: int) -> list[object]:
+def law_cells(name: str, n: int, count: int) -> list[str]:
     """Return coverage of exponent, scatter and prediction, and of the exponents of other regressions."""
     population, rng = POPULATIONS[name], np.random.default_rng(n)
     exponents, hits = list[float](), np.full((count, 3 + len(OTHERS)), np.nan)
@@ -142,11 +143,11 @@ def law_row(name: str, n: int, count: int) -> list[object]:
             hits[k, column] = abs(value - population.exponent) <= half
     spread = np.subtract(*np.percentile(exponents, [75, 25])) / 1.349
     bias = (np.median(exponents) - population.exponent) / spread
-    means = [NOTHING if np.isnan(column).all() else f"{column.mean():.3f}" for column in hits.T]
-    return [name, n, means[0], f"{bias:+.2f}", *means[1:]]
+    means = [NOTHING if np.isnan(column).all() else f"{100 * column.mean():.0f}" for column in hits.T]
+    return [means[0], f"{bias:+.2f}", *means[1:]]
 
 
-def range_row(name: str, n: int, count: int) -> list[object]:
+def range_cells(name: str, n: int, count: int) -> list[str]:
     """Return how often normal range and prediction hold a further ear's true response, shared errors added.
 
     The error that all ears have in common is in what is measured of the further ear, too.
@@ -165,26 +166,27 @@ def range_row(name: str, n: int, count: int) -> list[object]:
         hits.append([low <= y <= high for low, high in found])
         widths.append([0.5 * (high - low) for low, high in found])
     shares, halves = np.mean(hits, axis=0), np.median(widths, axis=0)
-    new = [f"{shares[0]:.3f}", f"{shares[1]:.3f}", f"{halves[0]:.2f}", f"{halves[1]:.2f}"]
-    columns = ("range, true", "prediction, true", "half width of the range (ln)", "of the prediction")
-    old = [BEFORE.cell(column, name, str(n)) for column in columns]
-    return [name, n, *(cell for pair in zip(new, old, strict=True) for cell in pair)]
+    return [*(f"{100 * share:.0f}" for share in shares), *(f"{half:.2f}" for half in halves)]
 
 
-def rows(row: Callable[[str, int, int], list[object]], count: int) -> Iterator[list[object]]:
-    """Yield the rows of all populations and sizes of a cohort."""
-    for n in (8, 16, 40):
-        for name in POPULATIONS:
-            yield row(name, n, count)
+def rows(cells: Callable[[str, int, int], list[str]], count: int) -> Iterator[list[str]]:
+    """Yield one row a population; each cell has the figures of all sizes of a cohort."""
+    for name in POPULATIONS:
+        by_size = [cells(name, n, count) for n in SIZES]
+        yield [
+            name,
+            *("/".join(own) if set(own) != {NOTHING} else NOTHING for own in zip(*by_size, strict=True)),
+        ]
 
 
 if __name__ == "__main__":
     given = arguments(__doc__, what="laws", cohorts=40)
+    error = 100.0 * np.sqrt(0.0475 / given.cohorts)
+    print(f"Intervals that hold, in %, with {', '.join(map(str, SIZES))} ears; {given.cohorts} cohorts each,")
+    print(f"standard error of a share {error:.1f} %.\n")
     if given.what == "ranges":
-        head = ("population", "n", "range", "0.2", "prediction", "0.2", "half width", "0.2", "of it", "0.2")
-        print_table(head, rows(range_row, given.cohorts))
+        head = ("population", "range", "prediction", "half width of the range (ln)", "of the prediction")
+        print_table(head, rows(range_cells, given.cohorts))
     else:
-        head = ("population", "n", "exponent", "bias / sd", "scatter", "prediction")
-        print_table((*head, "least squares", "orthogonal", "York"), rows(law_row, given.cohorts))
-    error = np.sqrt(0.0475 / given.cohorts)
-    print(f"{given.cohorts} cohorts a row; standard error of a share {error:.3f}.")
+        head = ("population", "exponent", "bias / sd", "scatter", "prediction")
+        print_table((*head, "least squares", "orthogonal", "York"), rows(law_cells, given.cohorts))

@@ -4,8 +4,7 @@ Two stapedes, a real one (OpenEar) and a made one, in their windows (gap 100 um)
 1.2 voxels, noise 4 % of the contrast between bone and air. ct2mass gets the file and nothing else. The
 peers get what nobody tells them in a laboratory: the level halfway between air and bone (but for Otsu's,
 which finds its own), and a scan of the stapes alone in the same pose. They have no footplate frame; their M
-is about the true one. Errors are root mean squares over the poses. 0.2 replaced all other bodies by air for
-the peers.
+is about the true one. Errors are root mean squares over the poses.
 
     python -m benchmarks.ct_accuracy --voxel-um 40,28,20 --poses 1
 """
@@ -19,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._masses import matrix_in_frame, measure, shares
-from benchmarks._table import Before, arguments, print_table, root_mean_square
+from benchmarks._table import arguments, print_table, root_mean_square
 from benchmarks.peers import measures
 from simulate import Ear, MassProperties, Moments, Scan, Stapes, Truth, render, simulate_truth, uniform_mass
 from stapeskit.arrays import Array
 
 STAPES = {"real stapes": "openear", "made stapes": "analytic"}
-QUANTITIES = ("Volume, %", "Centre of mass, um", "M, worst entry, % of sqrt(Mii Mjj)")
+QUANTITIES = ("volume, %", "centre of mass, um", "M, worst entry, % of sqrt(Mii Mjj)")
 OURS = "ct2mass"
 PEERS = {
     "half level, flying edges (VTK + trimesh)": measures.vtk_flying_edges,
@@ -33,7 +32,6 @@ PEERS = {
     "Otsu, label statistics (SimpleITK)": measures.simpleitk_otsu,
     "half level, SurfaceNets (PyVista)": measures.surface_nets,
 }
-BEFORE = Before("ct_accuracy_voxel_um_40_28_20_poses_1")
 
 
 def errors(body: MassProperties, matrix: Array, truth: Truth) -> Array:
@@ -75,14 +73,6 @@ def of_scan(family: str, voxel_um: float, pose: int, folder: Path) -> dict[str, 
     return {OURS: errors(ours.body_in_scan, ours.matrix.matrix, ours.truth), **of_peers(ear, scan)}
 
 
-def before(method: str, quantity: str, voxel_um: float) -> str:
-    """Return the figure of 0.2."""
-    for head, cells in BEFORE.rows:
-        if head[0] == quantity and cells[0] == method and f"{voxel_um:g} um" in head:
-            return cells[head.index(f"{voxel_um:g} um")]
-    return Before("").cell("")
-
-
 if __name__ == "__main__":
     given = arguments(__doc__, voxel_um="40", poses=1)
     sizes = sorted(float(word) for word in given.voxel_um.split(","))
@@ -92,15 +82,14 @@ if __name__ == "__main__":
             for size in sizes:
                 poses = range(17, 17 + given.poses)
                 found[kind, size] = [of_scan(family, size, pose, Path(place)) for pose in poses]
-    print("Root mean squares over the poses: real stapes/made stapes; 0.2 with other noise.\n")
-    sizes_um = [f"{size:g} um" for size in sizes]
+    print("Errors, root mean squares over the poses: real stapes/made stapes.\n")
+    ends = (sizes[0], sizes[-1])
     rows = []
-    for place_of, quantity in enumerate(QUANTITIES):
-        for method in (OURS, *PEERS):
-            cells = [quantity, method]
-            for size in sizes:
+    for method in (OURS, *PEERS):
+        cells = [method]
+        for place_of in range(len(QUANTITIES)):
+            for size in ends:
                 errors_of = [[one[method][place_of] for one in found[kind, size]] for kind in STAPES]
                 cells.append("/".join(f"{root_mean_square(values):.2g}" for values in errors_of))
-            rows.append(cells)
-        rows.append([quantity, "0.2", *(before(OURS, quantity, size).replace(" ", "") for size in sizes)])
-    print_table(("error", "method", *sizes_um), rows)
+        rows.append(cells)
+    print_table(("method", *(f"{what}, {size:g} um" for what in QUANTITIES for size in ends)), rows)

@@ -12,6 +12,7 @@ memory (RssAnon, looked at every 5 ms): pages of a mapped file belong to the sys
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -29,11 +30,8 @@ BEFORE = Before("ct_speed_quick_repeat_7")
 OURS = "ct2mass"
 PEERS = {
     "level given, VTK flying edges on the whole scan + trimesh": "vtk_trimesh",
-    "level given, scikit-image + trimesh": "skimage_trimesh",
-    "level given, SimpleITK statistics, scikit-image mesh": "simpleitk",
 }
-SLOW = ("skimage_trimesh", "simpleitk")
-"""Left out unless ``--slow yes``: they take minutes at 1024^3."""
+COLUMNS = ("wall, least (median)", "CPU, least", "own memory")
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,6 @@ class Run:
 
     wall_s: float
     processor_s: float
-    peak_mb: float
     own_mb: float
 
 
@@ -66,7 +63,7 @@ def run(command: list[str]) -> Run:
     if process.returncode:
         message = process.stderr.read().decode() if process.stderr else ""
         raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{message}")
-    return Run(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, own / 1024.0)
+    return Run(wall, usage.ru_utime + usage.ru_stime, own / 1024.0)
 
 
 def own_kb(process: int) -> int:
@@ -78,55 +75,40 @@ def own_kb(process: int) -> int:
     return next((int(line.split()[1]) for line in lines if line.startswith("RssAnon")), 0)
 
 
-def commands(path: Path, folder: Path, scan: Scan, slow: bool) -> dict[str, list[str]]:
+def commands(path: Path, folder: Path, scan: Scan) -> dict[str, list[str]]:
     """Return the command line of every method by its title."""
     level = str(0.5 * (scan.levels[0] + scan.levels[2]))
     ours = "import sys; from ct_inertia.cli import main; sys.exit(main())"
-    words = [
-        "--density",
-        "1900+-60",
-        "--anterior",
-        "1,0,0",
-        "--no-report",
-        "--quiet",
-        "--out",
-        str(folder / "own"),
-    ]
-    found = {OURS: [sys.executable, "-c", ours, str(path), *words, "--force"]}
+    words = shlex.split("--density 1900+-60 --anterior 1,0,0 --no-report --quiet --force --out")
+    found = {OURS: [sys.executable, "-c", ours, str(path), *words, str(folder / "own")]}
     for title, name in PEERS.items():
-        if slow or name not in SLOW:
-            script = str(ROOT / "benchmarks" / "peers" / f"{name}.py")
-            (folder / name).mkdir()
-            found[title] = [sys.executable, script, str(path), str(folder / name), level]
+        script = str(ROOT / "benchmarks" / "peers" / f"{name}.py")
+        (folder / name).mkdir()
+        found[title] = [sys.executable, script, str(path), str(folder / name), level]
     return found
 
 
 def rows(runs: dict[str, list[Run]]) -> list[list[str]]:
-    """Return one row a method, least times first."""
-    least = {title: min(own, key=lambda one: one.wall_s) for title, own in runs.items()}
+    """Return one row a method, each figure followed by that of 0.2."""
     found = []
-    for title, best in least.items():
-        median = float(np.median([one.wall_s for one in runs[title]]))
-        processor = min(one.processor_s for one in runs[title])
+    for title, own in runs.items():
+        walls = [one.wall_s for one in own]
         cells = [
-            f"{best.wall_s:.2f} s ({median:.2f} s)",
-            f"{best.wall_s / least[OURS].wall_s:.2f}",
-            f"{processor:.2f} s",
-            f"{max(one.peak_mb for one in runs[title]):.0f} MB",
-            f"{max(one.own_mb for one in runs[title]):.0f} MB",
+            f"{min(walls):.2f} s ({np.median(walls):.2f} s)",
+            f"{min(one.processor_s for one in own):.2f} s",
+            f"{max(one.own_mb for one in own):.0f} MB",
         ]
-        columns = ("wall, least (median)", "x ct2mass", "CPU, least", "peak RSS", "own memory")
-        old = [BEFORE.cell(column, title) for column in columns]
+        old = [BEFORE.cell(column, title) for column in COLUMNS]
         found.append([title, *(cell for pair in zip(cells, old, strict=True) for cell in pair)])
     return found
 
 
 if __name__ == "__main__":
-    given = arguments(__doc__, shape=512, voxel_um=20.0, repeat=3, slow="no")
+    given = arguments(__doc__, shape=512, voxel_um=20.0, repeat=3)
     scan = Scan(voxel_um=given.voxel_um, shape=(given.shape,) * 3, seed=3, format="ome.tif")
     with tempfile.TemporaryDirectory() as place:
         path = write_scan(Path(place), scan.placed(Ear(gap_mm=0.1)), scan)
-        methods = commands(path, Path(place), scan, given.slow == "yes")
+        methods = commands(path, Path(place), scan)
         runs: dict[str, list[Run]] = {title: [] for title in methods}
         for _ in range(given.repeat):
             for title, command in methods.items():
@@ -134,5 +116,4 @@ if __name__ == "__main__":
         size = path.stat().st_size / 2**30
     print(f"{size:.2f} GiB, {given.shape}^3 voxels (0.2: 1024^3); {os.cpu_count()} cores; load ", end="")
     print(f"{os.getloadavg()[0]:.1f} at the end\n")
-    columns = ("wall, least (median)", "x ct2mass", "CPU, least", "peak RSS", "own memory")
-    print_table(("method", *(cell for column in columns for cell in (column, "0.2"))), rows(runs))
+    print_table(("method", *(cell for column in COLUMNS for cell in (column, "0.2"))), rows(runs))

@@ -3,9 +3,8 @@
 Each ear draws a stapes of usual size, a pose, a voxel size, a noise, and one condition of its scan; its
 measurement is then made several times, each time with another condition. A study is wrong when the mass, or
 an entry on the diagonal of K or D, lies more than 4 stated standard deviations from the truth; it is of no
-use when a stated standard deviation or a true error of such a number is above 30 % of the truth. Conditions
-of fiducials, of which 0.2 had four, are not simulated any more. Marks are read off the scan:
-with those of a drawing nothing confirms the order of the slices.
+use when a stated standard deviation or a true error of such a number is above 30 % of the truth. Marks are
+read off the scan: with those of a drawing nothing confirms the order of the slices.
 
     python -m benchmarks.verdicts --ears 16 --first 7000
 """
@@ -221,7 +220,7 @@ def row(title: str, group: Sequence[Study]) -> list[str]:
 
 
 def report(studies: Sequence[Study]) -> None:
-    """Print how often each verdict is wrong: over all, by condition, and by warning."""
+    """Print how often each verdict is wrong."""
     good = [study for study in studies if not SCANS[study.scan].stated]
     right = ("right", "right again")
     head = [cell for level in LEVELS for cell in (level, "0.2")]
@@ -232,15 +231,6 @@ def report(studies: Sequence[Study]) -> None:
         "a wrong statement about the scan": [s for s in studies if SCANS[s.scan].stated],
     }
     print_table(("studies", *head), (row(*group) for group in groups.items()))
-    by_measurement = (row(name, [s for s in good if s.measurement == name]) for name in MEASUREMENTS)
-    print_table(("measurement", *head), by_measurement)
-    codes = dict.fromkeys(code for study in good for code in study.codes)
-    reasons = []
-    for code in codes:
-        own = [study for study in good if code in study.codes]
-        reasons.append([code, len(own), f"{100 * np.mean([study.wrong for study in own]):.0f} %"])
-    reasons.sort(key=lambda entry: -int(entry[1]))
-    print_table(("reason of a verdict", "studies", "of these wrong"), reasons)
 
 
 if __name__ == "__main__":

@@ -31,12 +31,6 @@ def nearest_in_volume(voxels: Any, spacing: float) -> int:
     return int(np.argmin(np.abs(np.asarray(voxels) * spacing**3 - STAPES_MM3)))
 
 
-def nearest_component(labels: Any, boxes: Any, spacing: float) -> int:
-    """Return the label that has the volume of a stapes, counting only inside the components' boxes."""
-    voxels = [np.count_nonzero(labels[box] == number) for number, box in enumerate(boxes, start=1)]
-    return 1 + nearest_in_volume(voxels, spacing)
-
-
 def widened(box: Any, shape: tuple[int, ...], by: int = 2) -> tuple[slice, ...]:
     """Return slices around a box."""
     return tuple(slice(max(s.start - by, 0), min(s.stop + by, n)) for s, n in zip(box, shape, strict=True))
@@ -75,11 +69,6 @@ def mesh_and_mass(folder: Path, points: Any, faces: Any) -> None:
         mesh.invert()
     mesh.export(folder / "stapes.ply")
     write_mass(folder, mesh.volume, mesh.center_mass, mesh.moment_inertia)
-
-
-def alone(grey: Any, labels: Any, stapes: int, air: float) -> Any:
-    """Return the grey values of a box with all other components filled with air."""
-    return np.where((labels != 0) & (labels != stapes), np.array(air, dtype=grey.dtype), grey)
 
 
 def image(array: Any, spacing: float) -> Any:

@@ -21,14 +21,6 @@ def voxel_count(grey: Any, spacing: float, level: float) -> Found:
     return len(points) * spacing**3, centre, (points - centre).T @ (points - centre) * spacing**3
 
 
-def marching_cubes(grey: Any, spacing: float, level: float) -> Found:
-    """Mesh by scikit-image, properties by trimesh."""
-    from skimage import measure
-
-    vertices, faces, _, _ = measure.marching_cubes(grey.astype(np.float32), level + 0.25)
-    return _of_mesh(vertices[:, ::-1] * spacing, faces[:, ::-1])
-
-
 def vtk_flying_edges(grey: Any, spacing: float, level: float) -> Found:
     """Mesh by VTK's flying edges, volume by vtkMassProperties, centre and inertia by trimesh."""
     import pyvista as pv
