@@ -83,7 +83,7 @@ if __name__ == "__main__":
                 poses = range(17, 17 + given.poses)
                 found[kind, size] = [of_scan(family, size, pose, Path(place)) for pose in poses]
     print("Errors, root mean squares over the poses: real stapes/made stapes.\n")
-    ends = (sizes[0], sizes[-1])
+    ends = tuple(dict.fromkeys((sizes[0], sizes[-1])))
     rows = []
     for method in (OURS, *PEERS):
         cells = [method]

@@ -16,7 +16,6 @@ import numpy as np
 from benchmarks._ears import Measured, RingEar, draw_ear, fluid_mg, has_alarm
 from benchmarks._table import (
     NOTHING,
-    PISTON_ENTRIES,
     arguments,
     covers,
     percent,
@@ -46,17 +45,18 @@ ERRORS = {
 
 
 def print_coverage(groups: dict[str, list[Array]]) -> None:
-    """Print how often the intervals of each entry hold."""
-    lines = list[list[object]]()
+    """Print how often the intervals of the entries hold."""
+    rows = list[list[object]]()
     for name, deviations in groups.items():
         z = np.array(deviations)
-        lines.append([f"{name}, {len(z)} ears", *(f"{100 * value:.1f}" for value in covers(z))])
-        lines.append(["rms error / sd", *(f"{value:.2f}" for value in root_mean_square(z))])
-    print_table(("held by 95 %, in %", *PISTON_ENTRIES), lines)
+        held, scatter = 100.0 * covers(z), root_mean_square(z)
+        spread = f"{scatter.min():.2f} to {scatter.max():.2f}"
+        rows.append([name, len(z), f"{held.min():.1f} to {held.max():.1f} %", spread])
+    print_table(("ears", "number", "95 % intervals hold, by entry", "rms error/sd, by entry"), rows)
     z = np.concatenate([np.array(part) for part in groups.values()])
     error = 100.0 * np.sqrt(0.0475 / len(z))
-    print(f"All entries: {percent(covers(z))}; K33 bias / sd {np.median(z[:, 5]):+.2f}.", end=" ")
-    print(f"Standard error of an entry: {error:.1f} %.\n", flush=True)
+    print(f"All entries: {percent(covers(z))}; standard error of an entry {error:.1f} %;", end=" ")
+    print(f"K33 bias / sd {np.median(z[:, 5]):+.2f}.", flush=True)
 
 
 def intervals(ears: int) -> None:

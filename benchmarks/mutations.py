@@ -13,7 +13,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks._table import print_table
@@ -65,16 +64,17 @@ def noticed(copy: Path, file: str, text: str, other: str, tests: str) -> str:
     return failed[0].split("::", 1)[-1].split(" - ")[0] if failed else ""
 
 
-def rows(copy: Path) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table as they are found."""
-    for file, text, other, tests in MUTATIONS:
-        test = noticed(copy, file, text, other, tests)
-        yield f"`{file}`", f"`{text}`", f"`{other}`", f"`{test}`" if test else "**none**"
-
-
 if __name__ == "__main__":
     ignored = shutil.ignore_patterns(".git", ".venv", "demo", "site", "__pycache__", ".*_cache")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "copy"
         shutil.copytree(ROOT, target, ignore=ignored, symlinks=True)
-        print_table(("file", "number", "changed to", "first test that fails"), rows(target))
+        found = [(change, noticed(target, *change)) for change in MUTATIONS]
+    folders = dict.fromkeys(tests for *_, tests in MUTATIONS)
+    by_folder = {name: [bool(test) for (*_, tests), test in found if tests == name] for name in folders}
+    print_table(
+        ("tests", "changes", "noticed"),
+        ([f"`tests/{name}`", len(own), sum(own)] for name, own in by_folder.items()),
+    )
+    missed = [f"`{text}` -> `{other}` in `{file}`" for (file, text, other, _), test in found if not test]
+    print(f"{sum(map(sum, by_folder.values()))} of {len(found)}. Not noticed: {'; '.join(missed) or 'none'}.")

@@ -222,7 +222,7 @@ if __name__ == "__main__":
             f"All right, with a volume rms of {min(errors):.2g} to {max(errors):.2g} %: {'; '.join(plain)}.\n"
         )
     fates = [fate(name, one) for name, found in results.items() for one in found]
-    print(f"* {len(fates)} scans: {', '.join(f'{fates.count(what)} {what}' for what in FATES)}")
+    print(f"* {len(fates)} scans: {'; '.join(f'{fates.count(what)} {what}' for what in FATES)}")
     print(f"* 0.2, 222 scans: {BEFORE.line('222 scans:')}")
     right = [
         one for found in results.values() for one in found if one.record is not None and not is_wrong(one)
