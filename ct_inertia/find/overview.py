@@ -21,6 +21,7 @@ _MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
 _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows from, to 1 %
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
+_LEAST_BOX = 4  # sides in coarse voxels of a box of one value, which noise never makes
 _AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
 _LOUD = calibrated("overview.loud_noise")
 
@@ -116,8 +117,9 @@ def scan_notices(overview: Overview) -> list[Notice]:
     if overview.unmeasured is not None:
         share = 100.0 * float(np.mean(overview.unmeasured))
         text = (
-            f"A constant grey value ({overview.padding:g}) fills {share:.0f} % of the scan, outside of its "
-            "field of view: it was not measured and takes no part in levels, noise and surroundings."
+            f"A constant grey value ({overview.padding:g}) fills {share:.2g} % of the scan, outside of its "
+            "field of view or in blocks that were lost: it was not measured and takes no part in levels, "
+            "noise and surroundings."
         )
         notices.append(Notice("file_read", text))
     return notices
@@ -154,28 +156,34 @@ def noise_of(grey: Grey) -> float:
 
 
 def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
-    """Return a constant that fills the volume from its corners, and where; None where there is none.
+    """Return a constant that stands for what was not measured, and where; None where there is none.
 
     A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in
-    the corners and edges, and must fill whole neighbourhoods, which noise never does.
+    the corners and edges, and must fill whole neighbourhoods, which noise never does. Otherwise the lowest
+    value counts where it fills boxes, as blocks that a copy has lost do and nothing grown does.
     """
     import cc3d
 
     values, count = np.unique(grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])], return_counts=True)
-    value = float(values[np.argmax(count)])
-    if count.max() < 4:
-        return None, None
+    from_corners = count.max() >= 4
+    value = float(values[np.argmax(count)] if from_corners else grey.min())
     same = grey == np.float32(value)
-    solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
-    if np.count_nonzero(solid) < _LEAST_PADDING * grey.size:
+    if np.count_nonzero(same) < (_LEAST_PADDING * grey.size if from_corners else _LEAST_BOX**3):
         return None, None
-    labels = cc3d.connected_components(solid, connectivity=6)
-    faces = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
-    touching = np.zeros(int(labels.max()) + 1, dtype=bool)
-    touching[np.concatenate(faces)] = True
-    touching[0] = False
     joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
-    with_solid = np.zeros(int(joined.max()) + 1, dtype=bool)
-    with_solid[joined[grown(touching[labels]) & same]] = True
-    outside = with_solid[joined]
-    return (value, outside) if np.count_nonzero(outside) >= _LEAST_PADDING * grey.size else (None, None)
+    facts = cc3d.statistics(joined, no_slice_conversion=True)
+    low, high = facts["bounding_boxes"][:, ::2].astype(int), facts["bounding_boxes"][:, 1::2].astype(int)
+    sides = high - low + 1
+    chosen = (np.prod(sides, axis=1) == facts["voxel_counts"]) & (sides.min(axis=1) >= _LEAST_BOX)
+    if from_corners:
+        solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
+        labels = cc3d.connected_components(solid, connectivity=6)
+        faces = [np.unique(np.take(labels, end, axis=axis)) for axis in range(3) for end in (0, -1)]
+        touching = np.zeros(int(labels.max()) + 1, dtype=bool)
+        touching[np.concatenate(faces)] = True
+        touching[0] = False
+        chosen[joined[grown(touching[labels]) & same]] = True
+    chosen[0] = False
+    outside = chosen[joined]
+    enough = outside.any() and (not from_corners or np.mean(outside) >= _LEAST_PADDING)
+    return (value, outside) if enough else (None, None)

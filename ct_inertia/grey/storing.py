@@ -27,6 +27,7 @@ _PILE = 0.01  # share of a material's voxels at an end of the range from which i
 _HIDDEN = 0.3  # the same, from which another material gives the noise
 _STRAY = 1e-7  # share of voxels that are anything else
 _BIN = 0.25  # of the spread of the values: wider bins lose what the values say of the level
+_NARROWEST = 1e-5  # of the range: a material may be one value throughout, and its spread 0
 _GRID, _ZOOMS = (41, 21), 7  # levels and noises that are tried, and how often the grid closes in
 _WITHIN = 6.0  # standard deviations of the posterior that a closer grid reaches to
 _LEAST_DEEP = 200  # voxels of pure bone from which its level is read
@@ -280,7 +281,11 @@ def _intervals(values: Array, ends: Range) -> tuple[Array, Array, Array]:
     half = max(0.5 * ends.step, ends.rounding)
     low, high = ends.low + half, ends.high - half
     fine = _BIN * _spread(values[(values > low) & (values < high)])
-    width = max(fine, 1e-12) if ends.step == 0.0 else ends.step * max(1.0, np.floor(fine / ends.step))
+    width = (
+        max(fine, _NARROWEST * (high - low), 1e-12)
+        if ends.step == 0.0
+        else ends.step * max(1.0, np.floor(fine / ends.step))
+    )
     edges = np.concatenate([np.arange(low, high, width), [high]])
     clips_low, clips_high = ends.clips
     edges = np.concatenate(

@@ -158,6 +158,22 @@ def test_a_stapes_that_the_field_of_view_cuts_is_reported():
     assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
 
 
+def test_a_block_that_a_copy_has_lost_was_not_measured():
+    """A box of one value amid the picture, as of a missing chunk, cuts the stapes as a border does."""
+    scan, placed = ear(gap_mm=0.12)
+    exact = true_moments(placed)
+    corners = placed.solids[0][0].vertices_mm
+    x, y, z = np.rint(scan.index_points(corners[np.argmax(corners[:, 2])])).astype(int)
+    grey = scan.read()
+    grey[z - 16 : z, y : y + 16, x : x + 16] = 0
+    overview = look_at(Scan.from_array(grey, scan.spacing_mm))
+    assert overview.padding == 0.0
+    assert np.count_nonzero(overview.unmeasured) == 16**3 // np.prod(overview.grid.block)
+    found = measure(find_stapes(Scan.from_array(grey, scan.spacing_mm)))
+    assert "touches_border" in {notice.code for notice in found.notices}
+    assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
+
+
 @pytest.mark.parametrize("begins", [0.0, 0.03, 0.06])
 def test_air_that_the_export_has_clipped_was_measured(begins):
     """A window that begins up to two deviations of the noise above air leaves one value nearly everywhere."""
