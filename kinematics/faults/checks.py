@@ -57,10 +57,10 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
 
 
 def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
-    """Set aside values that are exactly zero although the body moves there.
+    """Set aside values that are exactly zero, and channels of one value, although the body moves otherwise.
 
-    A channel of zeros is believed when the other channels say that nothing moves along its beam, or when
-    they cannot tell without it.
+    Such a channel is believed when the other channels say that it moves so along its beam; all others are not
+    when these cannot tell.
     """
     value = body.value
     drop = np.zeros(value.shape, dtype=bool)
@@ -68,16 +68,14 @@ def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]
     texts: list[str] = []
     for run, name in enumerate(runs):
         where = f" in run {name}" if len(runs) > 1 else ""
-        first = np.isfinite(value[run, :, 0]) & (value[run, :, 0] != 0.0)
-        doubtful = np.flatnonzero(~first)
-        empty = [int(c) for c in doubtful if not np.any(np.isfinite(value[run, c]))]
-        dead = [int(c) for c in doubtful if c not in empty and not np.any(np.nan_to_num(value[run, c]))]
+        empty, dead = _silent(value[run])
         marks = dict.fromkeys(empty, "unused")
         if dead and len(dead) < len(value[run]) and _moves(body, run, dead, dof):
             drop[run, dead] = True
             marks |= dict.fromkeys(dead, "zeros")
             names = list_some((body.channel_name(c) for c in dead), most=6)
-            texts.append(f"{names}{where} read zero throughout while the body moves")
+            reads = "one constant value" if np.any(np.nan_to_num(value[run, dead])) else "zero"
+            texts.append(f"{names}{where} read {reads} throughout while the body moves")
         some = (value[run] == 0.0) & ~drop[run]
         some[dead] = False
         if np.any(some) and not np.any(np.all(some, axis=1)):
@@ -86,27 +84,41 @@ def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]
         unused.append(marks)
     if not texts:
         return Screened(body, tuple(unused), ())
-    step = "these values were not used (missing points are often exported as zero)"
+    step = "these values were not used (missing points are often exported so)"
     body = replace(body, value=np.where(drop, np.nan, value))
     return Screened(body, tuple(unused), (Notice("zero_rows", f"{'; '.join(texts)}; {step}."),))
 
 
+def _silent(value: ComplexArray) -> tuple[list[int], list[int]]:
+    """Return the channels (c, L) without a value, and those with one value at all lines, such as zero."""
+    empty, dead = [], []
+    first, second = value[:, 0], value[:, min(1, value.shape[1] - 1)]
+    doubtful = ~(np.isfinite(first) & np.isfinite(second) & (first != second))
+    for channel in np.flatnonzero(doubtful).tolist():
+        known = value[channel][np.isfinite(value[channel])]
+        if not known.size:
+            empty.append(channel)
+        elif np.all(known == known[0]) and (known.size > 1 or known[0] == 0.0):
+            dead.append(channel)
+    return empty, dead
+
+
 def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:
-    """Return whether the other channels see a motion along the beams of channels that read zero."""
+    """Return whether the other channels see another motion along the beams of channels than these read."""
     whole = np.all(np.isfinite(body.value[run]), axis=1)
     others = np.setdiff1d(np.flatnonzero(whole), dead)
     arms, beams = body.arms_m, body.directions
     if len(others) < len(dof) or observability(arms[others], beams[others], dof)[-1] < 1e-3:
         return True
     rows = point_rows(arms, beams)[:, dof_indices(dof)]
-    y = body.value[run, others]
-    y = y[:, np.any(y != 0.0, axis=0)]
+    lines = np.any(body.value[run, others] != 0.0, axis=0)
+    y, reads = body.value[run][others][:, lines], body.value[run][dead][:, lines]
     if y.shape[1] == 0:
         return False
     q = np.linalg.lstsq(rows[others], y, rcond=None)[0]
     left = np.sqrt(np.mean(np.abs(y - rows[others] @ q) ** 2))
-    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q) ** 2))
-    return bool(expected > 3.0 * left + 1e-9 * float(np.max(np.abs(y))))
+    other = np.sqrt(np.nanmean(np.abs(rows[dead] @ q - reads) ** 2))
+    return bool(other > 3.0 * left + 1e-9 * float(np.max(np.abs(y))))
 
 
 def check_measurement(measurement: Measurement) -> list[Notice]:

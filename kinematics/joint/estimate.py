@@ -283,6 +283,8 @@ def joint(
         score, information, _ = system(state, parameters)
         covariance = inverse(information + np.diag(prior))
         step = covariance @ (score - prior * x)
+        if not np.all(np.isfinite(step)):  # weights too far apart for floating point
+            break
         for part in _STEPS:
             next_state, next_chi2 = at(x + part * step)
             if next_chi2 <= chi2:

@@ -262,4 +262,10 @@ def _range_faults(channels: Sequence[Channel], matrices: dict[str, Any]) -> list
             want = f"from {low:g} to {high:g}, or missing"
             mine = [channels[row] for row in np.flatnonzero(np.any(bad, axis=1)).tolist()]
             faults.append(fault_of(mine, thing, want, got, "Export it again"))
+    sd = matrices.get("sd")
+    if sd is not None and np.any(sd == 0.0) and np.any(sd > 0.0):
+        mine = [channels[row] for row in np.flatnonzero(np.any(sd == 0.0, axis=1)).tolist()]
+        got = f"0 for {int(np.sum(sd == 0.0))} of {int(np.sum(np.isfinite(sd)))} values"
+        step = "Leave it empty where it is not known; 0 throughout says that the data have no noise"
+        faults.append(fault_of(mine, "the standard deviations", "above 0 where others are", got, step))
     return faults

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinematics.measurement import QUANTITIES, direction_name
+from kinematics.readers.coherence import is_coarse, unexplained_power
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Place
 from stapeskit.warnings import Notice
@@ -176,8 +177,9 @@ class Recording:
     def with_noise(self) -> Recording:
         """Return the recording with the sd that follows from what its file states.
 
-        Coherence without a number of averages and averages alone give an sd up to one factor (``relative``).
-        The coherence of a single average is 1 by construction and says nothing; NaN where nothing is known.
+        Coherence without a number of averages, or with few decimals, and averages alone give an sd up to one
+        factor (``relative``). The coherence of a single average is 1 by construction and says nothing; NaN
+        where nothing is known.
         """
         coherence, counts = self.coherence, self.n_avg
         nothing = coherence is None and counts is None
@@ -187,10 +189,14 @@ class Recording:
         averages = np.ones(self.value.shape) if counts is None else counts
         if coherence is None:
             return replace(self, sd=1.0 / np.sqrt(averages), relative=True)
+        left = unexplained_power(coherence)
+        if np.all(np.isnan(left)):
+            return self
         # Bendat and Piersol 2010, Random Data, section 9.2: the sd of the real (= imaginary) part
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            sd = np.abs(self.value) * np.sqrt((1.0 - coherence) / (2.0 * averages * coherence))
-        return replace(self, sd=np.where(np.isfinite(sd), sd, np.nan), relative=counts is None)
+            sd = np.abs(self.value) * np.sqrt(left / (2.0 * averages * coherence))
+        relative = counts is None or is_coarse(coherence)
+        return replace(self, sd=np.where(np.isfinite(sd), sd, np.nan), relative=relative)
 
     def to_frame(self) -> DataFrame:
         """Return a table with one row a channel and line, in SI; columns that the file lacks are left out."""

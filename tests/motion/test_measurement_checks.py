@@ -116,6 +116,15 @@ def test_rows_of_zeros_are_set_aside_where_the_body_moves():
     assert [notice.code for notice in screened.notices] == ["zero_rows"]
 
 
+def test_channels_of_one_value_are_set_aside_where_the_body_moves_otherwise():
+    body = as_measurement(recorded(1)).bodies[0]
+    value = body.value.copy()
+    value[:, 4] = 1e-4
+    screened = screen_zeros(replace(body, value=value), ("1",), DOF_NAMES)
+    assert screened.unused == ({4: "zeros"},)
+    assert [notice.code for notice in screened.notices] == ["zero_rows"]
+
+
 def test_zeros_are_believed_where_nothing_moves():
     body = as_measurement(recorded(1, exact=True)).bodies[0]
     only_y = recorded(1, exact=True).direction @ np.eye(3)

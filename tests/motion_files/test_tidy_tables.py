@@ -207,3 +207,34 @@ def test_a_large_table_is_read_quickly(tmp_path):
     measured = read_measurement([path])
     assert time.process_time() - began < 1.5
     assert measured.bodies[0].value.shape == (1, 600, 500)
+
+
+@pytest.mark.parametrize(("decimals", "absolute"), [(4, True), (3, True), (2, False)])
+def test_coherence_written_with_few_decimals(tmp_path, decimals, absolute):
+    """What rounds to 1 is not free of noise: its sd is right within 3, and none without few averages."""
+    relative = np.random.default_rng(3).uniform(0.006, 0.03, 200)
+    relative[:5] = 0.001
+    gamma = np.round(1.0 / (1.0 + 2.0 * 16 * relative**2), decimals)
+    assert np.any(gamma == 1.0)
+    rows = [f"stapes,1,0,0,0,y,{100 + k},1,0,{value:.{decimals}f},16" for k, value in enumerate(gamma)]
+    body = read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0]
+    assert body.relative is not absolute
+    assert body.sd is not None
+    assert np.all(body.sd > 0.0)
+    ratio = body.sd[0, 0, 5:] / relative[5:]
+    assert np.all((ratio > 1 / 3) & (ratio < 3)) or not absolute
+
+
+def test_coherence_of_1_throughout_says_nothing(tmp_path):
+    rows = [f"{row},1,16" for row in ROWS]
+    assert read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0].sd is None
+
+
+def test_sd_of_0_beside_others_is_refused_with_its_rows(tmp_path):
+    """Weights of values that are said to be exact would hide all others."""
+    rows = [f"{row},{sd}" for row, sd in zip(ROWS, (0.1, 0, 0.2), strict=True)]
+    (fault,) = faults(table(tmp_path, rows, f"{HEAD},sd_m_s"))
+    assert "standard deviation" in fault.thing
+    assert 3 in fault.where.numbers or 2 in fault.where.numbers
+    exact = read_measurement([table(tmp_path, [f"{row},0" for row in ROWS], f"{HEAD},sd_m_s")])
+    assert np.all(exact.bodies[0].sd[np.isfinite(exact.bodies[0].value)] == 0.0)

@@ -1,0 +1,43 @@
+"""What a written coherence says about noise: a file rounds it, and 1.000 is not free of noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stapeskit.arrays import Array
+
+_MOST_DECIMALS = 6
+_FLOAT32 = 6e-8  # rounding of a coherence that was stored in single precision
+_COARSE = 1.5  # last digits of 1 - g2 below which it is known to no better than a third
+_MOST_COARSE = 0.1  # share of such values up to which the rest still tell the size of the noise
+
+
+def last_digit(coherence: Array) -> float:
+    """Return the step of the decimals that all coherences are written with; 0 where they are not rounded."""
+    known = coherence[np.isfinite(coherence)]
+    for decimals in range(1, _MOST_DECIMALS):
+        scaled = known * 10.0**decimals
+        if np.all(np.abs(scaled - np.round(scaled)) <= _FLOAT32 * 10.0**decimals):
+            return float(10.0**-decimals)
+    return 0.0
+
+
+def unexplained_power(coherence: Array) -> Array:
+    """Return 1 - g2: at least a quarter of the last digit, the mean of what rounds to 1.
+
+    Where the coherence is not rounded but 1, half of the least of the others is taken; where all are 1, as by
+    a program that does not compute them, NaN.
+    """
+    left = 1.0 - coherence
+    some = left[left > 0.0]
+    if not some.size:
+        return np.full(coherence.shape, np.nan)
+    step = last_digit(coherence)
+    least = 0.25 * step if step else 0.5 * float(np.min(some))
+    return np.asarray(np.fmax(left, np.where(np.isfinite(left), least, np.nan)))
+
+
+def is_coarse(coherence: Array) -> bool:
+    """Return whether rounding hides the size of the noise of more than a tenth of the values."""
+    left = 1.0 - coherence[np.isfinite(coherence)]
+    return bool(left.size and np.mean(left < _COARSE * last_digit(coherence)) > _MOST_COARSE)
